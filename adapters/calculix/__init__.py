@@ -1,0 +1,1 @@
+"""CalculiX CrunchiX (ccx): decks in its Abaqus-like input language, results from its .dat file."""

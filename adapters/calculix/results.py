@@ -1,0 +1,157 @@
+"""What ccx leaves: the .dat file of a modal job, the matrix files, its messages.
+
+The .dat file has one table of eigenvalues and then, under a heading with the mode's number, the
+printed quantities of each mode. Quantities are taken by mode number; frequencies would collide
+for repeated modes. A good run prints the whole table: an exit code of 0 proves nothing.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from scipy import sparse
+
+from modetune.adapters.calculix.job import ALL
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.errors import SolverCrashed
+from modetune.core.modes import Floats, Integers, mode_set
+from modetune.core.results import MatrixResult, ModalResult
+from modetune.core.store import symmetric
+
+MODE_HEADING = "E I G E N V A L U E    N U M B E R"
+
+
+@dataclass(frozen=True, slots=True)
+class SolverMessage:
+    """An *ERROR of ccx: its text, and the deck line it quotes if any."""
+
+    text: str
+    card_image: str
+
+
+def read_version(banner: str) -> str:
+    """The version in what `ccx -v` prints, empty where there is none."""
+    found = re.search(r"Version\s+([0-9][\w.]*)", banner)
+    return found.group(1) if found else ""
+
+
+def read_messages(log: str) -> list[SolverMessage]:
+    """All *ERROR messages of a log, each with its continuation lines."""
+    found = []
+    for match in re.finditer(r"^ *\*ERROR.*(?:\n {2,}\S.*)*", log, re.MULTILINE):
+        text = "\n".join(line.strip() for line in match.group().splitlines())
+        image = re.search(r"Card image:?\s*\n(.*)", text)
+        found.append(SolverMessage(text, image.group(1).strip() if image else ""))
+    return found
+
+
+def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalResult:
+    """The modes of a .dat file. Raises SolverCrashed where it is not whole."""
+    try:
+        text = dat.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SolverCrashed(f"{dat} cannot be read: {error}") from error
+    head, *modes = text.split(MODE_HEADING)
+    eigenvalues = _eigenvalues(head)
+    if eigenvalues.size < analysis.n_modes or len(modes) < analysis.n_modes:
+        raise SolverCrashed(
+            f"{dat} holds {eigenvalues.size} eigenvalues and {len(modes)} modes of "
+            f"{analysis.n_modes}: the run broke off, or the model has fewer unknowns"
+        )
+    try:
+        return _modal_result(eigenvalues, modes, analysis, point_mass)
+    except (ValueError, IndexError) as error:
+        raise SolverCrashed(f"{dat} is cut short or garbled: {error}") from error
+
+
+def _modal_result(
+    eigenvalues: Floats, modes: list[str], analysis: ModalAnalysis, point_mass: float
+) -> ModalResult:
+    shapes, numbers, nodes = [], [], np.zeros(0, dtype=np.int64)
+    for mode in modes:
+        numbers.append(int(mode.split(None, 1)[0]))
+        nodes, shape = _displacements(mode)
+        shapes.append(shape)
+    if numbers != list(range(1, eigenvalues.size + 1)):
+        raise ValueError(f"modes numbered {numbers[:3]}... do not follow the table")
+    if nodes.size != len(analysis.nodes):
+        raise ValueError(f"shapes at {nodes.size} nodes, {len(analysis.nodes)} were asked for")
+    energies = {
+        name: np.array([_total(mode, "internal energy", name) for mode in modes])
+        for name in {ALL, *(name for _, sets in analysis.groups for name in sets)}
+    }
+    groups = [sum((energies[name] for name in sets), np.zeros(eigenvalues.size))
+              for _, sets in analysis.groups]  # fmt: skip
+    return ModalResult(
+        eigenvalues=eigenvalues,
+        modes=mode_set(
+            np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
+            np.stack(shapes, axis=1),
+            np.repeat(nodes, 3),
+            np.tile(np.arange(1, 4), nodes.size),
+            normalisation="mass",
+        ),
+        groups=tuple(name for name, _ in analysis.groups),
+        strain_energies=np.array(groups).reshape(len(groups), eigenvalues.size),
+        total_strain_energy=energies[ALL],
+        mass=_total(modes[0], "mass", ALL) + point_mass,
+    )
+
+
+def _eigenvalues(head: str) -> Floats:
+    table = head.split("P A R T I C I P A T I O N")[0]
+    rows = re.findall(r"^\s+\d+\s+([-+]?[\d.]+E[-+]\d+)(?:\s+[-+]?[\d.]+E[-+]\d+){3}", table, re.M)
+    return np.array([float(value) for value in rows])
+
+
+def _displacements(mode: str) -> tuple[Integers, Floats]:
+    """Node numbers (n,), and the shape (3 n,) as x, y, z node by node."""
+    _, _, block = mode.partition(" displacements (vx,vy,vz)")
+    numbers = block.split("\n", 1)[1].split(" total ")[0]
+    table = np.array(numbers.split(), dtype=np.float64).reshape(-1, 4)
+    return table[:, 0].astype(np.int64), table[:, 1:].reshape(-1)
+
+
+def _total(mode: str, quantity: str, name: str) -> float:
+    heading = rf"total {quantity} for set {re.escape(name)} and time.*\n\s*\n\s*(\S+)"
+    found = re.search(heading, mode)
+    if found is None:
+        raise ValueError(f"no total {quantity} of set {name}")
+    return float(found.group(1))
+
+
+def read_matrices(folder: Path, job: str) -> MatrixResult:
+    """The matrices of a MATRIXSTORAGE job. Raises SolverCrashed where they are not whole."""
+    try:
+        names = pl.read_csv(folder / f"{job}.dof", separator=".", has_header=False,
+                            schema={"node": pl.Int64, "component": pl.Int64})  # fmt: skip
+        size = names.height
+        stiffness = _read_triangle(folder / f"{job}.sti", size)
+        mass = _read_triangle(folder / f"{job}.mas", size)
+    except (OSError, pl.exceptions.PolarsError, ValueError) as error:
+        raise SolverCrashed(f"{folder}: the stored matrices cannot be read: {error}") from error
+    return MatrixResult(stiffness, mass, names["node"].to_numpy(), names["component"].to_numpy())
+
+
+def _read_triangle(path: Path, size: int) -> sparse.csr_array:
+    """A symmetric matrix from `row column value` lines, 1-based, of its upper triangle."""
+    data = path.read_bytes()
+    if not data.endswith(b"\n"):
+        raise ValueError(f"{path.name} ends within a line")
+    table = pl.read_csv(
+        io.BytesIO(data.replace(b"  ", b" ")),
+        separator=" ",
+        has_header=False,
+        schema={"row": pl.Int32, "column": pl.Int32, "value": pl.Float64},
+    ).filter(pl.col("value") != 0.0)
+    rows, columns = table["row"].to_numpy() - 1, table["column"].to_numpy() - 1
+    upper = sparse.coo_array((table["value"].to_numpy(), (rows, columns)), shape=(size, size))
+    diagonal = upper.tocsr()
+    if not (diagonal.diagonal() > 0.0).all():
+        raise ValueError(f"{path.name} has equations without a positive diagonal: it is cut short")
+    return symmetric(sparse.csr_array(diagonal))

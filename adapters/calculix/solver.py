@@ -1,0 +1,164 @@
+"""CalculiX behind the solver seam."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+import threading
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from modetune.adapters.calculix.deck import read_deck, write_edited
+from modetune.adapters.calculix.job import job_text, wrap_message
+from modetune.adapters.calculix.model import CalculixModel, understand
+from modetune.adapters.calculix.results import (
+    read_matrices,
+    read_messages,
+    read_modal,
+    read_version,
+)
+from modetune.adapters.process import LOG, log_tail, run_process
+from modetune.adapters.solver import (
+    Analysis,
+    Capabilities,
+    Command,
+    ModalAnalysis,
+    ModelSummary,
+)
+from modetune.core.errors import (
+    ModelError,
+    SolverCrashed,
+    SolverMissing,
+    SolverRejected,
+)
+from modetune.core.keys import Json
+from modetune.core.parameters import Parameter, Values
+from modetune.core.results import Result
+
+JOB = "job"
+#: Names another program than `ccx` on PATH.
+PROGRAM_VARIABLE = "MODETUNE_CCX"
+MISSING = (
+    "the CalculiX program `{program}` is not on this machine; install it (Debian and Ubuntu: "
+    "`apt-get install calculix-ccx`) or name it with " + PROGRAM_VARIABLE
+)
+
+
+@dataclass(frozen=True)
+class CalculixSolver:
+    """CalculiX bound to one deck and the parameters that edit it."""
+
+    deck: CalculixModel
+    parameters: tuple[Parameter, ...]
+    program: str
+
+    name = "calculix"
+    #: Raised by hand when the same ccx output is read to other numbers.
+    reader_version = 1
+    capabilities = Capabilities(strain_energies=True, matrices=True)
+
+    @property
+    def model(self) -> ModelSummary:
+        return self.deck.summary
+
+    @cached_property
+    def _version(self) -> str:
+        if shutil.which(self.program) is None:
+            raise SolverMissing(MISSING.format(program=self.program))
+        with tempfile.TemporaryDirectory(prefix="modetune-") as folder:
+            command = Command((self.program, "-v"))
+            run_process(command, Path(folder), 60.0, threading.Event())
+            banner = (Path(folder) / LOG).read_text(errors="replace")
+        version = read_version(banner)
+        if not version:
+            raise SolverMissing(f"`{self.program} -v` printed no CalculiX version: {banner[:80]!r}")
+        return version
+
+    def version(self) -> str:
+        return self._version
+
+    def problems(self, parameters: tuple[Parameter, ...]) -> list[str]:
+        found = []
+        for parameter in parameters:
+            try:
+                self.deck.fields(parameter)
+            except ModelError as error:
+                found.append(f"parameter {parameter.name}: {error}")
+        return found
+
+    def deck_value(self, parameter: Parameter) -> float:
+        return self.deck.fields(parameter)[0].value
+
+    def wave_speeds(self) -> dict[str, float]:
+        return self.deck.wave_speeds()
+
+    def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
+        return self.deck.energy_sets(parameter)
+
+    def content(self, values: Values, analysis: Analysis) -> Json:
+        text = job_text(self.deck, self._changed(values), analysis)
+        modal = isinstance(analysis, ModalAnalysis)
+        return {
+            "solver": self.name,
+            "version": self.version(),
+            "reader": self.reader_version,
+            "deck": hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest(),
+            "analysis": "modal" if modal else "matrices",
+            "n_modes": analysis.n_modes if isinstance(analysis, ModalAnalysis) else 0,
+            "groups": [[name, list(sets)] for name, sets in analysis.groups]
+            if isinstance(analysis, ModalAnalysis)
+            else [],
+        }
+
+    def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
+        text = job_text(self.deck, self._changed(values), analysis)
+        (folder / f"{JOB}.inp").write_bytes(text.encode("utf-8", "surrogateescape"))
+
+    def command(self, threads: int) -> Command:
+        count = str(threads)
+        names = ("OMP_NUM_THREADS", "CCX_NPROC_STIFFNESS", "CCX_NPROC_EQUATION_SOLVER")
+        return Command((self.program, "-i", JOB), tuple((name, count) for name in names))
+
+    def read(
+        self, values: Values, analysis: Analysis, folder: Path, return_code: int
+    ) -> Result:
+        log = (folder / LOG).read_text(errors="replace")
+        messages = read_messages(log)
+        if messages:
+            said = wrap_message("\n".join(message.text for message in messages))
+            place = self._place(messages[0].card_image)
+            if "memory" in said.lower():
+                raise SolverCrashed(f"CalculiX ran out of memory in {folder}:\n{said}")
+            raise SolverRejected(f"CalculiX refused the deck{place} (job in {folder}):\n{said}")
+        if return_code != 0 or "Job finished" not in log:
+            raise SolverCrashed(
+                f"CalculiX ended in {folder} with code {return_code} and without its closing "
+                f"line\n{log_tail(folder)}"
+            )
+        if isinstance(analysis, ModalAnalysis):
+            point_mass = self.deck.point_mass(self._changed(values))
+            return read_modal(folder / f"{JOB}.dat", analysis, point_mass)
+        return read_matrices(folder, JOB)
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        return write_edited(self.deck.deck, self._changed(values), folder)
+
+    def _changed(self, values: Values) -> dict[int, str]:
+        return self.deck.edit((p, values[p.name]) for p in self.parameters if p.name in values)
+
+    def _place(self, card_image: str) -> str:
+        """Where the user's deck has the line that a message quotes."""
+        wanted = "".join(card_image.upper().split())
+        for line in self.deck.deck.lines:
+            if wanted and "".join(line.text.upper().split()).startswith(wanted):
+                return f" at {line.where}"
+        return f" {self.deck.deck.file}"
+
+
+def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> CalculixSolver:
+    """CalculiX for a deck file. Raises ModelError where the deck cannot be understood."""
+    program = os.environ.get(PROGRAM_VARIABLE, "ccx")
+    return CalculixSolver(understand(read_deck(deck)), parameters, program)

@@ -1,0 +1,122 @@
+"""The seam between modetune and a finite element solver.
+
+An adapter says how an analysis of a model is written, which command runs it and how its output
+is read. It never starts a process (`process.py` does) and never decides what to run (the flows
+do). To add a solver, write a folder with a class that meets `Solver` and name it in
+`flows/campaign.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from modetune.core.keys import Json
+from modetune.core.parameters import Parameter, Values
+from modetune.core.results import Result
+
+
+@dataclass(frozen=True, slots=True)
+class ModalAnalysis:
+    """Normal modes: the lowest n_modes (rigid ones counted), shapes at these nodes.
+
+    groups: strain energies wanted, a name and the element sets it sums.
+    """
+
+    n_modes: int
+    nodes: tuple[int, ...]
+    groups: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixAnalysis:
+    """The assembled stiffness and mass matrices."""
+
+
+Analysis = ModalAnalysis | MatrixAnalysis
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What a solver can give."""
+
+    strain_energies: bool
+    matrices: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """How a job is started: an argument list, and what the environment needs on top."""
+
+    arguments: tuple[str, ...]
+    environment: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSummary:
+    """What an adapter knows of its model without running it.
+
+    node_ids: every node that carries results. solid_shapes: whether the stored matrices' unknowns
+    can be found at nodes (solids without dependent nodes), so that shapes follow from them.
+    """
+
+    name: str
+    node_ids: frozenset[int]
+    n_elements: int
+    solid_shapes: bool
+
+
+class Solver(Protocol):
+    """A solver bound to one model."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def capabilities(self) -> Capabilities: ...
+
+    @property
+    def model(self) -> ModelSummary: ...
+
+    def version(self) -> str:
+        """The program's version. Raises SolverMissing."""
+        ...
+
+    def problems(self, parameters: tuple[Parameter, ...]) -> list[str]:
+        """Why these parameters cannot be applied to the model, a sentence each; empty if fine."""
+        ...
+
+    def deck_value(self, parameter: Parameter) -> float:
+        """The value the deck gives the parameter's quantity (the first one if several)."""
+        ...
+
+    def wave_speeds(self) -> dict[str, float]:
+        """Root of E over density of each material that has both, in the deck's units."""
+        ...
+
+    def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
+        """Element sets whose strain energy is proportional to the parameter; empty if none."""
+        ...
+
+    def content(self, values: Values, analysis: Analysis) -> Json:
+        """Everything of the model and the analysis that can change the numbers."""
+        ...
+
+    def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
+        """Write the job's input files into an empty folder."""
+        ...
+
+    def command(self, threads: int) -> Command:
+        """The command that runs the job written into the folder it is started in."""
+        ...
+
+    def read(
+        self, values: Values, analysis: Analysis, folder: Path, return_code: int
+    ) -> Result:
+        """Read a finished job. Raises SolverRejected or SolverCrashed where there is no result."""
+        ...
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        """Write the user's deck with updated values, includes kept; returns the main file."""
+        ...

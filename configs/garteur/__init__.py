@@ -1,0 +1,1 @@
+"""The GARTEUR SM-AG19 aircraft testbed."""

@@ -1,0 +1,92 @@
+"""Makes the twin's test data: the coarse aircraft with moduli that the campaign does not know.
+
+    python -m modetune.configs.garteur.twin FOLDER
+
+writes twin_measured.csv (exact) and twin_noisy.csv (0.2 % noise on frequencies, 2 % of each
+shape's root mean square on its entries, seed 2026) as they stand beside this file.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.modes_csv import write_modes_csv
+from modetune.adapters.process import run_process
+from modetune.adapters.solver import ModalAnalysis
+from modetune.configs.garteur.aircraft import COARSE, GROUPS, aircraft, calculix_deck, node_at
+from modetune.core.modes import ModeSet
+from modetune.core.parameters import Parameter
+from modetune.core.results import ModalResult
+
+#: Young's moduli relative to the nominal 71,000 MPa.
+TRUTH = {"FUSELAGE": 1.20, "WING": 0.85, "FIN": 1.10, "TAILPLANE": 0.90, "DRUMS": 1.25}
+N_MEASURED = 8
+SEED = 2026
+FREQUENCY_NOISE = 0.002
+SHAPE_NOISE = 0.02
+
+#: Forty places, mm: wing edges, drum ends, fuselage top, fin, tailplane.
+SENSORS: tuple[tuple[float, float, float], ...] = (
+    *((x, side * y, 85.0) for y in (100.0, 300.0, 500.0, 700.0, 875.0)
+      for side in (-1, 1) for x in (550.0, 650.0)),
+    *((x, side * 950.0, 95.0) for side in (-1, 1) for x in (400.0, 800.0)),
+    *((x, 25.0, 75.0) for x in (0.0, 250.0, 500.0, 750.0, 1000.0, 1250.0, 1500.0)),
+    *((x, 5.0, z) for z in (225.0, 375.0) for x in (1400.0, 1500.0)),
+    *((x, side * 200.0, 385.0) for side in (-1, 1) for x in (1400.0, 1500.0)),
+    (1450.0, 5.0, 385.0),
+)  # fmt: skip
+
+
+def truth_modes() -> ModeSet:
+    """The first elastic modes of the aircraft with the true moduli, by CalculiX."""
+    parameters = tuple(Parameter(g, "youngs_modulus", (g,), 0.5, 2.0, 0.2) for g in GROUPS)
+    nodes = tuple(sorted(set(node_at(aircraft(COARSE), SENSORS))))
+    analysis = ModalAnalysis(6 + N_MEASURED + 2, nodes)
+    with tempfile.TemporaryDirectory(prefix="modetune-") as name:
+        folder = Path(name)
+        deck = folder / "twin.inp"
+        deck.write_text(calculix_deck(COARSE))
+        solver = calculix_solver(deck, parameters)
+        solver.write(TRUTH, analysis, folder)
+        finished = run_process(solver.command(1), folder, 600.0, threading.Event())
+        result = solver.read(TRUTH, analysis, folder, finished.return_code)
+    assert isinstance(result, ModalResult)
+    return result.elastic.select(range(N_MEASURED))
+
+
+def noisy(modes: ModeSet) -> ModeSet:
+    """The same modes as a test would measure them."""
+    noise = np.random.default_rng(SEED)
+    shapes = modes.mode_shapes
+    rms = np.sqrt(np.mean(shapes**2, axis=0))
+    return replace(
+        modes,
+        frequencies_hz=modes.frequencies_hz
+        * (1.0 + FREQUENCY_NOISE * noise.standard_normal(modes.n_modes)),
+        mode_shapes=shapes + SHAPE_NOISE * rms * noise.standard_normal(shapes.shape),
+        normalisation="unknown",
+    )
+
+
+def write_twin(folder: Path) -> None:
+    """Write both test files."""
+    modes = truth_modes()
+    truth = ", ".join(f"{group} {value}" for group, value in TRUTH.items())
+    said = ["Twin of the coarse GARTEUR aircraft, made by twin.py with relative moduli", truth]
+    numbers = range(1, N_MEASURED + 1)
+    write_modes_csv(folder / "twin_measured.csv", numbers, modes, [*said, "exact"])
+    write_modes_csv(
+        folder / "twin_noisy.csv", numbers, noisy(modes),
+        [*said, f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}"],
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    write_twin(Path(sys.argv[1]))

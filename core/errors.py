@@ -1,0 +1,90 @@
+"""The errors of modetune, split by what the user can do about them.
+
+::
+
+    ModetuneError
+    ├── CampaignError            edit the campaign or the test data
+    ├── ModelError               fix the model
+    ├── ModesError               look at the modes
+    ├── SolverError              look at the solver's log, try again
+    │   ├── SolverMissing        install it
+    │   ├── SolverRejected       it refused the input: fix the deck
+    │   ├── SolverCrashed        it was stopped or broke off: may be tried again
+    │   ├── SolverTimeout        raise the limit or make the model smaller
+    │   └── SolverCancelled      the campaign itself was stopped
+    └── StoreError               repair the store
+        ├── StoreDamaged         an entry's checksum does not hold
+        └── StorageUnavailable   no permission or no space
+
+Each carries one paragraph that says what was found, what was expected and where; the command
+line prints it and ends with the class's exit code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+
+class ModetuneError(Exception):
+    """Root of all errors a user can cause or meet."""
+
+    exit_code: ClassVar[int] = 2
+
+
+class CampaignError(ModetuneError):
+    """The campaign file or the test data must be edited; lists every problem at once."""
+
+    def __init__(self, problems: str | Sequence[str]) -> None:
+        self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
+        super().__init__("\n".join(self.problems))
+
+
+class ModelError(ModetuneError):
+    """The deck cannot be read, or lacks what was asked of it."""
+
+
+class ModesError(ModetuneError):
+    """The modes do not allow what was asked: lost, unpaired, or not enough of them."""
+
+    exit_code = 4
+
+
+class SolverError(ModetuneError):
+    """A solver run gave no result. The message carries command, folder and log tail."""
+
+    exit_code = 4
+
+
+class SolverMissing(SolverError):
+    """The solver's program is not there."""
+
+
+class SolverRejected(SolverError):
+    """The solver refused its input; running it again gives the same."""
+
+
+class SolverCrashed(SolverError):
+    """The solver was killed, broke off, or left something that is no result."""
+
+
+class SolverTimeout(SolverError):
+    """The solver ran longer than the campaign's timeout and was killed."""
+
+
+class SolverCancelled(SolverError):
+    """The solver was killed because its campaign is ending."""
+
+
+class StoreError(ModetuneError):
+    """The store or the record cannot be used."""
+
+    exit_code = 5
+
+
+class StoreDamaged(StoreError):
+    """An entry of the store is not what its checksum says."""
+
+
+class StorageUnavailable(StoreError):
+    """A folder cannot be written: no permission, no space, or not there."""

@@ -1,0 +1,77 @@
+"""What a solver run gives: modes, or matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from modetune.core.errors import ModesError
+from modetune.core.modes import Floats, Integers, ModeSet, count_rigid_modes
+
+
+@dataclass(frozen=True, slots=True)
+class ModalResult:
+    """The modes of one model state, rigid ones included, in the solver's order.
+
+    eigenvalues: (n_modes,), (rad/s)^2, ascending, with the rounding of rigid modes as it came.
+    modes: mass-normalised, at the requested nodes.
+    groups: names of the element groups whose strain energies are known.
+    strain_energies: (n_groups, n_modes) of the mass-normalised modes; total_strain_energy:
+    (n_modes,) of the whole model. Both in the deck's units of (rad/s)^2 for unit modal mass.
+    mass: total mass in the deck's unit, NaN where the solver does not tell.
+    """
+
+    eigenvalues: Floats
+    modes: ModeSet
+    groups: tuple[str, ...]
+    strain_energies: Floats
+    total_strain_energy: Floats
+    mass: float
+
+    def __post_init__(self) -> None:
+        n_modes = self.modes.n_modes
+        if self.eigenvalues.shape != (n_modes,):
+            raise ModesError(f"{self.eigenvalues.size} eigenvalues for {n_modes} modes")
+        if not np.isfinite(self.eigenvalues).all():
+            raise ModesError("an eigenvalue is not a finite number")
+        if self.strain_energies.shape != (len(self.groups), n_modes):
+            raise ModesError("the strain energies do not fit their groups and modes")
+
+    @property
+    def n_rigid(self) -> int:
+        return count_rigid_modes(self.eigenvalues)
+
+    @property
+    def elastic(self) -> ModeSet:
+        """The modes that strain the structure, in ascending order."""
+        return self.modes.select(np.arange(self.n_rigid, self.modes.n_modes))
+
+    def elastic_energies(self, group: str) -> Floats:
+        """Strain energy of one group in each elastic mode, (n_elastic,)."""
+        return self.strain_energies[self.groups.index(group), self.n_rigid :]
+
+    @property
+    def energy_balance(self) -> Floats:
+        """2 U / lambda of each elastic mode: 1 where the energies are complete (n_elastic,)."""
+        elastic = slice(self.n_rigid, None)
+        return 2.0 * self.total_strain_energy[elastic] / self.eigenvalues[elastic]
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixResult:
+    """Stiffness and mass of one model state on the solver's own equations.
+
+    stiffness, mass: (n, n), symmetric, both triangles, CSR, in the deck's units.
+    nodes, components: (n,), what each equation is called; a name may stand more than once where
+    the solver has unknowns of its own (incompatible modes, expanded shells).
+    """
+
+    stiffness: sparse.csr_array
+    mass: sparse.csr_array
+    nodes: Integers
+    components: Integers
+
+
+Result = ModalResult | MatrixResult

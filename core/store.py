@@ -1,0 +1,262 @@
+"""The store: results of solver runs by content key, one HDF5 file each, shared by everybody.
+
+    STORE/ab/abcdef....h5     a result, its checksum, and what was asked (JSON)
+    STORE/damaged/            entries whose checksum did not hold, set aside
+    STORE/locks/KEY           one lock a job under way; the kernel frees it when its holder dies
+
+A file is written aside, flushed to disk and renamed, so an entry is whole or absent. Many
+processes and machines may share the folder. Nothing is believed that its checksum denies: a
+damaged entry is set aside with a warning and counts as absent.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import logging
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from scipy import sparse
+
+from modetune.core.errors import StorageUnavailable, StoreDamaged
+from modetune.core.modes import ModeSet
+from modetune.core.results import MatrixResult, ModalResult, Result
+
+logger = logging.getLogger(__name__)
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A stored result with what it cost and who computed it."""
+
+    key: str
+    result: Result
+    solver: str
+    solver_version: str
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A folder of results by content key."""
+
+    folder: Path
+
+    def path(self, key: str) -> Path:
+        return self.folder / key[:2] / f"{key}.h5"
+
+    def __contains__(self, key: str) -> bool:
+        return self.path(key).is_file()
+
+    def get(self, key: str) -> Entry | None:
+        """The entry of this key, or nothing; a damaged one is set aside and counts as nothing.
+
+        Raises StorageUnavailable where the folder may not be read.
+        """
+        path = self.path(key)
+        try:
+            return _read_entry(path, key)
+        except FileNotFoundError:
+            return None
+        except StoreDamaged as problem:
+            logger.warning("%s; set aside, it will be computed again", problem)
+            self._set_aside(path)
+            return None
+
+    def put(self, entry: Entry, asked: str) -> None:
+        """Write an entry whole or not at all. asked: the canonical JSON behind the key.
+
+        Raises StorageUnavailable on a full disk or without permission.
+        """
+        path = self.path(entry.key)
+        with writing(path) as part, h5py.File(part, "w") as file:
+            file.attrs.update(
+                format=FORMAT,
+                key=entry.key,
+                asked=asked,
+                solver=entry.solver,
+                solver_version=entry.solver_version,
+                wall_s=entry.wall_s,
+            )
+            _write_result(file, entry.result)
+            file.attrs["checksum"] = _checksum(file)
+
+    @contextmanager
+    def lock(self, key: str) -> Iterator[None]:
+        """Hold the job of this key: a second holder, of this or another process, waits."""
+        path = self.folder / "locks" / key
+        with storage_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = path.open("w")
+        with handle:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+
+    def _set_aside(self, path: Path) -> None:
+        with storage_errors(path):
+            target = self.folder / "damaged"
+            target.mkdir(parents=True, exist_ok=True)
+            path.replace(target / path.name)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place, flushed to disk, when all went well.
+
+    Raises StorageUnavailable on a full disk or without permission; what stood at `path` before
+    then still stands there.
+    """
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
+        os.close(handle)
+        part = Path(name)
+        try:
+            yield part
+            with part.open("rb") as written:
+                os.fsync(written.fileno())
+            part.chmod(0o666 & ~_umask())  # mkstemp's files are for their owner only
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def check_writable(folder: Path) -> None:
+    """Fail now rather than after an hour's solving. Raises StorageUnavailable."""
+    with writing(folder / ".writable") as part:
+        part.write_text("")
+    (folder / ".writable").unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    """The process's file mode mask, as the kernel tells it without changing it."""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return 0o022
+    return int(status.partition("Umask:")[2].split(None, 1)[0], 8)
+
+
+@contextmanager
+def storage_errors(path: Path) -> Iterator[None]:
+    """Turn what the operating system says of a folder into a sentence with a remedy."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT) or "space left" in str(error):
+            raise StorageUnavailable(
+                f"the disk that holds {path.parent} is full; nothing stored before was harmed; "
+                "free some space and run the same command again: finished jobs are not repeated"
+            ) from error
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR):
+            raise StorageUnavailable(
+                f"{path.parent} cannot be written ({error.strerror}); give write permission, or "
+                "name another place with `store:` in the campaign or MODETUNE_STORE"
+            ) from error
+        if error.errno is None:  # HDF5 reports a failed write without the system's number
+            raise StorageUnavailable(f"{path} could not be written: {error}") from error
+        raise
+
+
+def _checksum(file: h5py.File) -> str:
+    """SHA-256 over all attributes but itself and all arrays, by name."""
+    digest = hashlib.sha256()
+    for name in sorted(set(file.attrs) - {"checksum"}):
+        digest.update(f"{name}={file.attrs[name]!r};".encode())
+    names: list[str] = []
+    file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+    for name in sorted(names):
+        array = np.asarray(file[name][()])
+        digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _read_entry(path: Path, key: str) -> Entry:
+    if not path.is_file():
+        raise FileNotFoundError(path)
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs["checksum"] != _checksum(file) or file.attrs["key"] != key:
+                raise StoreDamaged(f"the checksum of {path} does not hold")
+            return Entry(
+                key=key,
+                result=_read_result(file),
+                solver=str(file.attrs["solver"]),
+                solver_version=str(file.attrs["solver_version"]),
+                wall_s=float(file.attrs["wall_s"]),
+            )
+    except PermissionError as error:
+        raise StorageUnavailable(f"{path} may not be read; give read permission") from error
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+        # What h5py raises on cut or overwritten files; a missing attribute is damage too.
+        raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
+
+
+def _write_result(file: h5py.File, result: Result) -> None:
+    if isinstance(result, ModalResult):
+        file.attrs["kind"] = "modal"
+        file.attrs["mass"] = result.mass
+        file.attrs["normalisation"] = result.modes.normalisation
+        file.attrs["groups"] = "\n".join(result.groups)
+        file["eigenvalues"] = result.eigenvalues
+        file["frequencies_hz"] = result.modes.frequencies_hz
+        file["mode_shapes"] = result.modes.mode_shapes
+        file["nodes"] = result.modes.nodes
+        file["components"] = result.modes.components
+        file["strain_energies"] = result.strain_energies
+        file["total_strain_energy"] = result.total_strain_energy
+        return
+    file.attrs["kind"] = "matrices"
+    file["nodes"] = result.nodes
+    file["components"] = result.components
+    for name, matrix in (("stiffness", result.stiffness), ("mass", result.mass)):
+        upper = sparse.csr_array(sparse.triu(matrix, format="csr"))
+        for part in ("data", "indices", "indptr"):
+            file.create_dataset(f"{name}/{part}", data=getattr(upper, part))
+
+
+def _read_result(file: h5py.File) -> Result:
+    kind = file.attrs["kind"]
+    nodes, components = file["nodes"][()], file["components"][()]
+    if kind == "modal":
+        groups = str(file.attrs["groups"])
+        return ModalResult(
+            eigenvalues=file["eigenvalues"][()],
+            modes=ModeSet(
+                frequencies_hz=file["frequencies_hz"][()],
+                mode_shapes=file["mode_shapes"][()],
+                nodes=nodes,
+                components=components,
+                damping_ratios=np.zeros(0),
+                normalisation="mass" if file.attrs["normalisation"] == "mass" else "unknown",
+            ),
+            groups=tuple(groups.split("\n")) if groups else (),
+            strain_energies=file["strain_energies"][()],
+            total_strain_energy=file["total_strain_energy"][()],
+            mass=float(file.attrs["mass"]),
+        )
+    matrices = []
+    for name in ("stiffness", "mass"):
+        group = file[name]
+        upper = sparse.csr_array(
+            (group["data"][()], group["indices"][()], group["indptr"][()]), shape=(nodes.size,) * 2
+        )
+        matrices.append(symmetric(upper))
+    return MatrixResult(matrices[0], matrices[1], nodes, components)
+
+
+def symmetric(upper: sparse.csr_array) -> sparse.csr_array:
+    """The full symmetric matrix of an upper triangle."""
+    strict = sparse.triu(upper, k=1, format="csr")
+    return sparse.csr_array(upper + strict.T)

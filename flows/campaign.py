@@ -1,0 +1,277 @@
+"""From a campaign file to a Campaign whose every part has been looked at.
+
+All problems are collected and told at once, each with file and line, before any solver runs.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.modes_csv import read_modes_csv
+from modetune.adapters.solver import Solver
+from modetune.configs.garteur import aircraft
+from modetune.core.criteria import Tolerances
+from modetune.core.errors import CampaignError, ModelError
+from modetune.core.modes import MeasuredModes
+from modetune.core.parameters import Parameter, ParameterSet
+from modetune.core.residual import Weighting
+from modetune.core.store import Store, writing
+from modetune.flows.schema import (
+    CampaignFile,
+    ModelSection,
+    RunSection,
+    SensitivitySection,
+    Units,
+    UpdateSection,
+)
+from modetune.flows.yaml_file import YamlFile, override, read_yaml
+
+#: Names the store's folder for all campaigns.
+STORE_VARIABLE = "MODETUNE_STORE"
+#: Nodes whose shapes are kept where the test has no sensors, to track modes by.
+TRACKING_NODES = 500
+#: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
+EXTRA_MODES = 4
+RIGID_MODES = 6
+KILOGRAMS: dict[Units, float] = {
+    "m-kg-s": 1.0, "mm-t-s": 1e3, "in-slinch-s": 175.126835, "ft-slug-s": 14.5939029,
+}  # fmt: skip
+METRES: dict[Units, float] = {
+    "m-kg-s": 1.0, "mm-t-s": 1e-3, "in-slinch-s": 0.0254, "ft-slug-s": 0.3048,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """A campaign that can run: settings checked, model and test read."""
+
+    name: str
+    file: Path
+    text: str
+    solver: Solver
+    units: Units
+    parameters: ParameterSet
+    test: MeasuredModes
+    weighting: Weighting
+    tolerances: Tolerances
+    update: UpdateSection
+    sensitivity: SensitivitySection
+    run: RunSection
+    store: Store
+    nodes: tuple[int, ...]
+
+    @property
+    def n_modes(self) -> int:
+        """Modes asked of the solver: the measured ones, rigid ones and some to spare."""
+        return len(self.test.numbers) + EXTRA_MODES + RIGID_MODES
+
+    @property
+    def parallel(self) -> int:
+        """Jobs at the same time."""
+        return self.run.parallel or cores()
+
+    @property
+    def threads(self) -> int:
+        """Threads of each job: the machine's cores shared out among parallel jobs."""
+        return self.run.threads or max(1, cores() // self.parallel)
+
+
+def cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
+    """Read a campaign file. Raises CampaignError with all problems; StoreError."""
+    source = read_yaml(path)
+    try:
+        file = CampaignFile.model_validate(override(source, settings or []))
+    except ValidationError as error:
+        raise CampaignError([_problem(source, item) for item in error.errors()]) from None
+    problems: list[str] = []
+    test = _read_test(source, file, problems)
+    parameters = _parameters(file)
+    store = Store(_store_folder(source, file))
+    solver = _read_model(source, file, store, parameters, problems)
+    if test is not None and solver is not None:
+        problems += _disagreements(source, file, test, solver)
+    if problems or test is None or solver is None:
+        raise CampaignError(problems)
+    shapes = file.residuals.shape_weight
+    return Campaign(
+        name=file.name,
+        file=path,
+        text=source.text,
+        solver=solver,
+        units=file.model.units,
+        parameters=parameters,
+        test=test,
+        weighting=Weighting(
+            file.residuals.frequency_deviation,
+            file.residuals.shape_deviation,
+            file.residuals.frequency_weight,
+            shapes,
+        ),
+        tolerances=Tolerances(file.update.e1.frequency, file.update.e1.mac),
+        update=file.update,
+        sensitivity=file.sensitivity,
+        run=file.run,
+        store=store,
+        nodes=_result_nodes(test, solver),
+    )
+
+
+def _problem(source: YamlFile, item: object) -> str:
+    assert isinstance(item, dict)
+    place = tuple(item["loc"])
+    key = ".".join(str(part) for part in place)
+    said = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        said = f"unknown key `{place[-1]}`"
+    elif item["type"] == "missing":
+        said = f"the key `{place[-1]}` is missing"
+    elif not isinstance(item["input"], dict | list):
+        said = f"{said}; found {item['input']!r}"
+    return f"{source.where(place)}: {key or 'campaign'}: {said}"
+
+
+def _store_folder(source: YamlFile, file: CampaignFile) -> Path:
+    base = source.path.resolve().parent
+    if file.store is not None:
+        return base / file.store
+    named = os.environ.get(STORE_VARIABLE)
+    return Path(named) if named else base / ".modetune" / "store"
+
+
+def _parameters(file: CampaignFile) -> ParameterSet:
+    return ParameterSet(
+        tuple(
+            Parameter(
+                item.name, item.quantity, item.targets, *item.bounds, item.deviation, item.initial
+            )
+            for item in file.parameters
+        )
+    )
+
+
+def _read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> MeasuredModes | None:
+    try:
+        test = read_modes_csv(source.path.parent / file.test.modes)
+    except CampaignError as error:
+        where = source.where(("test", "modes"))
+        problems += [f"{problem} (named in {where})" for problem in error.problems]
+        return None
+    wanted = file.test.use if file.test.use is not None else test.numbers
+    missing = [str(number) for number in wanted if number not in test.numbers]
+    if missing:
+        problems.append(
+            f"{source.where(('test', 'use'))}: mode {', '.join(missing)} is asked for, but "
+            f"{file.test.modes} has modes {', '.join(map(str, test.numbers))}"
+        )
+        return None
+    if file.residuals.shape_weight > 0.0 and not test.has_shapes:
+        problems.append(
+            f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
+            f"{file.test.modes} holds frequencies only"
+        )
+    return test.use(wanted)
+
+
+def _read_model(
+    source: YamlFile,
+    file: CampaignFile,
+    store: Store,
+    parameters: ParameterSet,
+    problems: list[str],
+) -> Solver | None:
+    key = "deck" if file.model.deck is not None else "generator"
+    where = source.where(("model", key))
+    try:
+        solver = calculix_solver(_deck(source, file.model, store), parameters.parameters)
+    except ModelError as error:
+        problems.append(f"{error} (named in {where})")
+        return None
+    for position, parameter in enumerate(parameters.parameters):
+        place = source.where(("parameters", position))
+        problems += [f"{place}: {said}" for said in solver.problems((parameter,))]
+    if not problems:
+        problems += _unit_problems(source.where(("model", "units")), file.model.units, solver)
+    return solver
+
+
+def _unit_problems(where: str, units: Units, solver: Solver) -> list[str]:
+    """Sound travels at 500 to 20,000 m/s in what structures are made of; wrong units show there."""
+    found = []
+    for material, speed in solver.wave_speeds().items():
+        metres = speed * METRES[units]
+        if not 500.0 <= metres <= 20_000.0:
+            fitting = [name for name, scale in METRES.items() if 500.0 <= speed * scale <= 20_000.0]
+            hint = f"; {' or '.join(fitting)} would fit" if fitting else ""
+            found.append(
+                f"{where}: in units {units} sound would travel at {metres:.3g} m/s in material "
+                f"{material} (root of E over density){hint}"
+            )
+    return found
+
+
+def _deck(source: YamlFile, model: ModelSection, store: Store) -> Path:
+    """The deck's path; a generated one is written beside the store when it is not yet there."""
+    if model.deck is not None:
+        return source.path.parent / model.deck
+    assert model.generator is not None
+    text = aircraft.calculix_deck(aircraft.MESHES[model.generator.mesh])
+    path = store.folder.parent / "decks" / f"{model.generator.case}_{model.generator.mesh}.inp"
+    try:
+        if path.read_text() == text:
+            return path
+    except OSError:
+        pass  # not there yet
+    with writing(path) as part:
+        part.write_text(text)
+    return path
+
+
+def _disagreements(
+    source: YamlFile, file: CampaignFile, test: MeasuredModes, solver: Solver
+) -> list[str]:
+    """What is wrong between model, test and settings."""
+    found = []
+    absent = sorted(set(test.modes.nodes.tolist()) - solver.model.node_ids)
+    if absent:
+        found.append(
+            f"{source.path.parent / file.test.modes}: sensor node "
+            f"{', '.join(map(str, absent[:5]))}{', ...' if len(absent) > 5 else ''} is not in the "
+            f"model {solver.model.name} (named in {source.where(('test', 'modes'))})"
+        )
+    if file.sensitivity.method == "strain_energy":
+        place = source.where(("sensitivity", "method"))
+        if file.residuals.shape_weight > 0.0:
+            found.append(f"{place}: strain energies give no shape sensitivities; use `auto`")
+        found += [
+            f"{place}: the stiffness is not proportional to {item.name} ({item.quantity}); use "
+            "`auto`"
+            for item in _parameters(file).parameters
+            if not solver.problems((item,)) and not solver.energy_sets(item)
+        ]
+    if (file.sensitivity.method == "semi_analytic" and file.residuals.shape_weight > 0.0
+            and not solver.model.solid_shapes):  # fmt: skip
+        found.append(
+            f"{source.where(('sensitivity', 'method'))}: shape sensitivities from matrices need a "
+            "model of solids without dependent nodes; use `auto` or finite_difference"
+        )
+    return found
+
+
+def _result_nodes(test: MeasuredModes, solver: Solver) -> tuple[int, ...]:
+    """Sensor nodes, or where there are none a spread of nodes to track modes by."""
+    if test.has_shapes:
+        return tuple(np.unique(test.modes.nodes).tolist())
+    nodes = np.array(sorted(solver.model.node_ids))
+    spread = np.linspace(0, nodes.size - 1, min(TRACKING_NODES, nodes.size)).round()
+    return tuple(nodes[np.unique(spread.astype(np.int64))].tolist())

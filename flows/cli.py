@@ -1,0 +1,245 @@
+"""The command line. It alone turns errors into a paragraph and an exit code.
+
+Exit codes: 0 done (and converged); 2 bad input; 3 finished, e1 not met; 4 the solver failed;
+5 the store cannot be used; 130 stopped by the user. Heavy packages are imported by the commands
+that need them.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from modetune import __version__
+from modetune.core.errors import ModetuneError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Finite element models that agree with vibration tests.",
+)
+server_app = typer.Typer(help="The Prefect server that commands share.", no_args_is_help=True)
+app.add_typer(server_app, name="server")
+
+CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="KEY.KEY=VALUE over the campaign file; may be repeated."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
+
+
+@app.command()
+def update(
+    campaign_file: CampaignPath,
+    settings: Settings = None,
+    runs: Annotated[Path, typer.Option(help="Where run folders go.")] = Path("runs"),
+    no_prefect: Annotated[bool, typer.Option("--no-prefect", help="Plain threads only.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Update the campaign's model until it agrees with its test."""
+    _update(campaign_file, settings or [], runs, not no_prefect, as_json)
+
+
+@app.command()
+def check(campaign_file: CampaignPath, settings: Settings = None, as_json: AsJson = False) -> None:
+    """Read campaign, model and test, and tell every problem, without running a solver."""
+    from modetune.flows.campaign import load_campaign
+
+    campaign = load_campaign(campaign_file, settings or [])
+    model = campaign.solver.model
+    told: dict[str, Any] = {
+        "status": "good",
+        "name": campaign.name,
+        "model": model.name,
+        "nodes": len(model.node_ids),
+        "elements": model.n_elements,
+        "parameters": list(campaign.parameters.names),
+        "test_modes": list(campaign.test.numbers),
+        "sensors": int(campaign.test.modes.n_dof),
+        "store": str(campaign.store.folder),
+    }
+    _tell(told, as_json)
+
+
+@app.command()
+def modes(
+    campaign_file: CampaignPath,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=VALUE of a parameter, relative to the deck; may be repeated."),
+    ] = None,
+    settings: Settings = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compute the model's modes, at the deck's values or at those of --at."""
+    from modetune.flows.modal_run import modal_summary, model_modes, parse_values
+
+    campaign = _load(campaign_file, settings or [])
+    result = model_modes(campaign, parse_values(campaign, at or []))
+    told = modal_summary(campaign, result)
+    if as_json:
+        _tell(told, True)
+        return
+    for number, frequency in enumerate(told["frequencies_hz"], start=1):
+        rigid = "  rigid" if number <= told["rigid_modes"] else ""
+        typer.echo(f"{number:4d} {frequency:14.6f} Hz{rigid}")
+    typer.echo(f"mass {told['mass_kg']:.6g} kg; {told['solver']} {told['solver_version']}")
+
+
+@app.command()
+def demo(
+    case: Annotated[str, typer.Argument(help="Which case: garteur.")] = "garteur",
+    as_json: AsJson = False,
+) -> None:
+    """Run a case of the reference thesis from beginning to end, in ./demo."""
+    from modetune.core.errors import CampaignError
+    from modetune.flows.demo import CASES, compare_with_thesis
+
+    if case not in CASES:
+        raise CampaignError(f"there is no demo {case!r}; there is {', '.join(CASES)}")
+    folder = Path("demo") / case
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in CASES[case].files:
+        shutil.copyfile(file, folder / file.name)
+    run = _update(folder / CASES[case].campaign, [], folder / "runs", True, as_json, end=False)
+    if not as_json:
+        typer.echo(compare_with_thesis(run.record))
+    _end(run.record.status)
+
+
+@server_app.command("status")
+def server_status() -> None:
+    """Whether the shared server runs, and where its pages are."""
+    from modetune.flows import server
+
+    address = server.read_address(server.server_home())
+    if address is None or not server.answers(address.url):
+        typer.echo("no shared server is running")
+        return
+    typer.echo(f"running at {address.url.removesuffix('/api')} (process {address.pid})")
+
+
+@server_app.command("stop")
+def server_stop() -> None:
+    """End the shared server."""
+    from modetune.flows import server
+
+    stopped = server.stop_server(server.server_home())
+    typer.echo("stopped" if stopped else "no shared server is running")
+
+
+@app.command()
+def version() -> None:
+    """Print modetune's version."""
+    typer.echo(__version__)
+
+
+def _update(
+    campaign_file: Path,
+    settings: list[str],
+    runs: Path,
+    with_prefect: bool,
+    as_json: bool,
+    end: bool = True,
+) -> Any:
+    from rich.console import Console
+
+    from modetune.flows.display import ConsoleProgress, show_run
+    from modetune.flows.recording import summary
+    from modetune.flows.running import update_campaign
+    from modetune.flows.server import use_server
+
+    campaign = _load(campaign_file, settings)
+    campaign.solver.version()
+    server = use_server() if with_prefect else None
+    if server is not None and not server.wait():
+        logging.getLogger("modetune").warning(
+            "Prefect's server does not answer (its log is in %s); running without it", server.home
+        )
+        server = None
+    errors = Console(stderr=True)
+    try:
+        with ConsoleProgress(errors).shown() as progress:
+            run = update_campaign(campaign, runs / campaign.name, progress, server)
+    finally:
+        if server is not None:
+            server.close()
+    if as_json:
+        _tell(summary(run.record, run.folder), True)
+    else:
+        show_run(Console(), run)
+    if end:
+        _end(run.record.status)
+    return run
+
+
+def _load(campaign_file: Path, settings: list[str]) -> Any:
+    from modetune.flows.campaign import load_campaign
+
+    return load_campaign(campaign_file, settings)
+
+
+def _end(status: str) -> None:
+    raise typer.Exit(0 if status == "converged" else 3)
+
+
+def _tell(told: Any, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(told))
+        return
+    width = max(len(key) for key in told)
+    for key, value in told.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+        typer.echo(f"{key.replace('_', ' '):{width}}  {shown}")
+
+
+def _quiet() -> None:
+    """Our own warnings go to standard error a line each; libraries keep theirs to themselves."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("modetune: %(message)s"))
+    ours = logging.getLogger("modetune")
+    ours.addHandler(handler)
+    ours.setLevel(os.environ.get("MODETUNE_LOG", "WARNING").upper())
+    ours.propagate = False
+    warnings.simplefilter("ignore")
+
+
+def main() -> None:
+    """Run the command line and end the process with its exit code."""
+    _quiet()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
+    try:
+        app(standalone_mode=True)
+    except ModetuneError as error:
+        _fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        _fail("stopped; finished jobs are in the store, the same command goes on from there", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(0) from None
+    except Exception:  # the last resort: a bug of ours, kept for a report, not thrown at the user
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="modetune-", suffix=".log", delete=False
+        ) as log:
+            traceback.print_exc(file=log)
+        _fail(f"this is a fault in modetune; please report it with the file {log.name}", 70)
+
+
+def _fail(reason: str, code: int) -> None:
+    typer.echo(f"modetune: {reason}", err=True)
+    if "--json" in sys.argv:
+        typer.echo(json.dumps({"status": "failed", "reason": reason, "exit_code": code}))
+    raise SystemExit(code)

@@ -1,0 +1,138 @@
+"""What a person sees of a campaign: a line an iteration, tables at the end.
+
+Progress goes to standard error, results to standard output.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from modetune.core.record import CampaignRecord, IterationRecord
+from modetune.flows.running import CampaignRun
+
+HEADER = " it   worst    mean     MAC    slope   age  new runs        s"
+
+
+def iteration_line(record: IterationRecord) -> str:
+    """One line: errors, least MAC, slope, age of the sensitivity behind the step, runs, time."""
+    errors = 100.0 * np.abs(record.frequency_errors)
+    mac = record.pairing.mac
+    least = f"{mac.min():.3f}" if np.isfinite(mac).all() else "-"
+    slope = f"{record.slope:.2g}" if np.isfinite(record.slope) else "-"
+    ran = f"{record.runs.modal}+{record.runs.sensitivity}"
+    age = str(record.sensitivity_age) if record.number else "-"
+    notes = [] if record.accepted else ["not kept"]
+    if record.sensitivity_skipped:
+        notes.append("sensitivity skipped (e2)")
+    if record.decision and record.number:
+        notes.append(record.decision)
+    line = (
+        f"{record.number:3d} {errors.max():6.2f}% {errors.mean():6.2f}% {least:>7} {slope:>8} "
+        f"{age:>5} {ran:>9} {record.wall_s:8.1f}"
+    )
+    return f"{line}  {'; '.join(notes)}".rstrip()
+
+
+class ConsoleProgress:
+    """Progress on a terminal: what is running with its time, and a line an iteration."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._live = Progress(
+            SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(),
+            console=console, transient=True, disable=not console.is_terminal,
+        )  # fmt: skip
+        self._task: TaskID | None = None
+
+    @contextlib.contextmanager
+    def shown(self) -> Iterator[ConsoleProgress]:
+        """Show the display while a campaign runs."""
+        self.console.print(Text(HEADER))
+        with self._live:
+            yield self
+
+    def working(self, text: str) -> None:
+        if self._task is not None:
+            self._live.remove_task(self._task)
+        self._task = self._live.add_task(text, total=None)
+
+    def iteration(self, record: IterationRecord) -> None:
+        # soft_wrap: a line stays a line where the output is no terminal.
+        self.console.print(Text(iteration_line(record)), soft_wrap=True)
+
+
+def mode_table(record: CampaignRecord) -> Table:
+    """Frequencies and MAC before and after."""
+    table = Table(title="Modes", title_justify="left")
+    for heading in ("mode", "test Hz", "before Hz", "error %", "after Hz", "error %", "MAC before",
+                    "MAC after"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    first, last = record.iterations[0], record.best
+    for pair in range(len(record.test.numbers)):
+        number = int(first.pairing.measured[pair])
+        before = first.computed.frequencies_hz[first.pairing.computed[pair]]
+        after = last.computed.frequencies_hz[last.pairing.computed[pair]]
+        table.add_row(
+            str(record.test.numbers[number]),
+            f"{record.test.modes.frequencies_hz[number]:.2f}",
+            f"{before:.2f}",
+            f"{100 * first.frequency_errors[pair]:+.2f}",
+            f"{after:.2f}",
+            f"{100 * last.frequency_errors[pair]:+.2f}",
+            _share(first.pairing.mac[pair]),
+            _share(last.pairing.mac[pair]),
+        )
+    means = [100 * float(np.abs(item.frequency_errors).mean()) for item in (first, last)]
+    table.add_section()
+    table.add_row("mean", "", "", f"{means[0]:.2f}", "", f"{means[1]:.2f}", "", "")
+    return table
+
+
+def parameter_table(record: CampaignRecord) -> Table:
+    """Parameters before and after, relative to the deck and in its units."""
+    table = Table(title="Parameters", title_justify="left")
+    table.add_column("parameter")
+    for heading in ("deck value", "updated", "change %", "std. error %", "bounds"):
+        table.add_column(heading, justify="right")
+    stuck = record.parameters.at_bounds(record.updated)
+    for place, item in enumerate(record.parameters.parameters):
+        error = record.standard_errors[place]
+        table.add_row(
+            item.name,
+            f"{record.deck_values[place]:.6g}",
+            f"{record.deck_values[place] * record.updated[place]:.6g}",
+            f"{100 * (record.updated[place] - 1):+.2f}",
+            f"{100 * error:.2f}" if np.isfinite(error) else "not known",
+            f"{item.lower:g} .. {item.upper:g}" + (" (on it)" if item.name in stuck else ""),
+        )
+    return table
+
+
+def show_run(console: Console, run: CampaignRun) -> None:
+    """The end of a campaign: tables, the reason it ended, its cost, and where the files are."""
+    record = run.record
+    console.print(mode_table(record))
+    console.print(parameter_table(record))
+    runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
+    console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)
+    console.print(
+        Text(
+            f"{record.iterations[-1].number} iterations; solver runs: {runs.modal} modal, "
+            f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store; sensitivity "
+            f"skipped by e2 in {skipped}; {record.wall_s:.1f} s"
+        ),
+        soft_wrap=True,
+    )
+    console.print(Text(f"record       {run.folder / 'campaign.h5'}"), soft_wrap=True)
+    console.print(Text(f"updated deck {run.updated_deck}"), soft_wrap=True)
+
+
+def _share(value: float) -> str:
+    return f"{value:.3f}" if np.isfinite(value) else "-"

@@ -1,0 +1,123 @@
+"""The job engine: job -> key -> store -> solver -> result -> store. It knows no Prefect.
+
+A job runs in STORE/jobs/KEY.part. A good one leaves its result in the store, and its folder only
+where the campaign keeps it (as KEY); a failed one leaves KEY.failed to look at. A lock a key lets
+two campaigns that want the same job run it once.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from modetune.adapters.process import run_process
+from modetune.adapters.solver import Analysis, Solver
+from modetune.core.errors import ModelError, SolverCrashed, SolverError, SolverTimeout
+from modetune.core.keys import canonical_json, content_key
+from modetune.core.parameters import Values
+from modetune.core.results import Result
+from modetune.core.store import Entry, Store, storage_errors
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One analysis of the model at some parameter values (relative to the deck)."""
+
+    values: Values
+    analysis: Analysis
+
+
+@dataclass(frozen=True, slots=True)
+class JobOutcome:
+    """Where a job's result is, whether the store had it, and what it cost."""
+
+    key: str
+    reused: bool
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class JobEngine:
+    """Solves jobs of one model against one store; safe to call from many threads."""
+
+    solver: Solver
+    store: Store
+    timeout_s: float
+    retries: int
+    threads: int
+    keep_jobs: bool
+    cancelled: threading.Event
+
+    def solve(self, job: Job) -> JobOutcome:
+        """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
+        asked = canonical_json(self.solver.content(job.values, job.analysis))
+        key = content_key(self.solver.content(job.values, job.analysis))
+        if key in self.store and self.store.get(key) is not None:
+            return JobOutcome(key, True, 0.0)
+        with self.store.lock(key):
+            if self.store.get(key) is not None:  # another campaign was faster
+                return JobOutcome(key, True, 0.0)
+            started = time.monotonic()
+            result = self._with_retries(job, key)
+            wall_s = time.monotonic() - started
+            self.store.put(
+                Entry(key, result, self.solver.name, self.solver.version(), wall_s), asked
+            )
+            logger.info("%s job %s solved in %.1f s", self.solver.name, key[:12], wall_s)
+            return JobOutcome(key, False, wall_s)
+
+    def result(self, job: Job) -> Result:
+        """A job's result, solved now if the store lacks it."""
+        entry = self.store.get(self.solve(job).key)
+        if entry is None:  # damaged between two breaths: once more, then it is the disk
+            entry = self.store.get(self.solve(job).key)
+        assert entry is not None
+        return entry.result
+
+    def _with_retries(self, job: Job, key: str) -> Result:
+        for attempt in range(self.retries + 1):
+            try:
+                return self._run(job, key)
+            except (SolverCrashed, SolverTimeout) as error:
+                if attempt == self.retries:
+                    raise
+                logger.warning("%s; trying again (%d of %d)", error, attempt + 1, self.retries)
+        raise AssertionError("unreachable")
+
+    def _run(self, job: Job, key: str) -> Result:
+        with self._job_folder(key) as folder:
+            self.solver.write(job.values, job.analysis, folder)
+            finished = run_process(
+                self.solver.command(self.threads), folder, self.timeout_s, self.cancelled
+            )
+            return self.solver.read(job.values, job.analysis, folder, finished.return_code)
+
+    @contextmanager
+    def _job_folder(self, key: str) -> Iterator[Path]:
+        base = self.store.folder / "jobs"
+        part, failed = base / f"{key}.part", base / f"{key}.failed"
+        with storage_errors(part):
+            for old in (part, failed):
+                shutil.rmtree(old, ignore_errors=True)
+            part.mkdir(parents=True)
+            try:
+                yield part
+            except (SolverError, ModelError) as error:
+                part.rename(failed)
+                raise type(error)(str(error).replace(str(part), str(failed))) from error
+            except BaseException:
+                shutil.rmtree(part, ignore_errors=True)
+                raise
+            if self.keep_jobs:
+                shutil.rmtree(base / key, ignore_errors=True)
+                part.rename(base / key)
+            else:
+                shutil.rmtree(part, ignore_errors=True)

@@ -1,0 +1,75 @@
+"""One evaluated parameter set: its modes, which answer the test, and how far they are from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from modetune.core.criteria import Tolerances, agrees, frequency_errors
+from modetune.core.estimation import Step
+from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.pairing import Pairing, pair_by_order, pair_by_shape, pair_by_tracking
+from modetune.core.residual import Residual, Weighting, residual
+from modetune.core.results import ModalResult
+from modetune.flows.sensitivities import Point
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """A model state compared with the test."""
+
+    theta: Floats
+    key: str
+    modal: ModalResult
+    pairing: Pairing
+    residual: Residual
+    errors: Floats
+
+    @property
+    def point(self) -> Point:
+        return Point(self.theta, self.modal, self.pairing)
+
+    def agrees(self, tolerances: Tolerances) -> bool:
+        """Whether e1 holds."""
+        return agrees(self.errors, self.pairing.mac, tolerances)
+
+
+def compare(
+    theta: Floats,
+    key: str,
+    modal: ModalResult,
+    test: MeasuredModes,
+    weighting: Weighting,
+    previous: Evaluation | None,
+) -> Evaluation:
+    """Pair the modes of a model state with the test. Raises LostMode, ModesError.
+
+    Measured shapes decide where there are some; else the pairs of `previous` are tracked, and at
+    first the order of frequencies decides.
+    """
+    elastic = modal.elastic
+    if test.has_shapes:
+        pairing = pair_by_shape(test.modes, elastic)
+    elif previous is None:
+        pairing = pair_by_order(test.modes, elastic)
+    else:
+        pairing = pair_by_tracking(previous.pairing, previous.modal.elastic, elastic)
+    return Evaluation(
+        theta=theta,
+        key=key,
+        modal=modal,
+        pairing=pairing,
+        residual=residual(test.modes, elastic, pairing, weighting),
+        errors=frequency_errors(test.modes, elastic, pairing),
+    )
+
+
+def expects_agreement(step: Step, evaluation: Evaluation, tolerances: Tolerances) -> bool:
+    """Whether the linear model promises that e1 will hold after a step.
+
+    Then the modal job goes alone: sensitivities computed beside it would most likely be in vain.
+    """
+    n_frequencies = evaluation.residual.n_frequencies
+    errors = 0.5 * step.predicted[:n_frequencies]  # z is of eigenvalues: twice the frequency's
+    shapes = step.predicted[n_frequencies:]
+    mac = 1.0 - (shapes.reshape(n_frequencies, -1) ** 2).sum(axis=1)
+    return agrees(errors, mac if shapes.size else evaluation.pairing.mac, tolerances)

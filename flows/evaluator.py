@@ -1,0 +1,161 @@
+"""Evaluating a parameter set: solver jobs out, modes, pairs, residual and sensitivity back."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.errors import ModetuneError
+from modetune.core.modes import Floats
+from modetune.core.pairing import LostMode
+from modetune.core.record import RunCounts
+from modetune.core.residual import residual_sensitivity
+from modetune.core.results import ModalResult
+from modetune.flows.campaign import Campaign
+from modetune.flows.engine import Job, JobEngine, JobOutcome
+from modetune.flows.evaluation import Evaluation, compare
+from modetune.flows.execution import Done, Execution, Work
+from modetune.flows.sensitivities import Exact, Sensitivities, UnbalancedEnergies
+
+logger = logging.getLogger(__name__)
+
+#: How often the computed range is widened in search of a lost mode.
+WIDENINGS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix:
+    """A sensitivity matrix.
+
+    values: (n_residuals, n_parameters); methods: how each column was computed; age: iterations
+    since.
+    """
+
+    values: Floats
+    methods: tuple[Exact, ...]
+    age: int
+
+
+class Evaluator:
+    """Evaluates parameter sets of one campaign and counts what it cost."""
+
+    def __init__(self, campaign: Campaign, engine: JobEngine, execution: Execution) -> None:
+        self.campaign = campaign
+        self.engine = engine
+        self.execution = execution
+        self.runs = RunCounts()
+        solver = campaign.solver
+        groups = tuple(
+            (item.name, solver.energy_sets(item))
+            for item in campaign.parameters.parameters
+            if solver.capabilities.strain_energies and solver.energy_sets(item)
+        )
+        self.analysis = ModalAnalysis(campaign.n_modes, campaign.nodes, groups)
+        self.methods = self._sensitivities().methods()
+
+    def evaluate(
+        self, number: int, theta: Floats, previous: Evaluation | None, alone: bool
+    ) -> tuple[Evaluation, Matrix | None]:
+        """A set's evaluation, and its sensitivity unless the modal job is to go alone.
+
+        A lost mode widens the computed range and pairs again before it is an error.
+        Raises SolverError, ModesError, StoreError.
+        """
+        beside = [] if alone else self._works(theta, self.methods)
+        outcomes = self._run(number, [self._modal_work(theta), *beside])
+        for widening in range(WIDENINGS + 1):
+            modal = self.engine.result(Job(self._values(theta), self.analysis))
+            assert isinstance(modal, ModalResult)
+            try:
+                evaluation = compare(theta, outcomes[0][0].key, modal, self.campaign.test,
+                                     self.campaign.weighting, previous)  # fmt: skip
+                break
+            except LostMode as error:
+                if widening == WIDENINGS:
+                    raise
+                wider = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
+                logger.warning("%s; widening the range to %d modes", error, wider)
+                self.analysis = replace(self.analysis, n_modes=wider)
+                outcomes = self._run(number, [self._modal_work(theta)])
+        return evaluation, None if alone else self._assemble(number, evaluation)
+
+    def matrix(self, number: int, evaluation: Evaluation) -> Matrix:
+        """The sensitivity at an evaluated set."""
+        self._run(number, self._works(evaluation.theta, self.methods))
+        return self._assemble(number, evaluation)
+
+    def skip(self, number: int, slope: float) -> None:
+        """Note that e2 makes this iteration do without a sensitivity of its own."""
+        reason = f"e2: the residual changed by {slope:.3g} a parameter in the iteration before"
+        names = [f"sensitivity {name}" for name in self.campaign.parameters.names]
+        self.execution.skip(f"iteration {number}", names, reason)
+
+    def _assemble(self, number: int, evaluation: Evaluation) -> Matrix:
+        methods, columns = self._sensitivities(), range(len(self.methods))
+        try:
+            derivatives = methods.assemble(evaluation.point, self.methods, columns)
+        except UnbalancedEnergies as error:
+            if self.campaign.sensitivity.method != "auto":
+                raise
+            logger.warning("%s: no strain energies are used", error)
+            instead = methods.without_energies()
+            self.methods = tuple(
+                instead if method == "strain_energy" else method for method in self.methods
+            )
+            return self.matrix(number, evaluation)
+        values = residual_sensitivity(
+            self.campaign.test.modes, evaluation.modal.elastic, evaluation.pairing,
+            self.campaign.weighting, derivatives,
+        )  # fmt: skip
+        return Matrix(values, self.methods, 0)
+
+    def _works(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
+        plans = self._sensitivities()
+        shared = plans.shared(theta, methods)
+        works = [Work("sensitivity matrices", shared)] if shared else []
+        for column, method in enumerate(methods):
+            name = self.campaign.parameters.names[column]
+            works.append(Work(f"sensitivity {name}", plans.plan(theta, column, method)))
+        return works
+
+    def _modal_work(self, theta: Floats) -> Work:
+        return Work("modal", (Job(self._values(theta), self.analysis),))
+
+    def _run(self, number: int, works: list[Work]) -> list[tuple[JobOutcome, ...]]:
+        """Outcomes in order; counts them. Raises the first error."""
+        done = self.execution.run(f"iteration {number}", works)
+        for work, outcomes in zip(works, done, strict=True):
+            if not isinstance(outcomes, ModetuneError):
+                self.runs = self.runs.plus(outcomes_count(work.name, outcomes))
+        return [_unless_failed(outcomes) for outcomes in done]
+
+    def _values(self, theta: Floats) -> dict[str, float]:
+        return self.campaign.parameters.values(theta)
+
+    def _sensitivities(self) -> Sensitivities:
+        return Sensitivities(
+            engine=self.engine,
+            parameters=self.campaign.parameters,
+            settings=self.campaign.sensitivity,
+            with_shapes=self.campaign.weighting.shape_weight > 0.0,
+            modal=self.analysis,
+        )
+
+
+def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
+    """The runs of one piece of work by kind."""
+    ran = sum(not outcome.reused for outcome in outcomes)
+    modal = name == "modal"
+    return RunCounts(
+        modal=ran if modal else 0,
+        sensitivity=0 if modal else ran,
+        reused=len(outcomes) - ran,
+    )
+
+
+def _unless_failed(done: Done) -> tuple[JobOutcome, ...]:
+    if isinstance(done, ModetuneError):
+        raise done
+    return done

@@ -1,0 +1,70 @@
+"""How the jobs of an iteration are carried out side by side: plain threads, or Prefect tasks.
+
+The updating loop hands over pieces of work with names for people and gets outcomes back in order;
+errors come back as values, because the loop decides what follows from them. `prefect_flow.py` has
+the execution that shows each piece as a task run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+from modetune.core.errors import ModetuneError
+from modetune.flows.engine import Job, JobEngine, JobOutcome
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """A named piece of an iteration: the jobs it needs, none where it follows from others."""
+
+    name: str
+    jobs: tuple[Job, ...]
+
+
+#: What became of a piece of work: an outcome a job, or the error that ended it.
+Done = tuple[JobOutcome, ...] | ModetuneError
+
+
+class Execution(Protocol):
+    """Runs pieces of work side by side."""
+
+    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        """Outcomes in the order of the work."""
+        ...
+
+    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        """Note work that was not needed, and why."""
+        ...
+
+
+def solve_work(engine: JobEngine, work: Work) -> Done:
+    """Solve the jobs of one piece one after another."""
+    try:
+        return tuple(engine.solve(job) for job in work.jobs)
+    except ModetuneError as error:
+        return error
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadExecution:
+    """A bounded pool of threads; each waits for its external solver."""
+
+    engine: JobEngine
+    parallel: int
+
+    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        with ThreadPoolExecutor(self.parallel, thread_name_prefix="modetune") as pool:
+            futures = [pool.submit(solve_work, self.engine, piece) for piece in work]
+            try:
+                return [future.result() for future in futures]
+            except BaseException:
+                self.engine.cancelled.set()
+                for future in futures:
+                    future.cancel()
+                raise
+
+    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        pass

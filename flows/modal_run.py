@@ -1,0 +1,62 @@
+"""Modes of a campaign's model at chosen parameter values: the Python API of `modetune modes`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypedDict
+
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.errors import CampaignError
+from modetune.core.results import ModalResult
+from modetune.flows.campaign import KILOGRAMS, Campaign
+from modetune.flows.engine import Job
+from modetune.flows.running import job_engine
+
+
+class ModalSummary(TypedDict):
+    """The `--json` object of `modetune modes`."""
+
+    frequencies_hz: list[float]
+    rigid_modes: int
+    mass: float
+    mass_kg: float
+    solver: str
+    solver_version: str
+
+
+def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
+    """NAME=VALUE texts over the campaign's initial values. Raises CampaignError."""
+    values = campaign.parameters.values(campaign.parameters.initial)
+    for setting in settings:
+        name, separator, text = setting.partition("=")
+        if not separator or name not in values:
+            raise CampaignError(
+                f"--at {setting!r}: expected NAME=VALUE with NAME of {', '.join(values)}"
+            )
+        try:
+            values[name] = float(text)
+        except ValueError:
+            raise CampaignError(f"--at {setting!r}: {text!r} is not a number") from None
+        if not 0.0 < values[name] < 1e6:
+            raise CampaignError(f"--at {setting!r}: a relative value above zero is expected")
+    return values
+
+
+def model_modes(campaign: Campaign, values: Mapping[str, float]) -> ModalResult:
+    """The modes of the model, from the store or the solver. Raises SolverError, StoreError."""
+    analysis = ModalAnalysis(campaign.n_modes, campaign.nodes)
+    result = job_engine(campaign).result(Job(values, analysis))
+    assert isinstance(result, ModalResult)
+    return result
+
+
+def modal_summary(campaign: Campaign, result: ModalResult) -> ModalSummary:
+    """What `modetune modes` tells; mass in the deck's unit and in kg."""
+    return {
+        "frequencies_hz": result.modes.frequencies_hz.tolist(),
+        "rigid_modes": result.n_rigid,
+        "mass": result.mass,
+        "mass_kg": result.mass * KILOGRAMS[campaign.units],
+        "solver": campaign.solver.name,
+        "solver_version": campaign.solver.version(),
+    }

@@ -1,0 +1,109 @@
+"""Updating as a Prefect flow: every piece of an iteration is a task run, named for people.
+
+Import this only after `server.use_server()`: Prefect reads its settings when it is imported.
+What a piece gave travels beside Prefect, not through it; states tell what became of it: Cached
+(the store had the result), Skipped (e2), Derived (no job was needed), Failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from prefect import flow, task
+from prefect.cache_policies import NO_CACHE
+from prefect.client.schemas.objects import State
+from prefect.states import Completed, Failed
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from modetune.core.record import CampaignRecord
+from modetune.flows.engine import JobEngine
+from modetune.flows.execution import Done, Work, solve_work
+from modetune.core.errors import ModetuneError
+from modetune.flows.updating import Updating
+
+
+class Piece:
+    """A piece of work on its way through a task, and what became of it.
+
+    A plain object: Prefect looks into collections and dataclasses that it is given.
+    """
+
+    def __init__(self, engine: JobEngine, work: Work) -> None:
+        self.engine = engine
+        self.work = work
+        self.done: Done = ()
+
+
+@task(cache_policy=NO_CACHE, persist_result=False)
+def solve(piece: Piece) -> State[Any]:
+    """Solve one piece of an iteration."""
+    piece.done = solve_work(piece.engine, piece.work)
+    if isinstance(piece.done, ModetuneError):
+        return Failed(message=str(piece.done))
+    if not piece.done:
+        return Completed(name="Derived", message="follows from the modal job")
+    keys = ", ".join(outcome.key[:12] for outcome in piece.done)
+    if all(outcome.reused for outcome in piece.done):
+        return Completed(name="Cached", message=keys)
+    return Completed(message=f"{keys} in {sum(item.wall_s for item in piece.done):.1f} s")
+
+
+@task(cache_policy=NO_CACHE, persist_result=False)
+def skip(reason: str) -> State[Any]:
+    """A sensitivity that e2 made unnecessary."""
+    return Completed(name="Skipped", message=reason)
+
+
+@dataclass(frozen=True, slots=True)
+class PrefectExecution:
+    """Pieces of work as task runs of the flow around it."""
+
+    engine: JobEngine
+
+    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        pieces = [Piece(self.engine, item) for item in work]
+        futures = [
+            solve.with_options(
+                name=piece.work.name.split()[0], task_run_name=f"{iteration} / {piece.work.name}"
+            ).submit(piece)
+            for piece in pieces
+        ]
+        try:
+            for future in futures:
+                future.wait()
+        except BaseException:
+            self.engine.cancelled.set()
+            raise
+        return [piece.done for piece in pieces]
+
+    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        futures = [
+            skip.with_options(
+                name=name.split()[0], task_run_name=f"{iteration} / {name}"
+            ).submit(reason)
+            for name in names
+        ]
+        for future in futures:
+            future.wait()
+
+
+def run_as_flow(updating: Updating, parallel: int) -> CampaignRecord:
+    """Carry an updating campaign to its end as a flow run. Raises what the campaign raises."""
+    ended: list[CampaignRecord] = []
+
+    @flow(
+        name="update",
+        flow_run_name=updating.campaign.name,
+        task_runner=ThreadPoolTaskRunner(max_workers=parallel),
+        persist_result=False,
+        validate_parameters=False,
+    )
+    def update() -> State[Any]:
+        record = updating.run()
+        ended.append(record)
+        return Completed(name=record.status.replace("_", " ").capitalize(), message=record.reason)
+
+    update(return_state=True).result()
+    return ended[0]

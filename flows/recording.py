@@ -1,0 +1,125 @@
+"""What a campaign leaves: its record, and the summary that people and machines read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from modetune import __version__
+from modetune.core.estimation import parameter_covariance
+from modetune.core.keys import Json
+from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.flows.campaign import Campaign
+from modetune.flows.evaluator import Matrix
+
+
+def campaign_record(
+    campaign: Campaign,
+    iterations: Sequence[IterationRecord],
+    matrix: Matrix | None,
+    status: str,
+    reason: str,
+    runs: RunCounts,
+    wall_s: float,
+) -> CampaignRecord:
+    """The record of a campaign as it stands. matrix: the newest sensitivity, for standard errors."""
+    accepted = [iteration for iteration in iterations if iteration.accepted]
+    errors, correlation = _trust(campaign, accepted[-1], matrix)
+    return CampaignRecord(
+        name=campaign.name,
+        campaign_text=campaign.text,
+        modetune_version=__version__,
+        solver=campaign.solver.name,
+        solver_version=campaign.solver.version(),
+        parameters=campaign.parameters,
+        deck_values=np.array(
+            [campaign.solver.deck_value(item) for item in campaign.parameters.parameters]
+        ),
+        test=campaign.test,
+        iterations=tuple(iterations),
+        status=status,
+        reason=reason,
+        updated=accepted[-1].parameters,
+        standard_errors=errors,
+        correlation=correlation,
+        runs=runs,
+        wall_s=wall_s,
+    )
+
+
+def _trust(
+    campaign: Campaign, last: IterationRecord, matrix: Matrix | None
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    """Standard errors (n,) and correlation (n, n) of the parameters from measurement variances."""
+    n = len(campaign.parameters)
+    if matrix is None:
+        return np.full(n, np.nan), np.full((n, n), np.nan)
+    prior = None
+    if campaign.update.step == "pulled_to_initial" and campaign.update.regularisation != "l_curve":
+        prior = campaign.update.regularisation * campaign.parameters.standard_deviations**-2
+    covariance = parameter_covariance(matrix.values, last.residual.variances, prior)
+    errors = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(errors, errors)
+    return errors, correlation
+
+
+def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
+    """The `--json` object of `modetune update`."""
+    first, last = record.iterations[0], record.best
+    return {
+        "status": record.status,
+        "reason": record.reason,
+        "iterations": record.iterations[-1].number,
+        "solver_runs": {
+            "modal": record.runs.modal,
+            "sensitivity": record.runs.sensitivity,
+            "reused": record.runs.reused,
+        },
+        "parameters": [
+            {
+                "name": item.name,
+                "quantity": item.quantity,
+                "initial": _number(item.initial),
+                "updated": _number(record.updated[place]),
+                "standard_error": _number(record.standard_errors[place]),
+                "deck_value": _number(record.deck_values[place]),
+                "updated_value": _number(record.deck_values[place] * record.updated[place]),
+            }
+            for place, item in enumerate(record.parameters.parameters)
+        ],
+        "modes": [
+            _mode(record, first, last, pair) for pair in range(len(record.test.numbers))
+        ],
+        "mean_error_initial": _number(np.abs(first.frequency_errors).mean()),
+        "mean_error_updated": _number(np.abs(last.frequency_errors).mean()),
+        "sensitivity_skipped": sum(item.sensitivity_skipped for item in record.iterations),
+        "wall_s": round(record.wall_s, 3),
+        "run_dir": str(run_dir),
+        "solver": record.solver,
+        "solver_version": record.solver_version,
+    }
+
+
+def _mode(
+    record: CampaignRecord, first: IterationRecord, last: IterationRecord, pair: int
+) -> dict[str, Json]:
+    before, after = first.pairing, last.pairing
+    return {
+        "mode": record.test.numbers[int(before.measured[pair])],
+        "test_hz": _number(record.test.modes.frequencies_hz[before.measured[pair]]),
+        "initial_hz": _number(first.computed.frequencies_hz[before.computed[pair]]),
+        "updated_hz": _number(last.computed.frequencies_hz[after.computed[pair]]),
+        "error_initial": _number(first.frequency_errors[pair]),
+        "error_updated": _number(last.frequency_errors[pair]),
+        "mac_initial": _number(before.mac[pair]),
+        "mac_updated": _number(after.mac[pair]),
+        "pairing": after.reasons[pair],
+    }
+
+
+def _number(value: float) -> float | None:
+    """A plain number for JSON; what is not finite is null."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,77 @@
+"""Running a campaign from its file to its run folder: the Python API behind `modetune update`."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from modetune.core.record import CampaignRecord, write_record
+from modetune.core.store import check_writable, storage_errors
+from modetune.flows.campaign import Campaign
+from modetune.flows.engine import JobEngine
+from modetune.flows.evaluator import Evaluator
+from modetune.flows.execution import Execution, ThreadExecution
+from modetune.flows.server import SharedServer
+from modetune.flows.updating import Progress, Updating
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRun:
+    """A campaign's end: its record, its folder, and the updated deck there."""
+
+    record: CampaignRecord
+    folder: Path
+    updated_deck: Path
+
+
+def job_engine(campaign: Campaign) -> JobEngine:
+    """The engine that solves a campaign's jobs."""
+    return JobEngine(
+        solver=campaign.solver,
+        store=campaign.store,
+        timeout_s=campaign.run.timeout_s,
+        retries=campaign.run.retries,
+        threads=campaign.threads,
+        keep_jobs=campaign.run.keep_jobs,
+        cancelled=threading.Event(),
+    )
+
+
+def update_campaign(
+    campaign: Campaign, folder: Path, progress: Progress, server: SharedServer | None = None
+) -> CampaignRun:
+    """Update a campaign's model and leave record and updated deck in its run folder.
+
+    server: a server to show the run on as Prefect flow; without one plain threads do the same.
+    Raises SolverError, ModesError, StoreError.
+    """
+    campaign.solver.version()  # a missing solver is told before anything else starts
+    check_writable(campaign.store.folder)
+    check_writable(folder)
+    engine = job_engine(campaign)
+    run: Callable[[Updating], CampaignRecord] = Updating.run
+    execution: Execution = ThreadExecution(engine, campaign.parallel)
+    if server is not None:
+        from modetune.flows.prefect_flow import PrefectExecution, run_as_flow
+
+        execution = PrefectExecution(engine)
+        run = lambda updating: run_as_flow(updating, campaign.parallel)  # noqa: E731
+
+    # What an earlier run left stays until this one has come to its end.
+    unfinished = folder / "campaign.unfinished.h5"
+    updating = Updating(
+        campaign, Evaluator(campaign, engine, execution), progress,
+        lambda record: write_record(unfinished, record),
+    )  # fmt: skip
+    try:
+        record = run(updating)
+    except BaseException:
+        engine.cancelled.set()  # jobs of other threads end with the campaign
+        raise
+    values = campaign.parameters.values(record.updated)
+    deck = campaign.solver.write_updated(values, folder / "updated")
+    with storage_errors(unfinished):
+        unfinished.replace(folder / "campaign.h5")
+    return CampaignRun(record, folder, deck)

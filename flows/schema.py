@@ -1,0 +1,161 @@
+"""The campaign file's keys: what each means, its unit, its default.
+
+Field names are the campaign's keys; unknown keys are refused. `campaign.py` turns a valid file
+into a Campaign.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from modetune.core.estimation import StepForm
+from modetune.core.parameters import Quantity
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
+Method = Literal["auto", "strain_energy", "semi_analytic", "finite_difference"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class GeneratorSection(_Section):
+    """A model that modetune makes itself."""
+
+    case: Literal["garteur"]
+    mesh: Literal["coarse", "fine"] = "fine"
+
+
+class ModelSection(_Section):
+    """The finite element model: a deck, or one of modetune's own generators."""
+
+    deck: str | None = None
+    generator: GeneratorSection | None = None
+    solver: Literal["calculix"] = "calculix"
+    units: Units
+
+    @model_validator(mode="after")
+    def _one_source(self) -> ModelSection:
+        if (self.deck is None) == (self.generator is None):
+            raise ValueError("give either `deck` or `generator`")
+        return self
+
+
+class TestSection(_Section):
+    """The test: its file, and the numbers of the modes that are used."""
+
+    __test__ = False
+
+    modes: str
+    use: tuple[int, ...] | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _different(self) -> TestSection:
+        if self.use is not None and len(set(self.use)) != len(self.use):
+            raise ValueError("`use` names a mode twice")
+        return self
+
+
+class ParameterSection(_Section):
+    """One updating parameter; bounds, deviation and initial are relative to the deck's value."""
+
+    name: Name
+    quantity: Quantity
+    material: str | tuple[str, ...] | None = None
+    elset: str | tuple[str, ...] | None = None
+    bounds: tuple[Positive, Positive] = (0.5, 2.0)
+    deviation: Positive = 0.2
+    initial: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _sound(self) -> ParameterSection:
+        by_material = self.quantity in ("youngs_modulus", "poissons_ratio", "density")
+        wanted, other = ("material", "elset") if by_material else ("elset", "material")
+        if getattr(self, wanted) is None or getattr(self, other) is not None:
+            raise ValueError(f"{self.quantity} needs `{wanted}` (and not `{other}`)")
+        lower, upper = self.bounds
+        if lower >= upper:
+            raise ValueError(f"bounds: the lower one ({lower:g}) must be below the upper ({upper:g})")
+        if not lower <= self.initial <= upper:
+            raise ValueError(f"initial value {self.initial:g} is outside the bounds")
+        return self
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        chosen = self.material if self.material is not None else self.elset
+        return (chosen,) if isinstance(chosen, str) else tuple(chosen or ())
+
+
+class ResidualSection(_Section):
+    """What is compared: emphasis of frequencies and shapes, and how exactly they were measured."""
+
+    frequency_weight: NotNegative = 1.0
+    shape_weight: NotNegative = 0.0
+    frequency_deviation: Positive = 0.002
+    shape_deviation: Positive = 0.05
+
+
+class E1Section(_Section):
+    """Agreement that ends updating: relative frequency error, and least MAC."""
+
+    frequency: Positive = 0.01
+    mac: Share = 0.9
+
+
+class UpdateSection(_Section):
+    """The updating steps. e2 of 0 computes the sensitivity in every iteration."""
+
+    step: StepForm = "regularised"
+    regularisation: NotNegative | Literal["l_curve"] = 1.0
+    e1: E1Section = E1Section()
+    e2: NotNegative = 0.002
+    max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
+    step_limit: Positive = 0.2
+
+
+class SensitivitySection(_Section):
+    """How sensitivities are computed, and what is used in between."""
+
+    method: Method = "auto"
+    between: Literal["keep", "broyden"] = "broyden"
+    difference: Literal["forward", "central"] = "forward"
+    step: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02
+
+
+class RunSection(_Section):
+    """How jobs run. parallel 0: as many as there are cores; threads 0: the cores, shared out."""
+
+    parallel: Annotated[int, Field(ge=0, le=1024)] = 0
+    threads: Annotated[int, Field(ge=0, le=1024)] = 0
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    timeout_s: Positive = 3600.0
+    keep_jobs: bool = False
+
+
+class CampaignFile(_Section):
+    """A whole campaign file."""
+
+    name: Name
+    model: ModelSection
+    test: TestSection
+    parameters: tuple[ParameterSection, ...] = Field(min_length=1)
+    residuals: ResidualSection = ResidualSection()
+    update: UpdateSection = UpdateSection()
+    sensitivity: SensitivitySection = SensitivitySection()
+    run: RunSection = RunSection()
+    store: str | None = None
+
+    @model_validator(mode="after")
+    def _different(self) -> CampaignFile:
+        names = [parameter.name for parameter in self.parameters]
+        if len(set(names)) != len(names):
+            raise ValueError("two parameters have the same name")
+        if self.residuals.frequency_weight == 0.0 and self.residuals.shape_weight == 0.0:
+            raise ValueError("residuals: one of the weights must be above zero")
+        return self

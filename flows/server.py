@@ -1,0 +1,231 @@
+"""Prefect's server: the user's own where there is one, else one that all commands share.
+
+`PREFECT_API_URL` set: that server is used as it is. Otherwise one server on loopback, started in
+the background by the first command that needs it and found again by the next through
+`server.json`. It ends by itself when no command has used it for a while: each user holds a shared
+lock that the kernel frees when it dies. Nothing here imports Prefect; the settings must stand in
+the environment before anything does.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from modetune.core.store import storage_errors
+
+logger = logging.getLogger(__name__)
+
+#: Where the shared server keeps its database, log and address.
+HOME_VARIABLE = "MODETUNE_HOME"
+#: Seconds without a user after which the shared server ends.
+IDLE_VARIABLE = "MODETUNE_SERVER_IDLE_S"
+IDLE_S = 900.0
+PATIENCE_S = 120.0
+
+#: Quiet, offline, and fit for many small task runs on SQLite.
+SETTINGS: Mapping[str, str] = {
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "DO_NOT_TRACK": "1",
+    "PREFECT_SERVER_UI_SHOW_PROMOTIONAL_CONTENT": "false",
+    "PREFECT_SERVER_CONCURRENCY_LEASE_STORAGE":
+        "prefect.server.concurrency.lease_storage.filesystem",
+    "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_BATCH_SIZE": "100",
+    "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_READ_BATCH_SIZE": "100",
+    "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_FLUSH_INTERVAL": "0.5",
+    "PREFECT_LOGGING_LEVEL": "CRITICAL",
+    "PREFECT_LOGGING_TO_API_ENABLED": "false",
+    "PREFECT_CLI_PROMPT": "false",
+}  # fmt: skip
+
+
+def server_home() -> Path:
+    """The folder of the shared server."""
+    named = os.environ.get(HOME_VARIABLE)
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(base) / "modetune"
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a shared server answers, and the process that keeps it."""
+
+    url: str
+    pid: int
+
+
+@dataclass(slots=True)
+class SharedServer:
+    """The use of a server by this process, until `close` or the end of the process."""
+
+    home: Path
+    address: Address
+    users: IO[str] | None
+
+    def wait(self) -> bool:
+        """Wait until the server answers; False where it does not in good time."""
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            if answers(self.address.url):
+                return True
+            if self.users is not None and not alive(self.address.pid):
+                return False
+            time.sleep(0.1)
+        return False
+
+    def close(self) -> None:
+        """End the use; the server lives on for others, and for a while."""
+        if self.users is not None:
+            self.users.close()
+
+
+def use_server() -> SharedServer:
+    """Find or start the server and set the environment for it; does not wait for it to answer.
+
+    Raises StorageUnavailable where its folder cannot be written.
+    """
+    for name, value in SETTINGS.items():
+        os.environ.setdefault(name, value)
+    home = server_home()
+    named = os.environ.get("PREFECT_API_URL")
+    if named:
+        return SharedServer(home, Address(named, 0), None)
+    with storage_errors(home / "server.json"):
+        home.mkdir(parents=True, exist_ok=True)
+        users = (home / "users.lock").open("w")
+        fcntl.flock(users, fcntl.LOCK_SH)
+        with (home / "server.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            address = read_address(home)
+            if address is None or not (alive(address.pid) and _is_keeper(address.pid)):
+                address = _start(home)
+    os.environ["PREFECT_HOME"] = str(home / "prefect")
+    os.environ["PREFECT_API_URL"] = address.url
+    return SharedServer(home, address, users)
+
+
+def read_address(home: Path) -> Address | None:
+    """The address a running server left, or nothing."""
+    try:
+        told = json.loads((home / "server.json").read_text())
+        return Address(str(told["url"]), int(told["pid"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def answers(url: str) -> bool:
+    """Whether a Prefect server answers at this address."""
+    try:
+        with urllib.request.urlopen(f"{url}/health", timeout=2.0) as reply:
+            return bool(reply.status == 200)
+    except (urllib.error.URLError, OSError, ValueError):
+        return False
+
+
+def alive(pid: int) -> bool:
+    """Whether a process exists."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def stop_server(home: Path) -> bool:
+    """End the shared server; False where none runs."""
+    address = read_address(home)
+    if address is None or not _is_keeper(address.pid):
+        return False
+    os.kill(address.pid, signal.SIGTERM)
+    for _ in range(200):
+        if not alive(address.pid):
+            return True
+        time.sleep(0.05)
+    return not alive(address.pid)
+
+
+def _is_keeper(pid: int) -> bool:
+    """Whether a process is a keeper of ours: numbers of ended processes are given out again."""
+    try:
+        return b"modetune.flows.server" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
+
+
+def _start(home: Path) -> Address:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    with (home / "server.log").open("wb") as log:
+        keeper = subprocess.Popen(
+            [sys.executable, "-m", "modetune.flows.server", str(home), str(port)],
+            cwd=home,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+        )
+    address = Address(f"http://127.0.0.1:{port}/api", keeper.pid)
+    (home / "server.json").write_text(json.dumps({"url": address.url, "pid": address.pid}))
+    return address
+
+
+def keep(home: Path, port: int) -> None:
+    """Run a server until nobody has used it for a while, or until SIGTERM."""
+    environment = {
+        **os.environ,
+        **SETTINGS,
+        "PREFECT_HOME": str(home / "prefect"),
+        "PREFECT_SERVER_API_PORT": str(port),
+    }
+    environment.pop("PREFECT_API_URL", None)
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
+    server = subprocess.Popen(
+        [sys.executable, "-m", "prefect", "server", "start",
+         "--host", "127.0.0.1", "--port", str(port)],
+        env=environment, stdin=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    try:
+        _wait_for_idleness(home, server)
+    finally:
+        os.killpg(server.pid, signal.SIGKILL)
+        server.wait()
+        (home / "server.json").unlink(missing_ok=True)
+
+
+def _wait_for_idleness(home: Path, server: subprocess.Popen[bytes]) -> None:
+    limit = float(os.environ.get(IDLE_VARIABLE, IDLE_S))
+    used = time.monotonic()
+    while server.poll() is None:
+        time.sleep(min(1.0, limit))
+        with (home / "server.lock").open("w") as lock, (home / "users.lock").open("w") as users:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # nobody may come to use it in between
+            try:
+                fcntl.flock(users, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                used = time.monotonic()
+                continue
+            if time.monotonic() - used > limit:
+                (home / "server.json").unlink(missing_ok=True)
+                return
+
+
+if __name__ == "__main__":
+    keep(Path(sys.argv[1]), int(sys.argv[2]))

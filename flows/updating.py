@@ -1,0 +1,308 @@
+"""The updating loop: evaluate, compare with the test, step, until e1 holds or nothing is gained.
+
+Each iteration evaluates one parameter set: its modal job and, unless e2 skips them, its
+sensitivity jobs go to the execution side by side. A set that makes the residual worse is not
+accepted: a step from an older matrix is taken back and the matrix computed anew, one from a
+fresh matrix is halved. So skipping never costs convergence. A failed trial (solver failure, lost
+mode) is treated likewise.
+
+The loop is deterministic and all results are in the store by content, so a campaign that was
+killed is resumed by starting it again: what was finished is answered by the store.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from modetune.core.criteria import slope
+from modetune.core.errors import ModesError, SolverCancelled, SolverError, SolverMissing
+from modetune.core.estimation import Step, StepProblem, parameter_step
+from modetune.core.modes import Floats
+from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.core.sensitivity import broyden_update
+from modetune.flows.campaign import Campaign
+from modetune.flows.evaluation import Evaluation, expects_agreement
+from modetune.flows.evaluator import Evaluator, Matrix
+from modetune.flows.recording import campaign_record
+
+logger = logging.getLogger(__name__)
+
+#: A step is halved at most so often before its start counts as stationary.
+HALVINGS = 5
+#: Relative decrease of the objective below which nothing more is gained.
+STATIONARY = 1e-4
+#: Largest parameter change that counts as none.
+NO_STEP = 1e-5
+#: An old matrix whose step gains less than this share of what it promised is computed anew.
+KEPT_PROMISE = 0.25
+
+
+class Progress(Protocol):
+    """Who watches a campaign."""
+
+    def working(self, text: str) -> None:
+        """What is being computed now."""
+        ...
+
+    def iteration(self, record: IterationRecord) -> None:
+        """An iteration is complete."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Where the loop stands.
+
+    current: the last accepted set; matrix: for the step from there, None where it has yet to be
+    computed; skip: whether e2 lets the next iteration do without a matrix of its own.
+    """
+
+    current: Evaluation
+    matrix: Matrix | None
+    skip: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A set tried: the step to it, what it gave, its fresh matrix if there is one, its slope."""
+
+    step: Step
+    evaluation: Evaluation
+    matrix: Matrix | None
+    slope: float
+
+
+class Updating:
+    """A campaign under way. `run` carries it to its end."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        evaluator: Evaluator,
+        progress: Progress,
+        save: Callable[[CampaignRecord], None],
+    ) -> None:
+        self.campaign = campaign
+        self.evaluator = evaluator
+        self.progress = progress
+        self.save = save
+        self.iterations: list[IterationRecord] = []
+        self.last_matrix: Matrix | None = None
+        self.number = 0
+        self.started = self.lap = time.monotonic()
+        self.counted = RunCounts()
+
+    def run(self) -> CampaignRecord:
+        """Update until e1 holds, nothing more is gained, or the iterations are used up."""
+        state = self._start()
+        while True:
+            if state.current.agrees(self.campaign.tolerances):
+                return self._end("converged", f"e1 is met: {_distance(state.current)}")
+            if self.number == self.campaign.update.max_iterations:
+                return self._end("max_iterations", f"all {self.number} iterations are used up and "
+                                 f"e1 is not met: {_distance(state.current)}")  # fmt: skip
+            matrix = state.matrix or self._fresh(state.current)
+            step = self._step(state.current, matrix)
+            trial = self._try(state, matrix, step)
+            if trial is not None:
+                state, gained = self._accept(state, matrix, trial)
+                if gained or matrix.age > 0 or state.current.agrees(self.campaign.tolerances):
+                    continue
+            elif matrix.age > 0:
+                state = State(state.current, None, False)
+                continue
+            elif self.number == self.campaign.update.max_iterations:
+                continue
+            return self._end("stationary", "the residual cannot be brought down further within "
+                             f"the bounds, and e1 is not met: {_distance(state.current)}")  # fmt: skip
+
+    def _start(self) -> State:
+        initial = self.campaign.parameters.initial
+        self.progress.working("initial model")
+        alone = self.campaign.update.max_iterations == 0
+        current, matrix = self.evaluator.evaluate(0, initial, None, alone)
+        self._note(current, None, None, np.nan, True, "initial model", False)
+        return State(current, matrix, False)
+
+    def _fresh(self, current: Evaluation) -> Matrix:
+        self.progress.working(f"iteration {self.number}: sensitivities")
+        return self.evaluator.matrix(self.number, current)
+
+    def _try(self, state: State, matrix: Matrix, step: Step) -> Trial | None:
+        """The first set along a step that is better than the current one, or None.
+
+        An old matrix gets one chance; with a fresh one the step is halved until it helps.
+        """
+        current = state.current
+        chances = 1 if matrix.age > 0 else HALVINGS + 1
+        for chance in range(chances):
+            if np.max(np.abs(step.change)) < NO_STEP:
+                return None
+            if self.number == self.campaign.update.max_iterations:
+                return None
+            self.number += 1
+            self.progress.working(f"iteration {self.number}")
+            if state.skip:
+                self.evaluator.skip(self.number, self.iterations[-1].slope)
+            try:
+                trial = self._evaluate(state, step, chance)
+            except (SolverError, ModesError) as error:
+                if isinstance(error, SolverMissing | SolverCancelled) or chance == chances - 1:
+                    raise
+                logger.warning("%s; the step is halved", error)
+            else:
+                better = self._gain(current, trial.evaluation) > 0.0
+                if better or trial.evaluation.agrees(self.campaign.tolerances):
+                    return trial
+                ending = "taken back, new sensitivity" if matrix.age > 0 else "step halved"
+                self._note(trial.evaluation, trial.step, matrix, trial.slope, False,
+                           f"worse: {ending}", state.skip)  # fmt: skip
+            step = self._halved(current, matrix, step)
+        return None
+
+    def _evaluate(self, state: State, step: Step, chance: int) -> Trial:
+        current = state.current
+        # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
+        alone = (
+            state.skip
+            or chance > 0
+            or self.number == self.campaign.update.max_iterations
+            or expects_agreement(step, current, self.campaign.tolerances)
+        )
+        theta = current.theta + step.change
+        evaluation, fresh = self.evaluator.evaluate(self.number, theta, current, alone)
+        change = slope(evaluation.residual.values, current.residual.values, theta.size)
+        return Trial(step, evaluation, fresh, change)
+
+    def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
+        """The state after a better set, and whether more than nothing was gained by it."""
+        before = self._objective(state.current, state.current)
+        gain = self._gain(state.current, trial.evaluation)
+        promised = before - self._predicted(state.current, trial.step)
+        e2 = self.campaign.update.e2
+        skip = 0.0 < e2 and trial.slope <= e2
+        following = trial.matrix
+        if state.skip:
+            following = self._older(matrix, state.current, trial)
+        if matrix.age > 0 and gain < max(KEPT_PROMISE * promised, STATIONARY * before):
+            following, skip = None, False
+        decision = f"e2: slope {trial.slope:.2g}, no new sensitivity next" if skip else ""
+        self._note(trial.evaluation, trial.step, matrix, trial.slope, True, decision, state.skip)
+        return State(trial.evaluation, following, skip), gain > STATIONARY * before
+
+    def _older(self, matrix: Matrix, current: Evaluation, trial: Trial) -> Matrix:
+        """The matrix of before for use once more, as it is or corrected by the last step."""
+        if self.campaign.sensitivity.between == "keep":
+            return replace(matrix, age=matrix.age + 1)
+        change = current.residual.values - trial.evaluation.residual.values
+        values = broyden_update(matrix.values, trial.step.change, change)
+        return replace(matrix, values=values, age=matrix.age + 1)
+
+    def _step(self, current: Evaluation, matrix: Matrix) -> Step:
+        self.last_matrix = matrix
+        parameters, settings = self.campaign.parameters, self.campaign.update
+        limit = settings.step_limit
+        problem = StepProblem(
+            sensitivity=matrix.values,
+            residual=current.residual.values,
+            weights=current.residual.weights,
+            parameter_weights=parameters.standard_deviations**-2,
+            offset=current.theta - parameters.initial,
+            lower=np.minimum(np.maximum(parameters.lower - current.theta, -limit), 0.0),
+            upper=np.maximum(np.minimum(parameters.upper - current.theta, limit), 0.0),
+        )
+        return parameter_step(problem, settings.step, settings.regularisation)
+
+    def _halved(self, current: Evaluation, matrix: Matrix, step: Step) -> Step:
+        change = 0.5 * step.change
+        predicted = current.residual.values - matrix.values @ change
+        return replace(step, change=change, predicted=predicted)
+
+    def _objective(self, current: Evaluation, evaluation: Evaluation) -> float:
+        """What the steps bring down: the misfit, and the pull to the initial values if any.
+
+        Weights of shapes grow as the shapes come near; `current` says whose weights count.
+        """
+        return evaluation.residual.misfit_by(current.residual.weights) + self._pull(evaluation.theta)
+
+    def _gain(self, current: Evaluation, evaluation: Evaluation) -> float:
+        """How much lower the objective is than at the current set, by that set's weights."""
+        return self._objective(current, current) - self._objective(current, evaluation)
+
+    def _predicted(self, current: Evaluation, step: Step) -> float:
+        left = step.predicted
+        pull = self._pull(current.theta + step.change)
+        return float(left @ (current.residual.weights * left)) + pull
+
+    def _pull(self, theta: Floats) -> float:
+        settings, parameters = self.campaign.update, self.campaign.parameters
+        if settings.step != "pulled_to_initial" or settings.regularisation == "l_curve":
+            return 0.0
+        offset = (theta - parameters.initial) / parameters.standard_deviations
+        return float(settings.regularisation * (offset @ offset))
+
+    def _note(
+        self,
+        evaluation: Evaluation,
+        step: Step | None,
+        matrix: Matrix | None,
+        change: float,
+        accepted: bool,
+        decision: str,
+        skipped: bool,
+    ) -> None:
+        now, parameters = time.monotonic(), self.campaign.parameters
+        runs, wall_s = self.evaluator.runs.since(self.counted), now - self.lap
+        self.counted, self.lap = self.evaluator.runs, now
+        record = IterationRecord(
+            number=self.number,
+            parameters=evaluation.theta,
+            step=step.change if step else np.zeros(len(parameters)),
+            computed=evaluation.modal.elastic,
+            pairing=evaluation.pairing,
+            frequency_errors=evaluation.errors,
+            residual=evaluation.residual,
+            sensitivity=matrix.values if matrix else np.zeros((0, len(parameters))),
+            sensitivity_methods=matrix.methods if matrix else (),
+            sensitivity_age=matrix.age if matrix else 0,
+            sensitivity_skipped=skipped,
+            slope=change,
+            accepted=accepted,
+            decision=decision,
+            regularisation=step.regularisation if step else np.nan,
+            condition=step.condition if step else np.nan,
+            modal_key=evaluation.key,
+            runs=runs,
+            wall_s=wall_s,
+        )
+        self.iterations.append(record)
+        self.progress.iteration(record)
+        self.save(self._record("running", ""))
+
+    def _record(self, status: str, reason: str) -> CampaignRecord:
+        return campaign_record(
+            self.campaign, self.iterations, self.last_matrix, status, reason,
+            self.evaluator.runs, time.monotonic() - self.started,
+        )  # fmt: skip
+
+    def _end(self, status: str, reason: str) -> CampaignRecord:
+        record = self._record(status, reason)
+        at_bounds = self.campaign.parameters.at_bounds(record.updated)
+        if at_bounds:
+            record = replace(record, reason=f"{reason}; on a bound: {', '.join(at_bounds)}")
+        self.save(record)
+        return record
+
+
+def _distance(evaluation: Evaluation) -> str:
+    """How far a set is from the test, in words."""
+    worst = int(np.argmax(np.abs(evaluation.errors)))
+    text = f"largest frequency error {100 * evaluation.errors[worst]:+.2f} %"
+    mac = evaluation.pairing.mac
+    return text + (f", least MAC {mac.min():.3f}" if np.isfinite(mac).all() else "")
