@@ -16,106 +16,147 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from modetune.core.errors import CampaignError
-from modetune.core.modes import COMPONENTS, MeasuredModes, ModeSet, mode_set
+from modetune.core.errors import CampaignError, ModesError
+from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.store import writing
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of the file: the line it stands on, its name, and its other fields."""
+
+    line: int
+    name: str
+    fields: tuple[str, ...]
 
 
 def read_modes_csv(path: Path) -> MeasuredModes:
     """Read a test. Raises CampaignError with every problem, each with file and line."""
+    rows = _rows(path)
+    if not rows or rows[0].name != "mode":
+        raise CampaignError(
+            f"{path}, line {rows[0].line if rows else 1}: the first row must be `mode, 1, 2, ...`"
+        )
+    header, *others = rows
+    problems: list[str] = []
+    numbers = _mode_numbers(path, header, problems)
+    frequencies: list[float] | None = None
+    damping: list[float] = []
+    sensors: dict[tuple[int, int], list[float]] = {}
+    seen: set[str | tuple[int, int]] = set()
+    for row in others:
+        where = f"{path}, line {row.line}"
+        values = _numbers(where, row, len(header.fields), problems)
+        dof = _dof(row.name)
+        if (dof or row.name) in seen:
+            problems.append(f"{where}: a second row `{row.name}`")
+        seen.add(dof or row.name)
+        if dof:
+            sensors[dof] = values
+        elif row.name == "damping_ratio":
+            damping = values
+        elif row.name == "frequency_hz":
+            frequencies = values
+            if any(value <= 0.0 for value in values):
+                problems.append(f"{where}: frequencies must be above zero")
+        else:
+            problems.append(
+                f"{where}: row `{row.name}` is neither frequency_hz, damping_ratio nor a sensor "
+                "such as 101.x"
+            )
+    if frequencies is None:
+        problems.append(f"{path}, line {header.line}: no row `frequency_hz` follows")
+    if problems:
+        raise CampaignError(problems)
+    shapes = _shapes(path, header.line, numbers, list(sensors.values()))
+    places = np.array(list(sensors), dtype=np.int64).reshape(-1, 2)
+    modes = mode_set(frequencies or [], shapes, places[:, 0], places[:, 1], damping)
+    return MeasuredModes(numbers, modes)
+
+
+def _shapes(path: Path, line: int, numbers: tuple[int, ...], rows: list[list[float]]) -> Floats:
+    """Sensor rows as (n_dof, n_modes); a mode that moves no sensor is refused."""
+    shapes = np.array(rows).reshape(len(rows), len(numbers))
+    still = np.flatnonzero(~shapes.any(axis=0))
+    if rows and still.size:
+        raise CampaignError(
+            f"{path}, line {line}: mode {numbers[still[0]]} is zero at every sensor"
+        )
+    return shapes
+
+
+def _rows(path: Path) -> list[Row]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        data = path.read_bytes()
+        text = data.decode("utf-8-sig")
     except OSError as error:
         raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise CampaignError(f"test file {path} is not a text file: {error}") from error
-    rows = [
-        (number, [field.strip() for field in fields])
-        for number, fields in enumerate(csv.reader(text.splitlines()), start=1)
-        if any(field.strip() for field in fields) and not fields[0].lstrip().startswith("#")
-    ]
-    if not rows or rows[0][1][0] != "mode":
-        raise CampaignError(
-            f"{path}, line {rows[0][0] if rows else 1}: the first row must be `mode, 1, 2, ...`"
-        )
-    problems: list[str] = []
-    numbers = _mode_numbers(path, rows[0], problems)
-    table: dict[str, list[float]] = {}
-    for line, (name, *fields) in rows[1:]:
-        if name in table:
-            problems.append(f"{path}, line {line}: a second row `{name}`")
-        table[name] = _numbers(path, line, name, fields, len(numbers), problems)
-    return _measured(path, numbers, table, problems)
+        number = data.count(b"\n", 0, error.start) + 1
+        raise CampaignError(f"test file {path}, line {number}: not a text file: {error}") from error
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip(" \t,;") or line.lstrip().startswith("#"):
+            continue
+        try:  # line by line, so that no quote can swallow the lines below it
+            name, *fields = [field.strip() for field in next(csv.reader([line]))]
+        except csv.Error as error:
+            raise CampaignError(f"{path}, line {number}: {error}") from error
+        rows.append(Row(number, name, tuple(fields)))
+    return rows
 
 
-def _mode_numbers(path: Path, row: tuple[int, list[str]], problems: list[str]) -> tuple[int, ...]:
-    line, (_, *fields) = row
-    numbers = [int(field) for field in fields if field.isdigit()]
-    if len(numbers) != len(fields) or not numbers or len(set(numbers)) != len(numbers):
+def _mode_numbers(path: Path, row: Row, problems: list[str]) -> tuple[int, ...]:
+    numbers = tuple(int(field) for field in row.fields if _whole(field))
+    if len(numbers) != len(row.fields) or not numbers or len(set(numbers)) != len(numbers):
         problems.append(
-            f"{path}, line {line}: mode numbers must be different whole numbers, found "
-            f"{', '.join(fields) or 'none'}"
+            f"{path}, line {row.line}: mode numbers must be different whole numbers, found "
+            f"{', '.join(row.fields) or 'none'}"
         )
-    return tuple(numbers)
+    return numbers
 
 
-def _numbers(
-    path: Path, line: int, name: str, fields: list[str], count: int, problems: list[str]
-) -> list[float]:
-    if len(fields) != count:
-        problems.append(
-            f"{path}, line {line}: `{name}` has {len(fields)} values for {count} modes"
-        )
+def _numbers(where: str, row: Row, count: int, problems: list[str]) -> list[float]:
+    if len(row.fields) != count:
+        problems.append(f"{where}: `{row.name}` has {len(row.fields)} values for {count} modes")
     values = []
-    for field in fields:
+    for field in row.fields:
         try:
             value = float(field)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            problems.append(f"{path}, line {line}: `{name}` has {field!r} where a number must be")
+            problems.append(f"{where}: `{row.name}` has {field!r} where a number must be")
         values.append(value)
     return values
 
 
-def _measured(
-    path: Path, numbers: tuple[int, ...], table: dict[str, list[float]], problems: list[str]
-) -> MeasuredModes:
-    frequencies = table.pop("frequency_hz", None)
-    damping = table.pop("damping_ratio", [])
-    if frequencies is None:
-        problems.append(f"{path}: there is no row `frequency_hz`")
-    elif any(value <= 0.0 for value in frequencies):
-        problems.append(f"{path}: frequencies must be above zero")
-    dofs = []
-    for name in table:
-        node, _, component = name.partition(".")
-        if not node.isdigit() or component not in COMPONENTS:
-            problems.append(
-                f"{path}: row `{name}` is neither frequency_hz, damping_ratio nor a sensor such "
-                "as 101.x"
-            )
-            continue
-        dofs.append((int(node), COMPONENTS.index(component) + 1))
-    if problems:
-        raise CampaignError(problems)
-    places = np.array(dofs, dtype=np.int64).reshape(-1, 2)
-    shapes = np.array(list(table.values())).reshape(len(dofs), len(numbers))
-    still = np.flatnonzero(~shapes.any(axis=0)) if len(dofs) else np.zeros(0, dtype=np.int64)
-    if still.size:
-        raise CampaignError(f"{path}: mode {numbers[still[0]]} is zero at every sensor")
-    modes = mode_set(frequencies or [], shapes, places[:, 0], places[:, 1], damping)
-    return MeasuredModes(numbers, modes)
+def _dof(name: str) -> tuple[int, int] | None:
+    """Node and component 1..6 of a sensor's name; nothing where it is no sensor's."""
+    node, _, component = name.partition(".")
+    if not _whole(node) or component not in COMPONENTS:
+        return None
+    return int(node), COMPONENTS.index(component) + 1
+
+
+def _whole(text: str) -> bool:
+    return text.isascii() and text.isdecimal()
 
 
 def write_modes_csv(
     path: Path, numbers: Sequence[int], modes: ModeSet, comment: Sequence[str] = ()
 ) -> None:
-    """Write modes in the form that `read_modes_csv` reads. Raises StorageUnavailable."""
+    """Write real modes in the form that `read_modes_csv` reads.
+
+    Raises ModesError for complex shapes, StorageUnavailable.
+    """
+    if np.iscomplexobj(modes.mode_shapes):
+        raise ModesError(f"{path}: complex mode shapes cannot be written as CSV")
     lines = [f"# {line}" for line in comment]
     lines.append(",".join(["mode", *map(str, numbers)]))
     lines.append(_row("frequency_hz", modes.frequencies_hz.tolist()))

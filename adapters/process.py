@@ -8,9 +8,11 @@ cancelling close the pipe on purpose. No shell is involved anywhere.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import threading
@@ -64,11 +66,13 @@ def run_process(
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    assert supervisor.stdin is not None and supervisor.stdout is not None
-    outcome = None
+    assert supervisor.stdin is not None
+    assert supervisor.stdout is not None
+    outcome, group = None, 0
     try:
         ended = select.poll()
         ended.register(supervisor.stdout, select.POLLIN | select.POLLHUP)
+        group = int(supervisor.stdout.readline() or b"0")
         while outcome is None and not ended.poll(POLL_MS):
             if cancelled.is_set():
                 outcome = "cancelled"
@@ -76,7 +80,7 @@ def run_process(
                 outcome = "timeout"
     finally:
         supervisor.stdin.close()  # ends the group if it still runs
-        report = _report(supervisor)
+        report = _report(supervisor, group)
     where = f"`{' '.join(command.arguments)}` in {folder}"
     if outcome == "cancelled":
         raise SolverCancelled(f"{where} was stopped because the campaign is ending")
@@ -101,10 +105,14 @@ def log_tail(folder: Path, lines: int = 15) -> str:
     return "\n".join(f"  | {line}" for line in kept) if kept else "(the log is empty)"
 
 
-def _report(supervisor: subprocess.Popen[bytes]) -> bytes:
+def _report(supervisor: subprocess.Popen[bytes], group: int) -> bytes:
+    """What the supervisor says at its end; nothing where it was killed, and then its group too."""
     assert supervisor.stdout is not None
     with supervisor.stdout as pipe:
         report = pipe.read()
+    if group and not report:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(group, signal.SIGKILL)
     supervisor.wait()
     return report
 
@@ -115,13 +123,13 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finishe
     told = json.loads(report)
     if told["error"] == "missing":
         raise SolverMissing(f"{where}: there is no such program; install it or put it on PATH")
-    if told["error"]:
-        raise SolverCrashed(f"{where} could not be started: {told['error']}")
-    if told["return_code"] != 0 and _disk_full(folder):
+    if (told["error"] or told["return_code"] != 0) and _disk_full(folder):
         raise StorageUnavailable(
             f"{where} failed and the disk is full; free some space and run the same command "
             "again: finished jobs are not repeated"
         )
+    if told["error"]:
+        raise SolverCrashed(f"{where} could not be started: {told['error']}")
     if told["return_code"] < 0:
         raise SolverCrashed(
             f"{where} was killed by signal {-told['return_code']}\n{log_tail(folder)}"

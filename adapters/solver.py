@@ -111,9 +111,7 @@ class Solver(Protocol):
         """The command that runs the job written into the folder it is started in."""
         ...
 
-    def read(
-        self, values: Values, analysis: Analysis, folder: Path, return_code: int
-    ) -> Result:
+    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         """Read a finished job. Raises SolverRejected or SolverCrashed where there is no result."""
         ...
 

@@ -2,8 +2,9 @@
 
 Started by `process.py` as a script, standard library only: `supervisor.py LOG PROGRAM ARGUMENT...`.
 Standard input is a pipe: when it closes, by intent or by the death of its holder, the whole group
-is killed. One JSON object on standard output tells how the program ended. If this supervisor
-itself is killed, the kernel kills the program (PR_SET_PDEATHSIG).
+is killed. The first line on standard output is the group's number (0 where nothing was started),
+the second a JSON object that tells how the program ended. If this supervisor itself is killed, the
+kernel kills the program (PR_SET_PDEATHSIG), and who started it knows the group.
 """
 
 from __future__ import annotations
@@ -21,8 +22,15 @@ from pathlib import Path
 PR_SET_PDEATHSIG = 1
 
 
-def _die_with_parent() -> None:
+def _die_with(parent: int) -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it died before the kernel was told
+        os._exit(1)
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
 
 
 def supervise(log: str, arguments: list[str]) -> dict[str, object]:
@@ -31,20 +39,29 @@ def supervise(log: str, arguments: list[str]) -> dict[str, object]:
     os.set_blocking(wake_write, False)
     signal.set_wakeup_fd(wake_write)
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    parent = os.getpid()
+    program = None
     try:
-        with Path(log).open("wb") as output:
+        output = Path(log).open("wb")
+    except OSError as error:
+        _say("0")
+        return {"error": str(error)}
+    try:
+        with output:
             program = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                preexec_fn=_die_with_parent,
+                preexec_fn=lambda: _die_with(parent),
             )
     except FileNotFoundError:
         return {"error": "missing"}
     except OSError as error:
         return {"error": str(error)}
+    finally:
+        _say(str(program.pid if program else 0))
     while program.poll() is None:
         ready, _, _ = select.select([0, wake_read], [], [])
         if 0 in ready and not os.read(0, 4096):
@@ -70,4 +87,5 @@ def _kill_group(group: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(supervise(sys.argv[1], sys.argv[2:])))
+    ending = json.dumps(supervise(sys.argv[1], sys.argv[2:]))
+    _say(ending)

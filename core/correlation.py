@@ -6,7 +6,7 @@ them, |a^H b|^2 / (a^H a)(b^H b): 1 for scaled copies, 0 for orthogonal ones (Al
 computed one, a^T b / a^T a with a measured.
 
 COMAC looks along a row of paired shapes instead of down a column, so it shows where the sets
-differ: with a_il the measured shape l at point i, brought to b's scale,
+differ: with a_il the measured shape l at point i, brought to the length and sign of b_l,
 
     COMAC_i  = (sum_l |a_il conj(b_il)|)^2 / (sum_l |a_il|^2 * sum_l |b_il|^2)
     eCOMAC_i = sum_l |a_il - b_il| / 2L,  shapes of largest entry 1 and like sign.
@@ -109,8 +109,8 @@ def subspace_mac(shape: Shapes, basis: Shapes) -> float:
 def comac(measured: Shapes, computed: Shapes) -> Floats:
     """Coordinate MAC: how well each degree of freedom agrees over paired modes, (n_dof,).
 
-    measured, computed: (n_dof, n_pairs), column by column paired. Each measured shape is brought
-    to the computed one's scale first, so its own scale and sign do not count. In [0, 1], 1 is
+    measured, computed: (n_dof, n_pairs), column by column paired. Each measured shape is given the
+    computed one's length and sign first, so its own do not count. In [0, 1], 1 is
     good; a degree of freedom that rests in all modes of both sets agrees. Raises ModesError where
     the sets do not fit, or a pair is orthogonal and has no common scale.
     Source: thesis (2.2), see above; Lieven and Ewins 1988.
@@ -156,7 +156,7 @@ def cross_orthogonality(first: Shapes, second: Shapes, mass: Matrix) -> Shapes:
     return np.asarray(a.conj().T @ m_b / np.sqrt(mass_a[:, None] * mass_b))
 
 
-def effective_mass(mode_shapes: Floats, mass: Matrix, directions: Floats) -> Floats:
+def effective_mass(mode_shapes: Shapes, mass: Matrix, directions: Floats) -> Floats:
     """Mass (or inertia) that each mode takes part with in rigid motion, (n_modes, n_directions).
 
     mode_shapes: (n, n_modes), real; mass: (n, n); directions: (n, n_directions), rigid motions as
@@ -215,7 +215,7 @@ def _unit_columns(mode_shapes: Any) -> Any:
 
 
 def _to_scale_of(measured: Any, computed: Any) -> Any:
-    """Each measured shape times the factor, complex for complex shapes, nearest to its pair."""
+    """Each measured shape with the length of its pair, and its sign or, if complex, its phase."""
     if measured.shape != computed.shape:
         raise ModesError(f"shapes {measured.shape} and {computed.shape} are not paired")
     a, b = _unit_columns(measured), _unit_columns(computed)

@@ -36,9 +36,7 @@ def frequency_errors(measured: ModeSet, computed: ModeSet, pairing: Pairing) -> 
 def agrees(errors: Floats, mac: Floats, tolerances: Tolerances) -> bool:
     """Whether e1 holds. errors, mac: (n_pairs,); a MAC of NaN stands for no measured shape."""
     shapes = mac[np.isfinite(mac)]
-    return bool(
-        (np.abs(errors) <= tolerances.frequency).all() and (shapes >= tolerances.mac).all()
-    )
+    return bool((np.abs(errors) <= tolerances.frequency).all() and (shapes >= tolerances.mac).all())
 
 
 def slope(residual: Floats, previous: Floats, n_parameters: int) -> float:

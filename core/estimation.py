@@ -60,8 +60,7 @@ class StepProblem:
 
     def __post_init__(self) -> None:
         n_residuals, n_parameters = self.sensitivity.shape
-        vectors = (self.residual, self.weights)
-        if any(vector.shape != (n_residuals,) for vector in vectors):
+        if any(vector.shape != (n_residuals,) for vector in (self.residual, self.weights)):
             raise CampaignError(f"residual and weights must have {n_residuals} entries")
         vectors = (self.parameter_weights, self.offset, self.lower, self.upper)
         if any(vector.shape != (n_parameters,) for vector in vectors):
@@ -157,7 +156,7 @@ def _in_box(problem: StepProblem, rows: Floats, target: Floats, scale: Floats) -
 class LCurve:
     """Fit against size over a range of regularisation factors.
 
-    factors, misfits, sizes: (n,), |z - S d|_W and |d|_Wt; corner: the factor of largest curvature.
+    factors, misfits, sizes: (n,), |z - S d|_W and |d|_Wt; corner: the factor where the curve turns from falling to level most sharply.
     """
 
     factors: Floats
@@ -175,7 +174,9 @@ def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
     beta = u.T @ target
     outside = float(target @ target - beta @ beta)
     s = np.maximum(s, s[0] * RANK_TOLERANCE)
-    factors = np.geomspace(s[-1] ** 2 * 1e-2, s[0] ** 2 * 1e2, n_factors)
+    # Below 10^-12 of the largest information only rounding would be regularised.
+    lowest = max(float(s[-1]) ** 2 * 1e-2, float(s[0]) ** 2 * 1e-12)
+    factors = np.geomspace(lowest, s[0] ** 2 * 1e2, n_factors)
     damping = factors[:, None] / (s**2 + factors[:, None])
     misfits = np.sqrt(np.sum((damping * beta) ** 2, axis=1) + max(outside, 0.0))
     sizes = np.sqrt(np.sum(((1.0 - damping) * beta / s) ** 2, axis=1))
@@ -185,7 +186,7 @@ def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
         (dx**2 + dy**2) ** 1.5 + 1e-300
     )
     # The ends of a gradient are one-sided and give false curvature.
-    corner = factors[2 + int(np.argmax(np.abs(curvature[2:-2])))]
+    corner = factors[2 + int(np.argmax(curvature[2:-2]))]
     return LCurve(factors, misfits, sizes, float(corner))
 
 

@@ -19,6 +19,6 @@ def canonical_json(content: Json) -> str:
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def content_key(content: Json) -> str:
-    """SHA-256 of the canonical JSON, 64 hexadecimal digits."""
-    return hashlib.sha256(canonical_json(content).encode("ascii")).hexdigest()
+def content_key(canonical: str) -> str:
+    """SHA-256 of a canonical JSON text, 64 hexadecimal digits."""
+    return hashlib.sha256(canonical.encode("ascii")).hexdigest()

@@ -96,10 +96,12 @@ def mode_set(
     node_ids = np.atleast_1d(np.asarray(nodes, dtype=np.int64))
     shapes = np.zeros((node_ids.size, frequencies.size)) if mode_shapes is None else mode_shapes
     shapes = np.asarray(shapes)
-    kind = np.complex128 if np.iscomplexobj(shapes) else np.float64
+    numbers: NDArray[np.float64] | NDArray[np.complex128] = (
+        shapes.astype(np.complex128) if np.iscomplexobj(shapes) else shapes.astype(np.float64)
+    )
     return ModeSet(
         frequencies_hz=frequencies,
-        mode_shapes=shapes.astype(kind),
+        mode_shapes=numbers,
         nodes=node_ids,
         components=np.atleast_1d(np.asarray(components, dtype=np.int64)),
         damping_ratios=np.atleast_1d(np.asarray(damping_ratios, dtype=np.float64)),
@@ -109,15 +111,12 @@ def mode_set(
 
 def common_dofs(first: ModeSet, second: ModeSet) -> tuple[Integers, Integers]:
     """Rows of both sets that stand for the same node and component, in first's order."""
-    place = {
-        dof: row
-        for row, dof in enumerate(zip(second.nodes.tolist(), second.components.tolist(), strict=True))
-    }
-    pairs = [
-        (row, place[dof])
-        for row, dof in enumerate(zip(first.nodes.tolist(), first.components.tolist(), strict=True))
-        if dof in place
-    ]
+    names_first, names_second = (
+        zip(modes.nodes.tolist(), modes.components.tolist(), strict=True)
+        for modes in (first, second)
+    )
+    place = {dof: row for row, dof in enumerate(names_second)}
+    pairs = [(row, place[dof]) for row, dof in enumerate(names_first) if dof in place]
     rows = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     return rows[:, 0], rows[:, 1]
 

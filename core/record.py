@@ -197,9 +197,7 @@ def _write_iteration(group: h5py.Group, iteration: IterationRecord) -> None:
     group["pair_measured"] = pairing.measured
     group["pair_computed"] = pairing.computed
     group["pair_mac"] = pairing.mac
-    group.create_dataset(
-        "pair_reasons", data=list(pairing.reasons), dtype=h5py.string_dtype()
-    )
+    group.create_dataset("pair_reasons", data=list(pairing.reasons), dtype=h5py.string_dtype())
     group["frequency_errors"] = iteration.frequency_errors
     group["residual"] = iteration.residual.values
     group["weights"] = iteration.residual.weights

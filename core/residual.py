@@ -3,9 +3,9 @@
 For each pair of a measured mode m and a computed mode c:
 
 * frequency: z = (lambda_m - lambda_c) / lambda_m, with sensitivity (d lambda_c/d theta) / lambda_m;
-* shape, at the common sensors: both shapes are brought to unit length, the measured one with the
-  sign of the computed (the modal scale factor of two unit shapes is the cosine between them), and
-  z = cos * u_m - u_c. Its squared length is 1 - MAC, whatever the scaling of either side. With
+* shape, at the common sensors: both shapes are brought to unit length (the modal scale factor of
+  two unit shapes is the cosine between them), and z = cos * u_m - u_c, in the measured sign. Its
+  squared length is 1 - MAC, whatever the scaling of either side. With
   d u_c = (I - u_c u_c^T) d phi / |phi| the exact sensitivity of u_c - cos * u_m is
   (I - u_m u_m^T) d u_c.
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from modetune.core.modes import Floats, ModeSet, common_dofs
 from modetune.core.pairing import Pairing
-from modetune.core.sensitivity import ModeDerivatives
+from modetune.core.results import ModeDerivatives
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def residual(
     variances = [np.full(lam_m.size, (2.0 * weighting.frequency_deviation) ** 2)]
     emphasis = [np.full(lam_m.size, weighting.frequency_weight)]
     if weighting.shape_weight > 0.0:
-        for test, model in _unit_shapes(measured, computed, pairing):
+        for test, model, _ in _unit_shapes(measured, computed, pairing):
             values.append((test @ model) * test - model)
             far = 1.0 - float(test @ model) ** 2
             variance = (weighting.shape_deviation**2 + far**2) / test.size
@@ -109,10 +109,8 @@ def residual_sensitivity(
     rows = [derivatives.eigenvalues / lam_m[:, None]]
     if weighting.shape_weight > 0.0:
         _, sensors = common_dofs(measured, computed)
-        shapes = _unit_shapes(measured, computed, pairing)
-        for pair, (test, model) in enumerate(shapes):
-            length = np.linalg.norm(computed.mode_shapes[sensors, pairing.computed[pair]])
-            change = derivatives.mode_shapes[sensors, pair] / length
+        for pair, (test, model, scale) in enumerate(_unit_shapes(measured, computed, pairing)):
+            change = scale * derivatives.mode_shapes[sensors, pair]
             change = change - np.outer(model, model @ change)
             rows.append(change - np.outer(test, test @ change))
     return np.concatenate(rows)
@@ -120,11 +118,14 @@ def residual_sensitivity(
 
 def _unit_shapes(
     measured: ModeSet, computed: ModeSet, pairing: Pairing
-) -> list[tuple[Floats, Floats]]:
+) -> list[tuple[Floats, Floats, float]]:
+    """Of each pair: the measured and computed unit shapes, and the computed one's scale factor."""
     rows_m, rows_c = common_dofs(measured, computed)
     units = []
     for m, c in zip(pairing.measured.tolist(), pairing.computed.tolist(), strict=True):
         test = np.real(measured.mode_shapes[rows_m, m])
         model = np.real(computed.mode_shapes[rows_c, c])
-        units.append((test / np.linalg.norm(test), model / np.linalg.norm(model)))
+        sign = -1.0 if test @ model < 0.0 else 1.0  # a solver's sign means nothing
+        scale = sign / float(np.linalg.norm(model))
+        units.append((test / np.linalg.norm(test), scale * model, scale))
     return units

@@ -1,4 +1,4 @@
-"""What a solver run gives: modes, or matrices."""
+"""What a solver run gives (modes, or matrices), and what is derived from matrices at a cost."""
 
 from __future__ import annotations
 
@@ -74,4 +74,17 @@ class MatrixResult:
     components: Integers
 
 
-Result = ModalResult | MatrixResult
+@dataclass(frozen=True, slots=True)
+class ModeDerivatives:
+    """Derivatives of modes with respect to all parameters, relative values each.
+
+    eigenvalues: (n_modes, n_parameters), (rad/s)^2.
+    mode_shapes: (n_dof, n_modes, n_parameters), of mass-normalised shapes; n_dof is 0 where only
+    frequencies were asked for. In an updating step the modes are those of the pairs, in order.
+    """
+
+    eigenvalues: Floats
+    mode_shapes: Floats
+
+
+Result = ModalResult | MatrixResult | ModeDerivatives

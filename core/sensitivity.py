@@ -21,8 +21,6 @@ S + (dz - S dtheta) dtheta^T / dtheta^T dtheta (Broyden 1965).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -30,19 +28,7 @@ from scipy import sparse
 from modetune.core.errors import ModesError
 from modetune.core.factorisation import factorise
 from modetune.core.modes import Floats, Integers
-
-
-@dataclass(frozen=True, slots=True)
-class ModeDerivatives:
-    """Derivatives of modes with respect to all parameters, relative values each.
-
-    eigenvalues: (n_modes, n_parameters), (rad/s)^2.
-    mode_shapes: (n_dof, n_modes, n_parameters), of mass-normalised shapes; n_dof is 0 where only
-    frequencies were asked for. In an updating step the modes are those of the pairs, in order.
-    """
-
-    eigenvalues: Floats
-    mode_shapes: Floats
+from modetune.core.results import ModeDerivatives
 
 
 def stack_derivatives(columns: list[ModeDerivatives]) -> ModeDerivatives:
@@ -138,7 +124,7 @@ def _solve_shifted(
     shifted = sparse.csr_array(stiffness - lam * mass)
     reduced = sparse.csc_array(shifted[keep][:, keep])
     solution = np.zeros_like(forces)
-    solution[keep] = factorise(reduced).solve(forces[keep])
+    solution[keep] = factorise(reduced, np.inf).solve(forces[keep])
     return solution
 
 

@@ -28,7 +28,7 @@ from scipy import sparse
 
 from modetune.core.errors import StorageUnavailable, StoreDamaged
 from modetune.core.modes import ModeSet
-from modetune.core.results import MatrixResult, ModalResult, Result
+from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
 
 logger = logging.getLogger(__name__)
 
@@ -174,8 +174,10 @@ def _checksum(file: h5py.File) -> str:
     for name in sorted(set(file.attrs) - {"checksum"}):
         digest.update(f"{name}={file.attrs[name]!r};".encode())
     names: list[str] = []
-    file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+    file.visit(names.append)
     for name in sorted(names):
+        if not isinstance(file[name], h5py.Dataset):
+            continue
         array = np.asarray(file[name][()])
         digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
         digest.update(array.tobytes())
@@ -217,6 +219,11 @@ def _write_result(file: h5py.File, result: Result) -> None:
         file["strain_energies"] = result.strain_energies
         file["total_strain_energy"] = result.total_strain_energy
         return
+    if isinstance(result, ModeDerivatives):
+        file.attrs["kind"] = "derivatives"
+        file["eigenvalues"] = result.eigenvalues
+        file["mode_shapes"] = result.mode_shapes
+        return
     file.attrs["kind"] = "matrices"
     file["nodes"] = result.nodes
     file["components"] = result.components
@@ -228,6 +235,8 @@ def _write_result(file: h5py.File, result: Result) -> None:
 
 def _read_result(file: h5py.File) -> Result:
     kind = file.attrs["kind"]
+    if kind == "derivatives":
+        return ModeDerivatives(file["eigenvalues"][()], file["mode_shapes"][()])
     nodes, components = file["nodes"][()], file["components"][()]
     if kind == "modal":
         groups = str(file.attrs["groups"])

@@ -11,7 +11,7 @@ import logging
 import shutil
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +19,9 @@ from pathlib import Path
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, Solver
 from modetune.core.errors import ModelError, SolverCrashed, SolverError, SolverTimeout
-from modetune.core.keys import canonical_json, content_key
+from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.parameters import Values
-from modetune.core.results import Result
+from modetune.core.results import ModeDerivatives, Result
 from modetune.core.store import Entry, Store, storage_errors
 
 logger = logging.getLogger(__name__)
@@ -59,8 +59,8 @@ class JobEngine:
     def solve(self, job: Job) -> JobOutcome:
         """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
         asked = canonical_json(self.solver.content(job.values, job.analysis))
-        key = content_key(self.solver.content(job.values, job.analysis))
-        if key in self.store and self.store.get(key) is not None:
+        key = content_key(asked)
+        if self.store.get(key) is not None:
             return JobOutcome(key, True, 0.0)
         with self.store.lock(key):
             if self.store.get(key) is not None:  # another campaign was faster
@@ -81,6 +81,25 @@ class JobEngine:
             entry = self.store.get(self.solve(job).key)
         assert entry is not None
         return entry.result
+
+    def key(self, job: Job) -> str:
+        """The content key of a job."""
+        return content_key(canonical_json(self.solver.content(job.values, job.analysis)))
+
+    def derived(self, asked: Json, compute: Callable[[], ModeDerivatives]) -> ModeDerivatives:
+        """What is computed here from results at a cost, from the store if it is there.
+
+        asked: everything that can change the numbers, keys of the results among it.
+        """
+        text = canonical_json(asked)
+        key = content_key(text)
+        entry = self.store.get(key)
+        if entry is not None and isinstance(entry.result, ModeDerivatives):
+            return entry.result
+        started = time.monotonic()
+        result = compute()
+        self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), text)
+        return result
 
     def _with_retries(self, job: Job, key: str) -> Result:
         for attempt in range(self.retries + 1):

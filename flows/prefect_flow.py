@@ -17,10 +17,10 @@ from prefect.client.schemas.objects import State
 from prefect.states import Completed, Failed
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from modetune.core.errors import ModetuneError
 from modetune.core.record import CampaignRecord
 from modetune.flows.engine import JobEngine
 from modetune.flows.execution import Done, Work, solve_work
-from modetune.core.errors import ModetuneError
 from modetune.flows.updating import Updating
 
 
@@ -80,9 +80,9 @@ class PrefectExecution:
 
     def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
         futures = [
-            skip.with_options(
-                name=name.split()[0], task_run_name=f"{iteration} / {name}"
-            ).submit(reason)
+            skip.with_options(name=name.split()[0], task_run_name=f"{iteration} / {name}").submit(
+                reason
+            )
             for name in names
         ]
         for future in futures:
@@ -93,10 +93,12 @@ def run_as_flow(updating: Updating, parallel: int) -> CampaignRecord:
     """Carry an updating campaign to its end as a flow run. Raises what the campaign raises."""
     ended: list[CampaignRecord] = []
 
+    runner: ThreadPoolTaskRunner[Any] = ThreadPoolTaskRunner(max_workers=parallel)
+
     @flow(
         name="update",
         flow_run_name=updating.campaign.name,
-        task_runner=ThreadPoolTaskRunner(max_workers=parallel),
+        task_runner=runner,  # type: ignore[arg-type]  # its futures are PrefectFuture by contract
         persist_result=False,
         validate_parameters=False,
     )

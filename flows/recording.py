@@ -10,6 +10,7 @@ import numpy as np
 from modetune import __version__
 from modetune.core.estimation import parameter_covariance
 from modetune.core.keys import Json
+from modetune.core.modes import Floats
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluator import Matrix
@@ -24,7 +25,7 @@ def campaign_record(
     runs: RunCounts,
     wall_s: float,
 ) -> CampaignRecord:
-    """The record of a campaign as it stands. matrix: the newest sensitivity, for standard errors."""
+    """The record of a campaign as it stands; standard errors are by its newest matrix."""
     accepted = [iteration for iteration in iterations if iteration.accepted]
     errors, correlation = _trust(campaign, accepted[-1], matrix)
     return CampaignRecord(
@@ -51,7 +52,7 @@ def campaign_record(
 
 def _trust(
     campaign: Campaign, last: IterationRecord, matrix: Matrix | None
-) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+) -> tuple[Floats, Floats]:
     """Standard errors (n,) and correlation (n, n) of the parameters from measurement variances."""
     n = len(campaign.parameters)
     if matrix is None:
@@ -90,9 +91,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
             }
             for place, item in enumerate(record.parameters.parameters)
         ],
-        "modes": [
-            _mode(record, first, last, pair) for pair in range(len(record.test.numbers))
-        ],
+        "modes": [_mode(record, first, last, pair) for pair in range(len(record.test.numbers))],
         "mean_error_initial": _number(np.abs(first.frequency_errors).mean()),
         "mean_error_updated": _number(np.abs(last.frequency_errors).mean()),
         "sensitivity_skipped": sum(item.sensitivity_skipped for item in record.iterations),

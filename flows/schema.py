@@ -81,7 +81,7 @@ class ParameterSection(_Section):
             raise ValueError(f"{self.quantity} needs `{wanted}` (and not `{other}`)")
         lower, upper = self.bounds
         if lower >= upper:
-            raise ValueError(f"bounds: the lower one ({lower:g}) must be below the upper ({upper:g})")
+            raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
         if not lower <= self.initial <= upper:
             raise ValueError(f"initial value {self.initial:g} is outside the bounds")
         return self

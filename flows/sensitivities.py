@@ -19,17 +19,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.eigen import solve_modes
 from modetune.core.errors import ModesError, SolverError
+from modetune.core.keys import Json
 from modetune.core.modes import Floats, Integers
 from modetune.core.pairing import Pairing, pair_by_tracking
 from modetune.core.parameters import LINEAR, STIFFNESS_LINEAR, Parameter, ParameterSet
-from modetune.core.results import MatrixResult, ModalResult
+from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives
 from modetune.core.sensitivity import (
-    ModeDerivatives,
     fox_kapoor,
     nelson,
     stack_derivatives,
@@ -44,6 +45,10 @@ Exact = Literal["strain_energy", "semi_analytic", "finite_difference"]
 BALANCE_TOLERANCE = 1e-4
 #: Eigenvalues of the stored matrices and of the solver's own run agree to its seven digits.
 EIGENVALUE_TOLERANCE = 1e-4
+
+
+#: Raised by hand when the same matrices give other derivatives.
+DERIVATIVES_VERSION = 1
 
 
 class UnbalancedEnergies(ModesError):
@@ -73,7 +78,6 @@ class Sensitivities:
         """The method of a parameter's column."""
         if self.settings.method != "auto":
             return self.settings.method
-        solver = self.engine.solver
         if not self.with_shapes and self._has_energies(parameter):
             return "strain_energy"
         return self.without_energies()
@@ -162,21 +166,17 @@ class Sensitivities:
 
     def _perturbed(self, theta: Floats, column: int) -> list[Mapping[str, float]]:
         signs = (1.0, -1.0) if self.settings.difference == "central" else (1.0,)
-        return [self.parameters.values(self._moved(theta, column, sign)) for sign in signs]
-
-    def _moved(self, theta: Floats, column: int, sign: float) -> Floats:
-        moved = theta.copy()
-        moved[column] *= 1.0 + sign * self.settings.step
-        return moved
+        step = self.settings.step
+        return [
+            self.parameters.values(_scaled(theta, column, 1.0 + sign * step)) for sign in signs
+        ]
 
     def _finite_difference(self, point: Point, column: int) -> ModeDerivatives:
         base = point.modal.elastic
         ends = [self._at(point, values) for values in self._perturbed(point.theta, column)]
-        low = (
-            (base.eigenvalues[point.pairing.computed], base.mode_shapes[:, point.pairing.computed])
-            if len(ends) == 1
-            else ends[1]
-        )
+        paired = base.select(point.pairing.computed)
+        here = (paired.eigenvalues, np.real(paired.mode_shapes))
+        low = here if len(ends) == 1 else ends[1]
         width = len(ends) * self.settings.step * float(point.theta[column])
         return ModeDerivatives(
             ((ends[0][0] - low[0]) / width)[:, None],
@@ -192,16 +192,27 @@ class Sensitivities:
         shapes = moved.mode_shapes[:, again.computed]
         before = base.mode_shapes[:, point.pairing.computed]
         signs = np.where(np.sum(shapes * before, axis=0) < 0.0, -1.0, 1.0)
-        return moved.eigenvalues[again.computed], shapes * signs
+        return moved.eigenvalues[again.computed], np.real(shapes * signs)
 
     # semi-analytic
 
+    def _factors(self, column: int) -> tuple[float, ...]:
+        """Factors on the parameter at which matrices are stored, besides the model's own.
+
+        One is exact where matrices are linear. Of a shell's thickness t they are A t + B + C / t
+        (stiffness in the plane and across it, on the unknowns of both faces), whose derivative
+        the pair 1 + s, 1 / (1 + s) gives exactly; a plain central difference would be drowned by
+        the stiffness across the thickness, however small its step.
+        """
+        upper = 1.0 + self.settings.step
+        linear = self.parameters.parameters[column].quantity in LINEAR
+        return (upper,) if linear else (upper, 1.0 / upper)
+
     def _matrix_jobs(self, theta: Floats, column: int) -> tuple[Job, ...]:
         base = self.parameters.initial if self.constant_matrices else theta
-        signs = (1.0,) if self.parameters.parameters[column].quantity in LINEAR else (1.0, -1.0)
         return tuple(
-            Job(self.parameters.values(self._moved(base, column, sign)), MatrixAnalysis())
-            for sign in signs
+            Job(self.parameters.values(_scaled(base, column, factor)), MatrixAnalysis())
+            for factor in self._factors(column)
         )
 
     def _matrices(self, job: Job) -> MatrixResult:
@@ -210,6 +221,31 @@ class Sensitivities:
         return result
 
     def _semi_analytic(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
+        """Columns from matrices. They cost an eigensolution and a factorisation a mode, so the
+        store keeps them beside the jobs' results."""
+        at_theta = Job(self.parameters.values(point.theta), self.modal)
+        jobs = [*self.shared(point.theta, ["semi_analytic"]), at_theta]
+        for column in columns:
+            jobs += self._matrix_jobs(point.theta, column)
+        asked: Json = {
+            "derivatives": DERIVATIVES_VERSION,
+            "jobs": [self.engine.key(job) for job in jobs],
+            "theta": point.theta.tolist(),
+            "step": self.settings.step,
+            "pairs": point.pairing.computed.tolist(),
+            "shapes": self.with_shapes,
+        }
+        stacked = self.engine.derived(asked, lambda: stack_derivatives(
+            list(self._from_matrices(point, columns).values())
+        ))  # fmt: skip
+        return {
+            column: ModeDerivatives(
+                stacked.eigenvalues[:, [place]], stacked.mode_shapes[:, :, [place]]
+            )
+            for place, column in enumerate(columns)
+        }
+
+    def _from_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
         base = self._matrices(self.shared(point.theta, ["semi_analytic"])[0])
         changes = {column: self._change(point.theta, column, base) for column in columns}
         stiffness, mass = base.stiffness, base.mass
@@ -233,7 +269,8 @@ class Sensitivities:
         ends = [self._matrices(job) for job in self._matrix_jobs(theta, column)]
         low = base if len(ends) == 1 else ends[1]
         reference = self.parameters.initial if self.constant_matrices else theta
-        width = len(ends) * self.settings.step * float(reference[column])
+        factors = (*self._factors(column), 1.0)[:2]
+        width = (factors[0] - factors[1]) * float(reference[column])
         return (
             sparse.csr_array((ends[0].stiffness - low.stiffness) / width),
             sparse.csr_array((ends[0].mass - low.mass) / width),
@@ -281,9 +318,15 @@ class Sensitivities:
         }
 
 
+def _scaled(theta: Floats, column: int, factor: float) -> Floats:
+    scaled = theta.copy()
+    scaled[column] *= factor
+    return scaled
+
+
 def _sensor_rows(
     base: MatrixResult, nodes: Integers, components: Integers
-) -> tuple[Integers, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+) -> tuple[Integers, NDArray[np.bool_]]:
     """Equation of each sensor degree of freedom that has one, and which are held in place."""
     equation: dict[tuple[int, int], int] = {}
     names = zip(base.nodes.tolist(), base.components.tolist(), strict=True)

@@ -38,7 +38,7 @@ HALVINGS = 5
 #: Relative decrease of the objective below which nothing more is gained.
 STATIONARY = 1e-4
 #: Largest parameter change that counts as none.
-NO_STEP = 1e-5
+NO_STEP = 1e-8
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
 
@@ -119,8 +119,8 @@ class Updating:
                 continue
             elif self.number == self.campaign.update.max_iterations:
                 continue
-            return self._end("stationary", "the residual cannot be brought down further within "
-                             f"the bounds, and e1 is not met: {_distance(state.current)}")  # fmt: skip
+            return self._end("stationary", "the residual cannot be brought down further within the "
+                             f"bounds, and e1 is not met: {_distance(state.current)}")  # fmt: skip
 
     def _start(self) -> State:
         initial = self.campaign.parameters.initial
@@ -229,7 +229,8 @@ class Updating:
 
         Weights of shapes grow as the shapes come near; `current` says whose weights count.
         """
-        return evaluation.residual.misfit_by(current.residual.weights) + self._pull(evaluation.theta)
+        misfit = evaluation.residual.misfit_by(current.residual.weights)
+        return misfit + self._pull(evaluation.theta)
 
     def _gain(self, current: Evaluation, evaluation: Evaluation) -> float:
         """How much lower the objective is than at the current set, by that set's weights."""

@@ -1,13 +1,15 @@
 """CalculiX decks: reading with includes, and editing that changes only the lines that must change.
 
-A deck is a list of cards: a keyword line (`*ELASTIC, TYPE=ISO`, which a trailing comma continues)
-and its data lines. Comments start with `**`. Every line keeps the file and line number it came
-from, so that messages name them and an updated deck differs from the user's in the changed fields
-only, includes kept.
+A deck is a list of cards: a keyword line (`*ELASTIC, TYPE=ISO`) and its data lines. Comments start
+with `**`. Blanks carry no meaning outside quotes and names are not case sensitive, so both are
+taken out of keywords and names. Every line keeps the file and line number it came from, so that
+messages name them and an updated deck differs from the user's in the changed fields only, includes
+kept.
 """
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -18,6 +20,10 @@ from modetune.core.store import writing
 
 #: ccx reads at most this many characters of a number.
 FIELD_WIDTH = 20
+#: Where an updated deck keeps the includes whose own place ccx would not find from beside it.
+INCLUDES = "includes"
+INCLUDE = re.compile(r"\s*\*\s*INCLUDE", re.IGNORECASE)
+INCLUDED = re.compile(r"INPUT\s*=\s*(\"[^\"]*\"|[^,]+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +41,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """A keyword with its options and the positions of its lines in the deck."""
+    """A keyword with its options and the positions of its lines in the deck.
+
+    keyword: upper case without blanks; `is_one_of` compares it with names as manuals write them.
+    """
 
     keyword: str
     options: Mapping[str, str]
@@ -43,8 +52,24 @@ class Card:
     data: tuple[int, ...]
 
     def option(self, name: str) -> str:
-        """An option's value in upper case, empty where it is not given."""
+        """An option's value in upper case without blanks, empty where it is not given."""
         return self.options.get(name, "")
+
+    def is_one_of(self, *keywords: str) -> bool:
+        return any(self.keyword == canonical_name(keyword) for keyword in keywords)
+
+
+@dataclass(frozen=True, slots=True)
+class Include:
+    """An *INCLUDE line and the file it brings in.
+
+    keeps_place: whether the same line finds the file from an updated deck that keeps the file's
+    place: it is named relative to the main deck's folder and stands below it.
+    """
+
+    line: Line
+    target: Path
+    keeps_place: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +79,12 @@ class Deck:
     file: Path
     lines: tuple[Line, ...]
     cards: tuple[Card, ...]
-    files: tuple[Path, ...]
+    includes: tuple[Include, ...]
 
     def named(self, *keywords: str) -> list[Card]:
         """All cards of these keywords, in order."""
-        return [card for card in self.cards if card.keyword in keywords]
+        wanted = {canonical_name(keyword) for keyword in keywords}
+        return [card for card in self.cards if card.keyword in wanted]
 
     def where(self, card: Card) -> str:
         return self.lines[card.lines.start].where
@@ -67,26 +93,18 @@ class Deck:
         """The comma-separated fields of one data line, stripped."""
         return [field.strip() for field in self.lines[position].text.split(",")]
 
-    def rows(self, card: Card) -> Iterable[list[str]]:
-        """The card's data with continued lines (trailing comma) joined."""
-        row: list[str] = []
-        for position in card.data:
-            fields = self.fields(position)
-            row += fields if fields[-1] else fields[:-1]
-            if fields[-1]:
-                yield row
-                row = []
-        if row:
-            yield row
-
 
 def read_deck(path: Path) -> Deck:
     """Read a deck and its includes. Raises ModelError naming file and line."""
-    lines = tuple(_read_lines(path, ()))
+    lines: list[Line] = []
+    includes: list[Include] = []
+    _read_file(path, path.parent, (path.resolve(),), lines, includes)
     cards = tuple(_cards(lines))
     if not cards:
-        raise ModelError(f"{path} holds no CalculiX keyword (a line that starts with one `*`)")
-    return Deck(path, lines, cards, tuple(dict.fromkeys([path, *(line.file for line in lines)])))
+        raise ModelError(
+            f"{path}, line 1: the file holds no CalculiX keyword (a line that starts with one `*`)"
+        )
+    return Deck(path, tuple(lines), cards, tuple(includes))
 
 
 def read_text(path: Path) -> str:
@@ -96,35 +114,55 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror}") from error
     if b"\0" in data:
-        raise ModelError(f"{path} is not a text file: it holds zero bytes")
+        number = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise ModelError(f"{path}, line {number}: not a text file, it holds zero bytes")
     return data.decode("utf-8", "surrogateescape")
 
 
-def _read_lines(path: Path, above: tuple[Path, ...]) -> Iterable[Line]:
-    if path in above:
-        raise ModelError(f"{path} includes itself by way of {above[-1]}")
-    for number, text in enumerate(read_text(path).splitlines(), start=1):
-        line = Line(text, path, number)
-        if not re.match(r"\s*\*\s*INCLUDE", text, re.IGNORECASE):
-            yield line
+def _read_file(
+    path: Path, main: Path, above: tuple[Path, ...], lines: list[Line], includes: list[Include]
+) -> None:
+    pieces = read_text(path).split("\n")  # ccx knows no other line end; a \r before it is dropped
+    if not pieces[-1]:
+        pieces.pop()
+    for number, text in enumerate(pieces, start=1):
+        line = Line(text.rstrip("\r"), path, number)
+        if not INCLUDE.match(text):
+            lines.append(line)
             continue
-        found = re.search(r"INPUT\s*=\s*(\"[^\"]*\"|[^,]+)", text, re.IGNORECASE)
-        if found is None:
-            raise ModelError(f"{line.where}: *INCLUDE needs INPUT=file")
-        target = path.parent / found.group(1).strip().strip('"')
-        if not target.is_file():
-            raise ModelError(f"{line.where}: the included file {target} is not there")
-        yield from _read_lines(target, (*above, path))
+        include = _include(line, main)
+        resolved = include.target.resolve()
+        if resolved in above:
+            raise ModelError(f"{line.where}: {include.target} includes itself")
+        includes.append(include)
+        _read_file(include.target, main, (*above, resolved), lines, includes)
 
 
-def _cards(lines: tuple[Line, ...]) -> Iterable[Card]:
+def _include(line: Line, main: Path) -> Include:
+    """What an *INCLUDE line names: ccx looks from where it runs, beside the main deck.
+
+    A file that stands beside the including one instead, as other programs have it, is taken too.
+    """
+    found = INCLUDED.search(line.text)
+    if found is None:
+        raise ModelError(f"{line.where}: *INCLUDE needs INPUT=file on the same line")
+    written = Path(found.group(1).strip().strip('"'))
+    for folder in (main, line.file.parent):
+        if (folder / written).is_file():
+            keeps = folder is main and not written.is_absolute() and ".." not in written.parts
+            return Include(line, folder / written, keeps)
+    raise ModelError(f"{line.where}: the included file {main / written} is not there")
+
+
+def _cards(lines: list[Line]) -> Iterable[Card]:
     start, header, data = 0, "", list[int]()
     open_header = False
     for position, line in enumerate(lines):
         text = line.text.strip()
         if not text or text.startswith("**"):
             continue
-        if open_header:
+        # ccx 2.20 does not continue keyword lines: only what can be nothing else is taken as such.
+        if open_header and "=" in text and not text.startswith("*"):
             header += text
             open_header = text.endswith(",")
         elif text.startswith("*"):
@@ -134,6 +172,7 @@ def _cards(lines: tuple[Line, ...]) -> Iterable[Card]:
             open_header = text.endswith(",")
         elif header:
             data.append(position)
+            open_header = False
         else:
             raise ModelError(f"{line.where}: data before the first keyword: {text[:40]!r}")
     if header:
@@ -141,11 +180,16 @@ def _cards(lines: tuple[Line, ...]) -> Iterable[Card]:
 
 
 def _card(header: str, lines: range, data: list[int]) -> Card:
-    # Blanks carry no meaning in a keyword line; names are not case sensitive.
-    keyword, *options = header.upper().split(",")
+    keyword, *options = header.split(",")
     pairs = (option.partition("=") for option in options)
-    settings = {name.strip(): value.strip().strip('"') for name, _, value in pairs if name.strip()}
-    return Card(" ".join(keyword.split()).replace("* ", "*"), settings, lines, tuple(data))
+    settings = {canonical_name(name): canonical_name(value) for name, _, value in pairs}
+    settings.pop("", None)
+    return Card(canonical_name(keyword), settings, lines, tuple(data))
+
+
+def canonical_name(text: str) -> str:
+    """A keyword or name in upper case without blanks and quotes."""
+    return "".join(text.replace('"', "").split()).upper()
 
 
 def format_number(value: float) -> str:
@@ -167,30 +211,48 @@ def replace_field(text: str, place: int, value: str) -> str:
 def write_edited(deck: Deck, changed: Mapping[int, str], folder: Path) -> Path:
     """Write the deck and its includes with some lines changed; all else stays byte for byte.
 
-    changed: position of a line in the deck to its new text. Files keep their places relative to
-    the main deck; an include from outside the main deck's folder is refused.
+    changed: position of a line in the deck to its new text. Includes keep their places relative
+    to the main deck; one that ccx could not find there (an absolute path, a path with `..`) goes
+    into the folder `includes`, and its *INCLUDE line is the one other line that changes.
     Returns the main file's path in `folder`. Raises ModelError, StorageUnavailable.
     """
-    edits: dict[Path, dict[int, str]] = {file: {} for file in deck.files}
+    places = _places(deck)
+    edits: dict[Path, dict[int, str]] = {file: {} for file in places}
+    for include in deck.includes:
+        if not include.keeps_place:
+            text = _renamed(include.line.text, places[include.target].as_posix())
+            edits[include.line.file][include.line.number] = text
     for position, text in changed.items():
         line = deck.lines[position]
         edits[line.file][line.number] = text
     for file, lines in edits.items():
-        pieces = read_text(file).splitlines(keepends=True)
+        pieces = read_text(file).split("\n")
         for number, text in lines.items():
-            old = pieces[number - 1]
-            pieces[number - 1] = text + old[len(old.rstrip("\r\n")) :]
-        target = folder / _relative(file, deck.file)
-        with writing(target) as part:
-            part.write_bytes("".join(pieces).encode("utf-8", "surrogateescape"))
+            pieces[number - 1] = text + ("\r" if pieces[number - 1].endswith("\r") else "")
+        with writing(folder / places[file]) as part:
+            part.write_bytes("\n".join(pieces).encode("utf-8", "surrogateescape"))
     return folder / deck.file.name
 
 
-def _relative(file: Path, main: Path) -> Path:
-    try:
-        return file.resolve().relative_to(main.parent.resolve())
-    except ValueError:
-        raise ModelError(
-            f"the include {file} lies outside {main.parent}: the updated deck cannot keep its "
-            "place; move it below the main deck's folder"
-        ) from None
+def _places(deck: Deck) -> dict[Path, Path]:
+    """Every file of the deck and where an updated deck has it, relative to the main file."""
+    places = {deck.file: Path(deck.file.name)}
+    for include in deck.includes:
+        if include.keeps_place:
+            relative = os.path.relpath(include.target, deck.file.parent)
+            places.setdefault(include.target, Path(relative))
+    for include in deck.includes:
+        place = Path(INCLUDES) / include.target.name
+        count = 1
+        while include.target not in places and place in places.values():
+            count += 1
+            place = Path(INCLUDES) / f"{include.target.stem}_{count}{include.target.suffix}"
+        places.setdefault(include.target, place)
+    return places
+
+
+def _renamed(text: str, place: str) -> str:
+    found = INCLUDED.search(text)
+    assert found is not None
+    quote = '"' if found.group(1).startswith('"') else ""
+    return f"{text[: found.start(1)]}{quote}{place}{quote}{text[found.end(1) :]}"

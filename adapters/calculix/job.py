@@ -10,7 +10,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
-from modetune.adapters.calculix.deck import Card
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.errors import ModelError
@@ -46,7 +45,7 @@ def requested_sets(analysis: ModalAnalysis) -> tuple[str, ...]:
 def _sets(model: CalculixModel, analysis: Analysis) -> list[str]:
     if not isinstance(analysis, ModalAnalysis):
         return []
-    everything = [name for name in model.section_sets() if model.element_sets.get(name)]
+    everything = [name for name in model.section_sets() if model.mesh.element_sets.get(name)]
     return [
         f"*NSET, NSET={NODES}",
         *_wrapped(str(node) for node in analysis.nodes),
@@ -81,22 +80,21 @@ def _split(model: CalculixModel) -> tuple[list[int], list[str]]:
             "frequency step, or no step at all"
         )
     first = frequency[0].lines.start
-    start = max(step.lines.start for step in steps if step.lines.start < first)
+    above = [step.lines.start for step in steps if step.lines.start < first]
+    if not above:
+        raise ModelError(f"{deck.where(frequency[0])}: *FREQUENCY stands outside a *STEP")
+    start = above[-1]
     ends = [card.lines.start for card in deck.named("*END STEP") if card.lines.start > first]
     stop = ends[0] if ends else len(deck.lines)
     before = [
         position
         for card in deck.cards
-        if card.lines.start < start and card.keyword not in OUTPUT
+        if card.lines.start < start and not card.is_one_of(*OUTPUT)
         for position in card.lines
     ]
     inside = [card for card in deck.cards if start <= card.lines.start < stop]
-    kept = [card for card in inside if card.keyword not in (*OUTPUT, "*FREQUENCY")]
-    return before, [deck.lines[position].text for card in kept for position in _span(card)]
-
-
-def _span(card: Card) -> range:
-    return card.lines
+    kept = [card for card in inside if not card.is_one_of(*OUTPUT, "*FREQUENCY")]
+    return before, [deck.lines[position].text for card in kept for position in card.lines]
 
 
 def wrap_message(text: str) -> str:

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from modetune.adapters.calculix.deck import Card, Deck, format_number, replace_field
+from modetune.adapters.calculix.deck import (
+    Card,
+    Deck,
+    canonical_name,
+    format_number,
+    replace_field,
+)
+from modetune.adapters.calculix.mesh import Mesh, read_mesh
 from modetune.adapters.solver import ModelSummary
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity
@@ -30,24 +39,22 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class CalculixModel:
-    """A deck understood.
-
-    element_sets: name to element numbers; element_types: number to type (upper case).
-    """
+    """A deck understood: its mesh, and where its numbers stand."""
 
     deck: Deck
-    nodes: frozenset[int]
-    element_sets: dict[str, frozenset[int]]
-    element_types: dict[int, str]
+    mesh: Mesh
 
     @property
     def summary(self) -> ModelSummary:
-        solid = all(kind.startswith("C3D") for kind in self.element_types.values())
+        elements = self.mesh.elements.values()
+        solid = all(element.kind.startswith("C3D") for element in elements)
+        # A dependent or reference node carries results without belonging to an element.
+        free = not self.deck.named(*DEPENDENT)
         return ModelSummary(
             name=self.deck.file.stem,
-            node_ids=self.nodes,
-            n_elements=len(self.element_types),
-            solid_shapes=solid and not self.deck.named(*DEPENDENT, "*TRANSFORM"),
+            node_ids=self.mesh.element_nodes if free else self.mesh.nodes,
+            n_elements=len(elements),
+            solid_shapes=solid and free and not self.deck.named("*TRANSFORM"),
         )
 
     @property
@@ -62,9 +69,10 @@ class CalculixModel:
         """Sum of all *MASS elements, which ccx leaves out of its own total."""
         total = 0.0
         for card in self.deck.named("*MASS"):
-            text = changed.get(card.data[0], self.deck.lines[card.data[0]].text)
-            elements = self.element_sets.get(card.option("ELSET"), frozenset())
-            total += float(text.split(",")[0]) * len(elements)
+            field = _value(self, card, 0)
+            text = changed.get(field.line, self.deck.lines[field.line].text)
+            elements = self.mesh.element_sets.get(card.option("ELSET"), frozenset())
+            total += read_number(text.split(",")[0]) * len(elements)
         return total
 
     def wave_speeds(self) -> dict[str, float]:
@@ -84,17 +92,33 @@ class CalculixModel:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
         found: list[Field] = []
         for target in parameter.targets:
-            found += _FINDERS[parameter.quantity](self, target.upper())
+            found += _FINDERS[parameter.quantity](self, canonical_name(target))
         return found
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
-        """Element sets whose strain energy is proportional to the parameter."""
-        names = {target.upper() for target in parameter.targets}
+        """Element sets whose strain energy is proportional to the parameter.
+
+        None where sections overlap or a laminate uses the material among others: the energy of
+        the set is then not the parameter's own.
+        """
+        names = {canonical_name(target) for target in parameter.targets}
         if parameter.quantity == "youngs_modulus":
-            return tuple(card.option("ELSET") for card in self._users(names))
-        if parameter.quantity == "spring_stiffness":
-            return tuple(sorted(names))
-        return ()
+            users = self._users(names)
+            if any("COMPOSITE" in card.options for card in users):
+                return ()
+            sets = sorted({card.option("ELSET") for card in users})
+        elif parameter.quantity == "spring_stiffness":
+            sets = sorted(names)
+        else:
+            return ()
+        members = self.mesh.element_sets
+        sets = [name for name in sets if members.get(name)]
+        inside = [members[name] for name in sets]
+        others = [name for name in self.section_sets() if name not in sets]
+        outside = [members.get(name, frozenset()) for name in others]
+        union = frozenset[int]().union(*inside)
+        alone = len(union) == sum(map(len, inside)) and union.isdisjoint(set().union(*outside))
+        return tuple(sets) if alone else ()
 
     def edit(self, parameters: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
         """New texts of the lines that these relative values change.
@@ -113,14 +137,25 @@ class CalculixModel:
         return changed
 
     def _users(self, materials: set[str]) -> list[Card]:
-        return [card for card in self.sections if card.option("MATERIAL") in materials]
+        return [
+            card
+            for card in self.sections
+            if card.option("MATERIAL") in materials or materials & self._layers(card)
+        ]
+
+    def _layers(self, card: Card) -> set[str]:
+        """Materials of a laminate: the third field of each layer."""
+        if "COMPOSITE" not in card.options:
+            return set()
+        rows = (self.deck.fields(position) for position in card.data)
+        return {canonical_name(row[2]) for row in rows if len(row) > 2}
 
     def number(self, line: int, place: int) -> float:
         """A number of the deck. Raises ModelError where there is none."""
         fields = self.deck.fields(line)
         text = fields[place] if place < len(fields) else ""
         try:
-            return float(text.upper().replace("D", "E"))
+            return read_number(text)
         except ValueError:
             where = self.deck.lines[line].where
             raise ModelError(f"{where}: {text!r} is not a number") from None
@@ -128,60 +163,16 @@ class CalculixModel:
 
 def understand(deck: Deck) -> CalculixModel:
     """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
-    nodes: set[int] = set()
-    sets: dict[str, set[int]] = {}
-    types: dict[int, str] = {}
-    for card in deck.named("*NODE"):
-        nodes.update(_integers(deck, card, lambda row: row[:1]))
-    for card in deck.named("*ELEMENT"):
-        numbers = _integers(deck, card, lambda row: row[:1])
-        types.update(dict.fromkeys(numbers, card.option("TYPE")))
-        if card.option("ELSET"):
-            sets.setdefault(card.option("ELSET"), set()).update(numbers)
-    for card in deck.named("*ELSET"):
-        sets.setdefault(card.option("ELSET"), set()).update(_set_members(deck, card, sets))
-    if not nodes or not types:
-        raise ModelError(f"{deck.file} has {len(nodes)} nodes and {len(types)} elements")
-    frozen = {name: frozenset(members) for name, members in sets.items()}
-    return CalculixModel(deck, frozenset(nodes), frozen, types)
+    return CalculixModel(deck, read_mesh(deck))
 
 
-def _set_members(deck: Deck, card: Card, sets: dict[str, set[int]]) -> set[int]:
-    members: set[int] = set()
-    if "GENERATE" in card.options:
-        for position in card.data:
-            first, last, *step = _whole(deck, position, deck.fields(position))
-            members.update(range(first, last + 1, step[0] if step else 1))
-        return members
-    for position in card.data:
-        fields = [field for field in deck.fields(position) if field]
-        members.update(*(sets.get(f.upper(), set()) for f in fields if not f.lstrip("-").isdigit()))
-        members.update(int(field) for field in fields if field.lstrip("-").isdigit())
-    return members
-
-
-def _integers(deck: Deck, card: Card, pick: Callable[[list[str]], list[str]]) -> list[int]:
-    """The picked integers of each row of a card, continued lines joined."""
-    numbers: list[int] = []
-    row: list[str] = []
-    for position in card.data:
-        fields = deck.fields(position)
-        fresh = not row
-        if fields[-1] == "" and card.keyword == "*ELEMENT":
-            row += fields[:-1]
-        else:
-            row = []
-        if fresh:
-            numbers += _whole(deck, position, pick(fields))
-    return numbers
-
-
-def _whole(deck: Deck, position: int, fields: list[str]) -> list[int]:
-    try:
-        return [int(field) for field in fields if field]
-    except ValueError:
-        line = deck.lines[position]
-        raise ModelError(f"{line.where}: whole numbers expected, found {line.text!r}") from None
+def read_number(text: str) -> float:
+    """A number as ccx reads it: 7.1E4, 7.1d4 and 7.1+4 are one. Raises ValueError."""
+    plain = re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", text.strip().upper().replace("D", "E"))
+    value = float(plain)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
 
 
 def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[Card]:
@@ -190,7 +181,7 @@ def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[C
     if material not in names:
         raise ModelError(f"the deck has no material {material}{_suggest(material, names)}")
     users = model._users({material})
-    if not any(model.element_sets.get(card.option("ELSET")) for card in users):
+    if not any(model.mesh.element_sets.get(card.option("ELSET")) for card in users):
         raise ModelError(f"no element uses material {material}")
     inside, cards = False, []
     for card in model.deck.cards:
@@ -198,8 +189,8 @@ def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[C
             inside = card.option("NAME") == material
         elif inside and card.keyword == keyword:
             cards.append(card)
-    if not cards:
-        raise ModelError(f"material {material} has no {keyword} card")
+    if not any(card.data for card in cards):
+        raise ModelError(f"material {material} has no {keyword} card with data")
     return cards
 
 
@@ -236,33 +227,64 @@ def _density(model: CalculixModel, material: str) -> list[Field]:
     return [Field(line, 0, model.number(line, 0)) for card in cards for line in card.data]
 
 
-def _section(model: CalculixModel, elset: str, keyword: str, line: int) -> list[Field]:
+def _section_cards(model: CalculixModel, elset: str, keyword: str) -> list[Card]:
+    """The cards of one keyword for an element set that has elements. Raises ModelError."""
     cards = [card for card in model.deck.named(keyword) if card.option("ELSET") == elset]
     if not cards:
         known = [card.option("ELSET") for card in model.deck.named(keyword)]
         raise ModelError(f"the deck has no {keyword} for {elset}{_suggest(elset, known)}")
-    if not model.element_sets.get(elset):
-        raise ModelError(f"element set {elset} has no elements")
-    if len(cards[0].data) < 1:
-        raise ModelError(f"{model.deck.where(cards[0])}: {keyword} without a value")
-    position = cards[0].data[line]
-    return [Field(position, 0, model.number(position, 0))]
+    if not model.mesh.element_sets.get(elset):
+        raise ModelError(f"{model.deck.where(cards[0])}: element set {elset} has no elements")
+    return cards
+
+
+def _value(model: CalculixModel, card: Card, row: int) -> Field:
+    """The first number of one of a card's data lines. Raises ModelError."""
+    if len(card.data) <= row:
+        raise ModelError(f"{model.deck.where(card)}: the card has no value")
+    return Field(card.data[row], 0, model.number(card.data[row], 0))
 
 
 def _thickness(model: CalculixModel, elset: str) -> list[Field]:
-    for card in model.deck.named("*SHELL SECTION"):
-        if card.option("ELSET") == elset and "COMPOSITE" in card.options:
-            raise ModelError(f"{model.deck.where(card)}: composite shells have no one thickness")
-    return _section(model, elset, "*SHELL SECTION", 0)
+    cards = _section_cards(model, elset, "*SHELL SECTION")
+    for card in cards:
+        for option in {"COMPOSITE", "NODALTHICKNESS"} & set(card.options):
+            raise ModelError(
+                f"{model.deck.where(card)}: the section of {elset} is {option}, so it has no one "
+                "thickness to update"
+            )
+    return [_value(model, card, 0) for card in cards]
 
 
 def _spring_stiffness(model: CalculixModel, elset: str) -> list[Field]:
-    # The directions (a line that may be blank) come first, the constant is on the last line.
-    return _section(model, elset, "*SPRING", -1)
+    """Constants stand one a line (one a temperature), after the line of directions.
+
+    SPRINGA has no directions, but ccx skips the line after the keyword all the same.
+    """
+    found = []
+    for card in _section_cards(model, elset, "*SPRING"):
+        where = model.deck.where(card)
+        if "NONLINEAR" in card.options:
+            raise ModelError(f"{where}: a nonlinear spring has no one stiffness to update")
+        kinds = {model.mesh.elements[number].kind for number in model.mesh.element_sets[elset]}
+        if kinds != {"SPRINGA"}:
+            first = 1
+        elif card.data and not _blank_after(model, card):
+            raise ModelError(f"{where}: ccx wants a blank line before the constant of a SPRINGA")
+        else:
+            first = 0
+        found += [_value(model, card, row) for row in range(first, max(len(card.data), first + 1))]
+    return found
+
+
+def _blank_after(model: CalculixModel, card: Card) -> bool:
+    """Whether the first line after the keyword that is no comment is blank."""
+    texts = (model.deck.lines[position].text.strip() for position in card.lines[1:])
+    return next((not text for text in texts if not text.startswith("**")), True)
 
 
 def _mass(model: CalculixModel, elset: str) -> list[Field]:
-    return _section(model, elset, "*MASS", 0)
+    return [_value(model, card, 0) for card in _section_cards(model, elset, "*MASS")]
 
 
 _FINDERS: dict[Quantity, Callable[[CalculixModel, str], list[Field]]] = {

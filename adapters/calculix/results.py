@@ -18,7 +18,7 @@ from scipy import sparse
 
 from modetune.adapters.calculix.job import ALL
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.errors import SolverCrashed
+from modetune.core.errors import ModesError, SolverCrashed
 from modetune.core.modes import Floats, Integers, mode_set
 from modetune.core.results import MatrixResult, ModalResult
 from modetune.core.store import symmetric
@@ -28,10 +28,16 @@ MODE_HEADING = "E I G E N V A L U E    N U M B E R"
 
 @dataclass(frozen=True, slots=True)
 class SolverMessage:
-    """An *ERROR of ccx: its text, and the deck line it quotes if any."""
+    """An *ERROR of ccx: its text, and what it says of its place in the deck.
+
+    card_image: the line it quotes; keyword: the card it was reading, as in `*SOLID SECTION`;
+    element: the element it names. Empty or 0 where there is none.
+    """
 
     text: str
     card_image: str
+    keyword: str
+    element: int
 
 
 def read_version(banner: str) -> str:
@@ -43,10 +49,19 @@ def read_version(banner: str) -> str:
 def read_messages(log: str) -> list[SolverMessage]:
     """All *ERROR messages of a log, each with its continuation lines."""
     found = []
-    for match in re.finditer(r"^ *\*ERROR.*(?:\n {2,}\S.*)*", log, re.MULTILINE):
+    for match in re.finditer(r"^ *\*ERROR.*(?:\n(?! *\*[EW]) +\S.*)*", log, re.MULTILINE):
         text = "\n".join(line.strip() for line in match.group().splitlines())
         image = re.search(r"Card image:?\s*\n(.*)", text)
-        found.append(SolverMessage(text, image.group(1).strip() if image else ""))
+        keyword = re.match(r"\*ERROR reading (\*[A-Z ]*[A-Z])", text)
+        element = re.search(r"element +(\d+)", text)
+        found.append(
+            SolverMessage(
+                text,
+                image.group(1).strip() if image else "",
+                keyword.group(1) if keyword else "",
+                int(element.group(1)) if element else 0,
+            )
+        )
     return found
 
 
@@ -58,6 +73,8 @@ def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalRe
         raise SolverCrashed(f"{dat} cannot be read: {error}") from error
     head, *modes = text.split(MODE_HEADING)
     eigenvalues = _eigenvalues(head)
+    if not text.endswith("\n"):
+        raise SolverCrashed(f"{dat} ends within a line: the run broke off")
     if eigenvalues.size < analysis.n_modes or len(modes) < analysis.n_modes:
         raise SolverCrashed(
             f"{dat} holds {eigenvalues.size} eigenvalues and {len(modes)} modes of "
@@ -65,8 +82,8 @@ def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalRe
         )
     try:
         return _modal_result(eigenvalues, modes, analysis, point_mass)
-    except (ValueError, IndexError) as error:
-        raise SolverCrashed(f"{dat} is cut short or garbled: {error}") from error
+    except (ValueError, IndexError, ModesError) as error:
+        raise SolverCrashed(f"{dat} holds no whole result: {error}") from error
 
 
 def _modal_result(
@@ -85,6 +102,15 @@ def _modal_result(
         name: np.array([_total(mode, "internal energy", name) for mode in modes])
         for name in {ALL, *(name for _, sets in analysis.groups for name in sets)}
     }
+    # Mass-normalised modes have phi^T K phi = lambda, so a strain energy far above all eigenvalues
+    # is impossible, compressive preload or not. ARPACK gives such modes (about 1e26 times too
+    # large) where K is singular to its last digits.
+    worst = int(np.argmax(energies[ALL]))
+    if not energies[ALL][worst] <= 1e6 * np.abs(eigenvalues).max():
+        raise ValueError(
+            f"mode {worst + 1} (eigenvalue {eigenvalues[worst]:g}) has the impossible strain "
+            f"energy {energies[ALL][worst]:g}: ccx found no true modes of this model"
+        )
     groups = [sum((energies[name] for name in sets), np.zeros(eigenvalues.size))
               for _, sets in analysis.groups]  # fmt: skip
     return ModalResult(
@@ -113,7 +139,7 @@ def _displacements(mode: str) -> tuple[Integers, Floats]:
     """Node numbers (n,), and the shape (3 n,) as x, y, z node by node."""
     _, _, block = mode.partition(" displacements (vx,vy,vz)")
     numbers = block.split("\n", 1)[1].split(" total ")[0]
-    table = np.array(numbers.split(), dtype=np.float64).reshape(-1, 4)
+    table = np.array([_number(word) for word in numbers.split()]).reshape(-1, 4)
     return table[:, 0].astype(np.int64), table[:, 1:].reshape(-1)
 
 
@@ -122,20 +148,37 @@ def _total(mode: str, quantity: str, name: str) -> float:
     found = re.search(heading, mode)
     if found is None:
         raise ValueError(f"no total {quantity} of set {name}")
-    return float(found.group(1))
+    return _number(found.group(1))
+
+
+def _number(text: str) -> float:
+    """A number that Fortran printed; an exponent of three digits costs it the letter E."""
+    try:
+        return float(text)
+    except ValueError:
+        return float(re.sub(r"(?<=\d)([+-]\d{3})$", r"E\1", text))
 
 
 def read_matrices(folder: Path, job: str) -> MatrixResult:
     """The matrices of a MATRIXSTORAGE job. Raises SolverCrashed where they are not whole."""
     try:
-        names = pl.read_csv(folder / f"{job}.dof", separator=".", has_header=False,
-                            schema={"node": pl.Int64, "component": pl.Int64})  # fmt: skip
+        names = _read_names(folder / f"{job}.dof")
         size = names.height
         stiffness = _read_triangle(folder / f"{job}.sti", size)
         mass = _read_triangle(folder / f"{job}.mas", size)
     except (OSError, pl.exceptions.PolarsError, ValueError) as error:
         raise SolverCrashed(f"{folder}: the stored matrices cannot be read: {error}") from error
     return MatrixResult(stiffness, mass, names["node"].to_numpy(), names["component"].to_numpy())
+
+
+def _read_names(path: Path) -> pl.DataFrame:
+    """Node and component of each equation, from `node.component` lines."""
+    data = path.read_bytes()
+    schema = {"node": pl.Int64, "component": pl.Int64}
+    names = pl.read_csv(io.BytesIO(data), separator=".", has_header=False, schema=schema)
+    if not data.endswith(b"\n") or names.null_count().sum_horizontal().item():
+        raise ValueError(f"{path.name} ends within a line")
+    return names
 
 
 def _read_triangle(path: Path, size: int) -> sparse.csr_array:

@@ -7,6 +7,7 @@ import os
 import shutil
 import tempfile
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +16,7 @@ from modetune.adapters.calculix.deck import read_deck, write_edited
 from modetune.adapters.calculix.job import job_text, wrap_message
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.results import (
+    SolverMessage,
     read_matrices,
     read_messages,
     read_modal,
@@ -82,11 +84,18 @@ class CalculixSolver:
 
     def problems(self, parameters: tuple[Parameter, ...]) -> list[str]:
         found = []
+        owners: dict[tuple[int, int], str] = {}
         for parameter in parameters:
             try:
-                self.deck.fields(parameter)
+                fields = self.deck.fields(parameter)
             except ModelError as error:
                 found.append(f"parameter {parameter.name}: {error}")
+                continue
+            for field in fields:
+                first = owners.setdefault((field.line, field.place), parameter.name)
+                if first != parameter.name:
+                    where = self.deck.deck.lines[field.line].where
+                    found.append(f"{where}: both {first} and {parameter.name} change this number")
         return found
 
     def deck_value(self, parameter: Parameter) -> float:
@@ -122,17 +131,17 @@ class CalculixSolver:
         names = ("OMP_NUM_THREADS", "CCX_NPROC_STIFFNESS", "CCX_NPROC_EQUATION_SOLVER")
         return Command((self.program, "-i", JOB), tuple((name, count) for name in names))
 
-    def read(
-        self, values: Values, analysis: Analysis, folder: Path, return_code: int
-    ) -> Result:
+    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         log = (folder / LOG).read_text(errors="replace")
         messages = read_messages(log)
         if messages:
             said = wrap_message("\n".join(message.text for message in messages))
-            place = self._place(messages[0].card_image)
+            place = self._place(messages, self._changed(values))
             if "memory" in said.lower():
                 raise SolverCrashed(f"CalculiX ran out of memory in {folder}:\n{said}")
-            raise SolverRejected(f"CalculiX refused the deck{place} (job in {folder}):\n{said}")
+            if "aupd" in said and isinstance(analysis, ModalAnalysis):  # ARPACK refused its sizes
+                said += f"\n  the model may have fewer unknowns than the {analysis.n_modes} modes"
+            raise SolverRejected(f"CalculiX refused the deck {place} (job in {folder}):\n{said}")
         if return_code != 0 or "Job finished" not in log:
             raise SolverCrashed(
                 f"CalculiX ended in {folder} with code {return_code} and without its closing "
@@ -149,13 +158,28 @@ class CalculixSolver:
     def _changed(self, values: Values) -> dict[int, str]:
         return self.deck.edit((p, values[p.name]) for p in self.parameters if p.name in values)
 
-    def _place(self, card_image: str) -> str:
-        """Where the user's deck has the line that a message quotes."""
-        wanted = "".join(card_image.upper().split())
-        for line in self.deck.deck.lines:
-            if wanted and "".join(line.text.upper().split()).startswith(wanted):
-                return f" at {line.where}"
-        return f" {self.deck.deck.file}"
+    def _place(self, messages: list[SolverMessage], changed: Mapping[int, str]) -> str:
+        """Where the user's deck has what the messages speak of, the file alone where none tells.
+
+        A message may quote a line (in upper case without blanks, often below the first message),
+        name an element, or at least the keyword, which tells if there is one such card.
+        """
+        lines = self.deck.deck.lines
+        squeezed: dict[str, int] = {}
+        for position, line in enumerate(lines):
+            text = "".join(changed.get(position, line.text).upper().split())
+            squeezed.setdefault(text, position)
+        elements = self.deck.mesh.elements
+        for message in messages:
+            found = squeezed.get("".join(message.card_image.upper().split()) or "*")
+            if found is None and message.element in elements:
+                found = elements[message.element].line
+            cards = self.deck.deck.named(message.keyword) if message.keyword else []
+            if found is None and len(cards) == 1:
+                found = cards[0].lines.start
+            if found is not None:
+                return f"at {lines[found].where}"
+        return str(self.deck.deck.file)
 
 
 def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> CalculixSolver:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,15 +67,15 @@ class Aircraft:
 def _lines(*stations: float, size: float) -> Floats:
     """Grid lines through all stations, evenly spaced at about `size` between them."""
     pieces = [np.array(stations[:1])]
-    for start, end in zip(stations[:-1], stations[1:], strict=True):
+    for start, end in pairwise(stations):
         count = max(1, round((end - start) / size))
         pieces.append(np.linspace(start, end, count + 1)[1:])
-    return np.concatenate(pieces)
+    return np.asarray(np.concatenate(pieces))
 
 
 def _mirrored(lines: Floats) -> Floats:
     """Lines at both signs; the first may be 0."""
-    return np.unique(np.concatenate([-lines, lines]))
+    return np.asarray(np.unique(np.concatenate([-lines, lines])))
 
 
 def blocks(mesh: Mesh) -> list[Block]:
@@ -138,8 +139,8 @@ def calculix_deck(mesh: Mesh) -> str:
     first = 1
     for group in GROUPS:
         lines.append(f"*ELEMENT, TYPE=C3D8I, ELSET={group}")
-        rows = np.column_stack([np.arange(len(model.elements[group])) + first, model.elements[group]])
-        lines += [", ".join(map(str, row)) for row in rows.tolist()]
+        rows = model.elements[group].tolist()
+        lines += [", ".join(map(str, [number, *row])) for number, row in enumerate(rows, first)]
         first += len(rows)
     for group in GROUPS:
         lines += [

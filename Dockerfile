@@ -1,0 +1,28 @@
+# modetune with CalculiX, run by an ordinary user:
+#   docker build -t modetune .
+#   docker run --rm -v "$PWD":/work modetune update campaign.yaml
+FROM debian:12-slim AS build
+RUN apt-get update \
+ && apt-get install -y --no-install-recommends python3 python3-venv \
+ && rm -rf /var/lib/apt/lists/*
+WORKDIR /src
+COPY pyproject.toml README.md LICENSE ./
+COPY src src
+COPY core core
+COPY adapters adapters
+COPY flows flows
+COPY configs configs
+RUN python3 -m venv /opt/modetune && /opt/modetune/bin/pip install --no-cache-dir .
+
+FROM debian:12-slim
+RUN apt-get update \
+ && apt-get install -y --no-install-recommends python3 calculix-ccx \
+ && rm -rf /var/lib/apt/lists/* \
+ && useradd --create-home modetune \
+ && mkdir /work && chown modetune /work
+COPY --from=build /opt/modetune /opt/modetune
+ENV PATH=/opt/modetune/bin:$PATH
+USER modetune
+WORKDIR /work
+ENTRYPOINT ["modetune"]
+CMD ["--help"]

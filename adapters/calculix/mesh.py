@@ -1,0 +1,140 @@
+"""The mesh a CalculiX deck holds: nodes, elements, and named sets of elements."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from modetune.adapters.calculix.deck import Card, Deck, canonical_name
+from modetune.core.errors import ModelError
+
+#: Number of nodes of the element types whose name does not end with it.
+NODES_OF = {"SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "MASS": 1, "DASHPOTA": 2, "GAPUNI": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """kind: the type's name (upper case); line: position of its first line in the deck."""
+
+    kind: str
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """nodes: all of the deck; element_nodes: those that belong to elements, and so carry results.
+
+    elements: by number; element_sets: name to element numbers.
+    """
+
+    nodes: frozenset[int]
+    element_nodes: frozenset[int]
+    elements: dict[int, Element]
+    element_sets: dict[str, frozenset[int]]
+
+
+def read_mesh(deck: Deck) -> Mesh:
+    """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
+    nodes = {
+        number
+        for card in deck.named("*NODE")
+        for position in card.data
+        for number in _whole(deck, position, deck.fields(position)[:1])
+    }
+    sets: dict[str, set[int]] = {}
+    elements: dict[int, Element] = {}
+    used: set[int] = set()
+    for card in deck.named("*ELEMENT"):
+        fresh: dict[int, Element] = {}
+        for position, (number, *corners) in _element_rows(deck, card):
+            fresh[number] = Element(card.option("TYPE"), position)
+            used.update(corners)
+            if _nodes_of(card) and not nodes.issuperset(corners):
+                lost = next(node for node in corners if node not in nodes)
+                where = deck.lines[position].where
+                raise ModelError(f"{where}: element {number} has node {lost}, which is not there")
+        elements |= fresh
+        if card.option("ELSET"):
+            sets.setdefault(_set_name(deck, card), set()).update(fresh)
+    for card in deck.named("*ELSET"):
+        sets.setdefault(_set_name(deck, card), set()).update(_set_members(deck, card, sets))
+    if not nodes or not elements:
+        raise ModelError(f"{deck.file} has {len(nodes)} nodes and {len(elements)} elements")
+    frozen = {name: frozenset(members) for name, members in sets.items()}
+    return Mesh(frozenset(nodes), frozenset(used & nodes), elements, frozen)
+
+
+def _set_name(deck: Deck, card: Card) -> str:
+    if re.search(r"ELSET\s*=\s*\"[^\"]*\s", deck.lines[card.lines.start].text, re.IGNORECASE):
+        raise ModelError(f"{deck.where(card)}: element set names with blanks are not supported")
+    return card.option("ELSET")
+
+
+def _nodes_of(card: Card) -> int:
+    """How many nodes an element of the card has, 0 where its type is not known here."""
+    kind = card.option("TYPE")
+    if kind in NODES_OF:
+        return NODES_OF[kind]
+    if beam := re.match(r"B[23](\d)", kind):
+        return int(beam.group(1)) + 1
+    family = re.match(r"(?:C3D|M3D|CPS|CPE|CAX|T2D|T3D|S)(\d+)", kind)
+    return int(family.group(1)) if family else 0
+
+
+def _element_rows(deck: Deck, card: Card) -> Iterable[tuple[int, list[int]]]:
+    """Position of the first line, and number and nodes of each element of a card.
+
+    As ccx does, lines are read on until an element has its nodes, trailing comma or not. Only
+    where the type is not known the comma decides.
+    """
+    count = _nodes_of(card)
+    start, row = 0, list[int]()
+    for position in card.data:
+        if not row:
+            start = position
+        fields = deck.fields(position)
+        row += _whole(deck, position, fields)
+        if len(row) > count if count else fields[-1]:
+            yield start, row
+            row = []
+    if row and count:
+        raise ModelError(
+            f"{deck.lines[start].where}: element {row[0]} has {len(row) - 1} nodes, a "
+            f"{card.option('TYPE')} has {count}"
+        )
+    if row:
+        yield start, row
+
+
+def _set_members(deck: Deck, card: Card, sets: dict[str, set[int]]) -> set[int]:
+    members: set[int] = set()
+    for position in card.data:
+        fields = [field for field in deck.fields(position) if field]
+        if "GENERATE" in card.options:
+            first, last, step = _generated(deck, position, fields)
+            members.update(range(first, last + 1, step))
+            continue
+        for field in fields:
+            if field.isdecimal():
+                members.add(int(field))
+            else:
+                members |= sets.get(canonical_name(field), set())
+    return members
+
+
+def _generated(deck: Deck, position: int, fields: list[str]) -> tuple[int, int, int]:
+    numbers = _whole(deck, position, fields)
+    if len(numbers) not in (2, 3) or (len(numbers) == 3 and numbers[2] < 1):
+        raise ModelError(
+            f"{deck.lines[position].where}: GENERATE wants first, last and a step above zero"
+        )
+    return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 1
+
+
+def _whole(deck: Deck, position: int, fields: list[str]) -> list[int]:
+    try:
+        return [int(field) for field in fields if field]
+    except ValueError:
+        line = deck.lines[position]
+        raise ModelError(f"{line.where}: whole numbers expected, found {line.text!r}") from None

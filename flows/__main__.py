@@ -1,0 +1,5 @@
+"""`python -m modetune.flows` is the command line."""
+
+from modetune.flows.cli import main
+
+main()

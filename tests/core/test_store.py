@@ -1,0 +1,197 @@
+"""The store: whole entries or none, damage found, many at once."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy import sparse
+
+from modetune.core.errors import StorageUnavailable
+from modetune.core.keys import canonical_json, content_key
+from modetune.core.modes import mode_set
+from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
+from modetune.core.store import Entry, Store, check_writable, writing
+
+KEY = "ab" + "0" * 62
+
+
+def modal(seed: int = 0) -> ModalResult:
+    noise = np.random.default_rng(seed)
+    lam = np.array([-1e-6, 2e-6, 100.0, 400.0])
+    shapes = noise.normal(size=(6, 4))
+    return ModalResult(
+        lam,
+        mode_set(np.sqrt(np.maximum(lam, 0)), shapes, np.repeat([1, 2], 3), np.tile([1, 2, 3], 2),
+                 normalisation="mass"),
+        ("wing", "fin"), noise.uniform(size=(2, 4)), noise.uniform(size=4), 41.4,
+    )  # fmt: skip
+
+
+def matrices() -> MatrixResult:
+    k = sparse.csr_array(np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]]))
+    return MatrixResult(
+        k, sparse.csr_array(sparse.eye_array(3, format="csr")), np.arange(1, 4), np.ones(3, int)
+    )
+
+
+def derivatives() -> ModeDerivatives:
+    return ModeDerivatives(np.ones((2, 3)), np.zeros((0, 2, 3)))
+
+
+def put(store: Store, result: Result, key: str = KEY) -> None:
+    store.put(Entry(key, result, "calculix", "2.20", 1.5), "{}")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+def test_the_digest_of_a_literal_case_never_changes() -> None:
+    content = {"solver": "calculix", "version": "2.20", "values": [1, 0.5], "deck": "x"}
+    assert canonical_json(content) == (
+        '{"deck":"x","solver":"calculix","values":[1,0.5],"version":"2.20"}'
+    )
+    assert content_key(canonical_json(content)) == (
+        "e3497d267b0e074fba62959715c01489952f622da72791f1309fc096f1397f83"
+    )
+
+
+def test_keys_refuse_numbers_that_are_none() -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        canonical_json({"x": float("nan")})
+
+
+def test_a_modal_result_comes_back_to_the_last_bit(store: Store) -> None:
+    put(store, modal())
+    entry = store.get(KEY)
+    assert entry is not None
+    assert isinstance(entry.result, ModalResult)
+    expected = modal()
+    for name in ("eigenvalues", "strain_energies", "total_strain_energy"):
+        assert np.array_equal(getattr(entry.result, name), getattr(expected, name))
+    assert np.array_equal(entry.result.modes.mode_shapes, expected.modes.mode_shapes)
+    assert entry.result.groups == expected.groups
+    assert entry.result.modes.normalisation == "mass"
+    assert (entry.solver, entry.solver_version, entry.wall_s) == ("calculix", "2.20", 1.5)
+
+
+def test_matrices_and_derivatives_come_back(store: Store) -> None:
+    put(store, matrices())
+    put(store, derivatives(), "cd" + KEY[2:])
+    first, second = store.get(KEY), store.get("cd" + KEY[2:])
+    assert first is not None
+    assert isinstance(first.result, MatrixResult)
+    assert np.array_equal(first.result.stiffness.toarray(), matrices().stiffness.toarray())
+    assert second is not None
+    assert isinstance(second.result, ModeDerivatives)
+    assert second.result.mode_shapes.shape == (0, 2, 3)
+
+
+def test_what_is_not_there_is_nothing(store: Store) -> None:
+    assert store.get(KEY) is None
+    assert KEY not in store
+
+
+@pytest.mark.parametrize("place", [0.02, 0.3, 0.5, 0.7, 0.9])
+def test_a_flipped_bit_is_never_believed(store: Store, place: float) -> None:
+    put(store, modal())
+    path = store.path(KEY)
+    with h5py.File(path) as file:  # a byte of the data itself, wherever HDF5 put it
+        shapes = file["mode_shapes"][()].tobytes()
+    data = bytearray(path.read_bytes())
+    start = bytes(data).index(shapes)
+    data[start + int(place * len(shapes))] ^= 1
+    path.write_bytes(data)
+    assert store.get(KEY) is None
+    assert (store.folder / "damaged" / path.name).is_file()
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
+def test_a_cut_file_is_set_aside_and_can_be_written_again(store: Store, share: float) -> None:
+    put(store, modal())
+    path = store.path(KEY)
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    assert store.get(KEY) is None
+    put(store, modal())
+    assert store.get(KEY) is not None
+
+
+def test_an_entry_under_another_key_is_not_believed(store: Store) -> None:
+    put(store, modal())
+    other = store.path("ab" + "1" * 62)
+    other.write_bytes(store.path(KEY).read_bytes())
+    assert store.get("ab" + "1" * 62) is None
+
+
+def test_a_file_that_only_looks_like_hdf5_is_set_aside(store: Store) -> None:
+    store.path(KEY).parent.mkdir(parents=True)
+    store.path(KEY).write_text("hello")
+    assert store.get(KEY) is None
+
+
+def test_a_failed_write_leaves_what_stood_there(tmp_path: Path) -> None:
+    target = tmp_path / "file"
+    target.write_text("before")
+    with pytest.raises(ZeroDivisionError), writing(target) as part:
+        part.write_text("half")
+        raise ZeroDivisionError
+    assert target.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_full_disk_is_told_and_harms_nothing(store: Store) -> None:
+    put(store, modal())
+    with pytest.raises(StorageUnavailable, match="full"), writing(store.path(KEY)) as part:
+        part.write_text("half")
+        with Path("/dev/full").open("w") as full:  # every write to it meets a full disk
+            full.write("x")
+    assert store.get(KEY) is not None
+
+
+def test_a_place_that_cannot_be_a_folder_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageUnavailable, match="MODETUNE_STORE"):
+        check_writable(tmp_path / "file" / "store")
+
+
+def test_a_lock_lets_one_in_at_a_time(store: Store) -> None:
+    inside, most = [0], [0]
+
+    def work() -> None:
+        for _ in range(20):
+            with store.lock(KEY):
+                inside[0] += 1
+                most[0] = max(most[0], inside[0])
+                inside[0] -= 1
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == [1]
+
+
+def _write_and_read(folder: str, seed: int) -> int:
+    store, wrong = Store(Path(folder)), 0
+    for number in range(15):
+        key = f"{number:02d}" + "0" * 62
+        put(store, modal(number), key)
+        entry = store.get(key)
+        good = entry is not None and isinstance(entry.result, ModalResult)
+        wrong += not good
+    return wrong + 0 * seed
+
+
+def test_many_processes_write_and_read_the_same_keys(store: Store) -> None:
+    with multiprocessing.get_context("spawn").Pool(3) as pool:
+        wrong = pool.starmap(_write_and_read, [(str(store.folder), seed) for seed in range(3)])
+    assert wrong == [0, 0, 0]
+    assert not list(store.folder.glob("**/*.part"))

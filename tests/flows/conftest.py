@@ -1,0 +1,270 @@
+"""A scripted solver: real processes that count themselves, with a mass-spring chain inside.
+
+The chain has six masses between two walls and seven springs; parameters k1.. scale springs, m1..
+scale masses. Each run appends a line to `runs.log`; `script.json` says what a run of a given
+number does instead of its duty.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from modetune.adapters.solver import (
+    Analysis,
+    Capabilities,
+    Command,
+    MatrixAnalysis,
+    ModalAnalysis,
+    ModelSummary,
+)
+from modetune.core.criteria import Tolerances
+from modetune.core.errors import SolverCrashed, SolverRejected
+from modetune.core.keys import Json
+from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
+from modetune.core.parameters import Parameter, ParameterSet, Quantity, Values
+from modetune.core.record import IterationRecord
+from modetune.core.residual import Weighting
+from modetune.core.results import MatrixResult, ModalResult, Result
+from modetune.core.store import Store
+from modetune.flows.campaign import Campaign
+from modetune.flows.engine import JobEngine
+from modetune.flows.schema import (
+    E1Section,
+    RunSection,
+    SensitivitySection,
+    UpdateSection,
+)
+
+SPRINGS = np.array([1500.0, 1600.0, 1400.0, 6500.0, 1300.0, 1500.0, 1300.0])
+MASSES = np.array([1.8, 2.4, 1.6, 1.2, 1.1, 0.9])
+#: Each run is a process of its own; what it computes is done here, so that it starts quickly.
+PROGRAM = """
+import json, os, pathlib, signal, sys, time
+job = json.loads(pathlib.Path("job.json").read_text())
+log = pathlib.Path(job["log"])
+with log.open("a") as lines:
+    lines.write(job["kind"] + "\\n")
+number = len(log.read_text().splitlines())
+behaviour = json.loads(pathlib.Path(job["script"]).read_text()).get(str(number), "good")
+if behaviour == "killed":
+    os.kill(os.getpid(), signal.SIGKILL)
+if behaviour == "hang":
+    time.sleep(600)
+print({"rejected": "REJECTED", "short": "running"}.get(behaviour, "END OF JOB"))
+if behaviour == "nan":
+    pathlib.Path("nan").write_text("")
+"""
+
+
+def chain(values: Values) -> tuple[Floats, Floats]:
+    """Stiffness (6, 6) and masses (6,) of the chain with these relative values."""
+    k = SPRINGS * [values.get(f"k{i + 1}", 1.0) for i in range(7)]
+    m = MASSES * [values.get(f"m{i + 1}", 1.0) for i in range(6)]
+    stiffness = np.diag(k[:-1] + k[1:]) - np.diag(k[1:-1], 1) - np.diag(k[1:-1], -1)
+    return stiffness, m
+
+
+def chain_modes(values: Values) -> tuple[Floats, Floats]:
+    """Eigenvalues (6,) and mass-normalised shapes (6, 6) by LAPACK."""
+    stiffness, m = chain(values)
+    root = np.sqrt(m)
+    eigenvalues, vectors = np.linalg.eigh(stiffness / np.outer(root, root))
+    return eigenvalues, vectors / root[:, None]
+
+
+@dataclass(frozen=True)
+class ScriptedSolver:
+    """The chain behind the solver seam."""
+
+    folder: Path
+    energies: bool = True
+    name: str = "scripted"
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(strain_energies=self.energies, matrices=True)
+
+    @property
+    def model(self) -> ModelSummary:
+        return ModelSummary("chain", frozenset(range(1, 7)), 13, solid_shapes=True)
+
+    def version(self) -> str:
+        return "1"
+
+    def problems(self, parameters: tuple[Parameter, ...]) -> list[str]:
+        return []
+
+    def deck_value(self, parameter: Parameter) -> float:
+        place = int(parameter.name[1:]) - 1
+        return float((SPRINGS if parameter.name.startswith("k") else MASSES)[place])
+
+    def wave_speeds(self) -> dict[str, float]:
+        return {}
+
+    def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
+        return (parameter.name,) if parameter.quantity == "spring_stiffness" else ()
+
+    def content(self, values: Values, analysis: Analysis) -> Json:
+        modal = analysis.n_modes if isinstance(analysis, ModalAnalysis) else 0
+        return {"values": dict(values), "modal": modal, "energies": self.energies}
+
+    def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
+        job = {
+            "kind": "modal" if isinstance(analysis, ModalAnalysis) else "matrices",
+            "log": str(self.folder / "runs.log"),
+            "script": str(self.folder / "script.json"),
+        }
+        (folder / "job.json").write_text(json.dumps(job))
+
+    def command(self, threads: int) -> Command:
+        return Command((sys.executable, "-I", "-S", "-c", PROGRAM))
+
+    def read(
+        self, values: Values, analysis: Analysis, folder: Path, return_code: int
+    ) -> Result:
+        log = (folder / "solver.log").read_text()
+        if "REJECTED" in log:
+            raise SolverRejected(f"the scripted solver refused its input in {folder}")
+        if "END OF JOB" not in log:
+            raise SolverCrashed(f"the scripted solver broke off in {folder}")
+        if isinstance(analysis, MatrixAnalysis):
+            stiffness, m = chain(values)
+            return MatrixResult(
+                sparse.csr_array(stiffness), sparse.csr_array(np.diag(m)),
+                np.arange(1, 7), np.ones(6, dtype=np.int64),
+            )  # fmt: skip
+        eigenvalues, shapes = chain_modes(values)
+        n = min(analysis.n_modes, 6)
+        if (folder / "nan").exists():
+            raise SolverCrashed("the result holds values that are not finite")
+        return ModalResult(
+            eigenvalues=eigenvalues[:n],
+            modes=mode_set(np.sqrt(eigenvalues[:n]) / 2 / np.pi, shapes[:, :n],
+                           np.arange(1, 7), np.ones(6), normalisation="mass"),
+            groups=tuple(name for name, _ in analysis.groups),
+            strain_energies=np.array(
+                [self._energy(name, values, shapes[:, :n]) for name, _ in analysis.groups]
+            ).reshape(len(analysis.groups), n),
+            total_strain_energy=0.5 * eigenvalues[:n],
+            mass=float(chain(values)[1].sum()),
+        )  # fmt: skip
+
+    def _energy(self, name: str, values: Values, shapes: Floats) -> Floats:
+        place = int(name[1:]) - 1
+        walls = np.vstack([np.zeros(shapes.shape[1]), shapes, np.zeros(shapes.shape[1])])
+        stretch = walls[place + 1] - walls[place]
+        return np.asarray(0.5 * SPRINGS[place] * values.get(name, 1.0) * stretch**2)
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "chain.json").write_text(json.dumps(dict(values)))
+        return folder / "chain.json"
+
+
+@dataclass
+class Watcher:
+    """Keeps what a campaign shows."""
+
+    lines: list[IterationRecord] = field(default_factory=list)
+
+    def working(self, text: str) -> None:
+        pass
+
+    def iteration(self, record: IterationRecord) -> None:
+        self.lines.append(record)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A folder with a scripted solver, its run count, and campaigns and engines on it."""
+
+    folder: Path
+
+    def runs(self, kind: str = "") -> int:
+        """How many runs of a kind (modal, matrices) were started."""
+        log = self.folder / "runs.log"
+        lines = log.read_text().splitlines() if log.exists() else []
+        return sum(kind in line for line in lines)
+
+    def script(self, behaviour: dict[int, str]) -> None:
+        """What the run of a number does: killed, hang, rejected, short, nan."""
+        (self.folder / "script.json").write_text(json.dumps(behaviour))
+
+    def solver(self, energies: bool = True) -> ScriptedSolver:
+        return ScriptedSolver(self.folder, energies)
+
+    def engine(self, campaign: Campaign) -> JobEngine:
+        return JobEngine(campaign.solver, campaign.store, 30.0, campaign.run.retries, 1, False,
+                         threading.Event())  # fmt: skip
+
+    def measured(self, truth: Values, modes: tuple[int, ...], shapes: bool = True) -> ModeSet:
+        """What a test of the true chain gives: modes (from 1), shapes at masses 1 to 6."""
+        eigenvalues, phi = chain_modes(truth)
+        index = np.array(modes) - 1
+        frequencies = np.sqrt(eigenvalues[index]) / 2 / np.pi
+        if not shapes:
+            return mode_set(frequencies)
+        return mode_set(frequencies, phi[:, index], np.arange(1, 7), np.ones(6))
+
+    def campaign(
+        self,
+        truth: Values,
+        modes: tuple[int, ...] = (1, 2, 3, 4, 5),
+        shapes: bool = False,
+        parameters: dict[str, Quantity] | None = None,
+        update: UpdateSection | None = None,
+        sensitivity: SensitivitySection | None = None,
+        energies: bool = True,
+        bounds: tuple[float, float] = (0.3, 3.0),
+        retries: int = 0,
+    ) -> Campaign:
+        """A campaign from the nominal chain to a true one."""
+        names = parameters or dict.fromkeys(truth, "spring_stiffness")
+        update = update or UpdateSection(
+            step="weighted_least_squares", e1=E1Section(frequency=1e-8, mac=0.0), e2=0.0,
+            step_limit=0.5,
+        )  # fmt: skip
+        return Campaign(
+            name="chain",
+            file=self.folder / "chain.yaml",
+            text="name: chain",
+            solver=self.solver(energies),
+            units="m-kg-s",
+            parameters=ParameterSet(
+                tuple(Parameter(n, q, (n,), *bounds, 0.3) for n, q in names.items())
+            ),
+            test=MeasuredModes(modes, self.measured(truth, modes, shapes)),
+            weighting=Weighting(0.002, 0.02, 1.0, 1.0 if shapes else 0.0),
+            tolerances=Tolerances(update.e1.frequency, update.e1.mac),
+            update=update,
+            sensitivity=sensitivity or SensitivitySection(),
+            run=RunSection(parallel=2, retries=retries),
+            store=Store(self.folder / "store"),
+            nodes=(1, 2, 3, 4, 5, 6),
+        )
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    bench = Bench(tmp_path)
+    bench.script({})
+    return bench
+
+
+@pytest.fixture
+def watcher() -> Watcher:
+    return Watcher()
+
+
+@pytest.fixture
+def chain_of() -> Callable[[Values], tuple[Floats, Floats]]:
+    return chain

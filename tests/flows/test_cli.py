@@ -1,0 +1,275 @@
+"""The command line as a user meets it: exit codes, one paragraph an error, kills and restarts."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from modetune.flows import server
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"
+COARSE = "model.generator={case: garteur, mesh: coarse}"
+
+needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for file in CONFIGS.iterdir():
+        if file.suffix in (".yaml", ".csv"):
+            shutil.copyfile(file, tmp_path / file.name)
+    return tmp_path
+
+
+@pytest.fixture
+def command(folder: Path) -> Callable[..., list[str]]:
+    def build(*arguments: str) -> list[str]:
+        return [sys.executable, "-m", "modetune.flows", *arguments]
+
+    return build
+
+
+def run(
+    folder: Path, *arguments: str, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "modetune.flows", *arguments],
+        cwd=folder, capture_output=True, text=True, env={**os.environ, **environment},
+        timeout=200, check=False,
+    )  # fmt: skip
+
+
+def one_paragraph(result: subprocess.CompletedProcess[str]) -> str:
+    """The error a user sees: one that starts with our name, and no traceback."""
+    assert "Traceback" not in result.stderr + result.stdout
+    assert result.stderr.startswith("modetune: ")
+    return result.stderr
+
+
+def ccx_processes(marker: str) -> list[int]:
+    """Running programs whose working folder is below a place."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                if os.readlink(entry / "cwd").startswith(marker) and "ccx" in (
+                    entry / "comm"
+                ).read_text():
+                    found.append(int(entry.name))
+            except OSError:
+                continue
+    return found
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 30.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_check_tells_what_was_read(folder: Path) -> None:
+    result = run(folder, "check", "twin.yaml", "--json")
+    assert result.returncode == 0
+    told = json.loads(result.stdout)
+    assert (told["nodes"], told["elements"], told["sensors"]) == (2356, 1108, 120)
+
+
+def test_bad_input_ends_with_two_and_names_the_line(folder: Path) -> None:
+    text = (folder / "twin.yaml").read_text().replace("material: WING", "material: WIGN")
+    (folder / "twin.yaml").write_text(text)
+    result = run(folder, "update", "twin.yaml", "--no-prefect")
+    assert result.returncode == 2
+    said = one_paragraph(result)
+    assert "did you mean WING?" in said
+    assert "twin.yaml, line" in said
+
+
+def test_a_missing_campaign_is_one_line(folder: Path) -> None:
+    result = run(folder, "check", "none.yaml")
+    assert result.returncode == 2
+    assert "none.yaml cannot be read" in one_paragraph(result)
+
+
+def test_errors_are_objects_for_machines_too(folder: Path) -> None:
+    result = run(folder, "check", "none.yaml", "--json")
+    told = json.loads(result.stdout)
+    assert told["status"] == "failed"
+    assert told["exit_code"] == result.returncode == 2
+
+
+def test_a_missing_solver_ends_with_four_and_says_how_to_get_it(folder: Path) -> None:
+    result = run(folder, "update", "twin.yaml", "--no-prefect", MODETUNE_CCX="no-such-ccx")
+    assert result.returncode == 4
+    assert "apt-get install calculix-ccx" in one_paragraph(result)
+
+
+def test_a_store_that_cannot_be_written_ends_with_five(folder: Path) -> None:
+    (folder / "file").write_text("")
+    result = run(folder, "update", "twin.yaml", "--no-prefect",
+                 MODETUNE_STORE=str(folder / "file" / "store"))  # fmt: skip
+    assert result.returncode == 5
+    assert "MODETUNE_STORE" in one_paragraph(result)
+
+
+@needs_ccx
+def test_modes_prints_frequencies_rigid_modes_and_mass(folder: Path) -> None:
+    result = run(folder, "modes", "twin.yaml", "--json", "--at", "E_wing=0.9")
+    told = json.loads(result.stdout)
+    assert result.returncode == 0
+    assert told["rigid_modes"] == 6
+    # Volumes of the published dimensions times 2,810 kg/m3: 14,750 cm3.
+    assert told["mass_kg"] == pytest.approx(41.4475, rel=1e-5)
+    assert told["frequencies_hz"][6] == pytest.approx(5.92 * 0.9**0.5, rel=0.01)
+
+
+@needs_ccx
+def test_a_deck_that_ccx_rejects_ends_with_four_and_names_the_line(folder: Path) -> None:
+    (folder / "bad.inp").write_text(
+        "*NODE\n1,0,0,0\n2,1,0,0\n3,1,1,0\n4,0,1,0\n5,0,0,1\n6,1,0,1\n7,1,1,1\n8,0,1,1\n"
+        "*ELEMENT, TYPE=C3D8I, ELSET=BAR\n1,1,2,3,4,5,6,7,8\n*MATERIAL, NAME=ALU\n*ELASTIC\n"
+        "71000., 0.3\n*SOLID SECTION, ELSET=BAR, MATERIAL=ALU\n*NSET, NSET=A\n1, 999\n*BOUNDARY\n"
+        "NOSUCHSET, 1, 3\n"
+    )
+    (folder / "bad.csv").write_text("mode,1\nfrequency_hz,10\n")
+    (folder / "bad.yaml").write_text(
+        "name: bad\nmodel: {deck: bad.inp, solver: calculix, units: mm-t-s}\n"
+        "test: {modes: bad.csv}\nparameters:\n"
+        "  - {name: E, quantity: youngs_modulus, material: ALU}\n"
+    )
+    result = run(folder, "update", "bad.yaml", "--no-prefect")
+    assert result.returncode == 4
+    assert "bad.inp" in one_paragraph(result)
+
+
+@needs_ccx
+def test_finished_without_e1_ends_with_three(folder: Path) -> None:
+    result = run(folder, "update", "thesis.yaml", "--no-prefect", "--json", "--set", COARSE,
+                 "--set", "update.e1.frequency=0.001")  # fmt: skip
+    assert result.returncode == 3
+    told = json.loads(result.stdout)
+    assert told["status"] == "stationary"
+    assert "e1 is not met" in told["reason"]
+
+
+@needs_ccx
+def test_a_killed_campaign_goes_on_and_ends_on_the_same_bits(folder: Path) -> None:
+    arguments = ["update", "twin.yaml", "--no-prefect", "--json", "--set",
+                 "sensitivity={method: finite_difference, step: 0.01}", "--set",
+                 "update.e1.frequency=0.001", "--set", "update.max_iterations=2"]  # fmt: skip
+    plain = folder / "plain"
+    plain.mkdir()
+    whole = json.loads(run(folder, *arguments, MODETUNE_STORE=str(plain / "store")).stdout)
+    store = folder / "killed-store"
+    environment = {**os.environ, "MODETUNE_STORE": str(store)}
+    ran = 0
+    for finished in (1, 4, 9):  # killed when the store holds so many results
+        process = subprocess.Popen(
+            [sys.executable, "-m", "modetune.flows", *arguments], cwd=folder, env=environment,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        assert wait_for(lambda: len(list(store.glob("??/*.h5"))) >= finished, 120.0)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert wait_for(lambda: not ccx_processes(str(store)), 10.0), "an orphan ccx lives on"
+        ran = len(list(store.glob("??/*.h5")))
+    last = json.loads(run(folder, *arguments, MODETUNE_STORE=str(store)).stdout)
+    assert last["parameters"] == whole["parameters"]
+    assert last["modes"] == whole["modes"]
+    counted = last["solver_runs"]
+    assert counted["modal"] + counted["sensitivity"] == (
+        whole["solver_runs"]["modal"] + whole["solver_runs"]["sensitivity"] - ran
+    )
+
+
+@needs_ccx
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_at_once_and_leaves_no_solver(folder: Path, number: signal.Signals) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "modetune.flows", "update", "twin.yaml", "--no-prefect"],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert wait_for(lambda: ccx_processes(str(folder)), 60.0)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30.0)
+    assert process.returncode == 130
+    assert "the same command goes on from there" in said
+    assert "Traceback" not in said
+    assert wait_for(lambda: not ccx_processes(str(folder)), 10.0)
+
+
+@needs_ccx
+def test_a_timeout_kills_the_solver_and_says_so(folder: Path) -> None:
+    result = run(folder, "update", "thesis.yaml", "--no-prefect", "--set",
+                 "run={timeout_s: 0.5, retries: 0}", "--set", COARSE)  # fmt: skip
+    assert result.returncode == 4
+    assert "ran longer than 0.5 s" in one_paragraph(result)
+    assert not ccx_processes(str(folder))
+
+
+@pytest.fixture
+def own_server(tmp_path: Path) -> Iterator[dict[str, str]]:
+    """A home for the shared server, ended with the test."""
+    home = tmp_path / "home"
+    yield {server.HOME_VARIABLE: str(home), "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": ""}
+    server.stop_server(home)
+
+
+@needs_ccx
+def test_a_flow_run_shows_every_piece_and_what_e2_skipped(
+    folder: Path, own_server: dict[str, str]
+) -> None:
+    own_server.pop("PREFECT_FLOWS_HEARTBEAT_FREQUENCY")
+    arguments = ["update", "thesis.yaml", "--json", "--set", COARSE, "--set",
+                 "update={step: weighted_least_squares, e2: 0.5, step_limit: 0.03, "
+                 "max_iterations: 3, e1: {frequency: 0.0001}}"]  # fmt: skip
+    result = run(folder, *arguments, **own_server)
+    assert result.returncode == 3, result.stderr
+    told = json.loads(result.stdout)
+    assert told["sensitivity_skipped"] >= 1
+    assert "prefect" not in result.stderr.lower()
+    again = json.loads(run(folder, *arguments, **own_server).stdout)
+    assert again["solver_runs"]["modal"] == 0
+    address = server.read_address(Path(own_server[server.HOME_VARIABLE]))
+    assert address is not None, "the second command did not find the first one's server"
+    names = task_states(address.url)
+    assert ("iteration 0 / modal", "Completed") in names
+    assert ("iteration 0 / modal", "Cached") in names
+    assert ("iteration 0 / sensitivity E_wing", "Derived") in names
+    assert any(state == "Skipped" and "sensitivity E_wing" in name for name, state in names)
+    with h5py.File(folder / "runs" / "garteur-thesis" / "campaign.h5") as file:
+        skipped = [bool(item.attrs["sensitivity_skipped"]) for item in file["iterations"].values()]
+    assert np.sum(skipped) == told["sensitivity_skipped"]
+
+
+def task_states(url: str) -> set[tuple[str, str]]:
+    """Names and states of all task runs that a server knows."""
+    import urllib.request
+
+    found: set[tuple[str, str]] = set()
+    for _ in range(100):  # the server writes task runs in batches
+        request = urllib.request.Request(
+            f"{url}/task_runs/filter", data=json.dumps({"limit": 200}).encode(),
+            headers={"Content-Type": "application/json"}, method="POST",
+        )  # fmt: skip
+        with urllib.request.urlopen(request, timeout=10.0) as reply:
+            runs = json.loads(reply.read())
+        found = {(item["name"], item["state_name"]) for item in runs}
+        ended = {"Completed", "Cached", "Derived", "Skipped"}
+        if len(runs) >= 20 and all(state in ended for _, state in found):
+            return found
+        time.sleep(0.1)
+    return found

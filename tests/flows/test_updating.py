@@ -1,0 +1,209 @@
+"""The updating loop on a scripted solver whose runs are counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from modetune.core.errors import SolverCrashed, SolverRejected
+from modetune.core.record import CampaignRecord
+from modetune.flows.recording import summary
+from modetune.flows.running import update_campaign
+from modetune.flows.schema import E1Section, SensitivitySection, UpdateSection
+
+TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1, "k4": 0.9}
+
+
+def settings(**changes: Any) -> UpdateSection:
+    base: dict[str, Any] = {
+        "step": "weighted_least_squares",
+        "e1": E1Section(frequency=1e-8, mac=0.0),
+        "e2": 0.0,
+        "step_limit": 0.5,
+    }
+    return UpdateSection(**{**base, **changes})
+
+
+def run(bench: Any, watcher: Any, campaign: Any, name: str = "run") -> CampaignRecord:
+    return update_campaign(campaign, bench.folder / name, watcher).record
+
+
+@pytest.mark.parametrize("method", ["strain_energy", "semi_analytic", "finite_difference"])
+def test_every_method_recovers_the_true_springs(bench: Any, watcher: Any, method: Any) -> None:
+    sensitivity = SensitivitySection(method=method, difference="central", step=0.01)
+    record = run(bench, watcher, bench.campaign(TRUTH, sensitivity=sensitivity))
+    assert record.status == "converged"
+    np.testing.assert_allclose(record.updated, list(TRUTH.values()), rtol=1e-5)
+
+
+def test_auto_needs_no_sensitivity_job_for_springs_and_frequencies(
+    bench: Any, watcher: Any
+) -> None:
+    record = run(bench, watcher, bench.campaign(TRUTH))
+    assert bench.runs() == bench.runs("modal") == record.runs.modal
+    assert record.runs.sensitivity == 0
+
+
+def test_auto_takes_matrices_once_for_shapes_because_they_are_constant(
+    bench: Any, watcher: Any
+) -> None:
+    record = run(bench, watcher, bench.campaign(TRUTH, shapes=True))
+    assert record.status == "converged"
+    assert bench.runs("matrices") == 1 + len(TRUTH)  # the model's own and one a spring, ever
+
+
+def test_masses_and_springs_together_are_recovered(bench: Any, watcher: Any) -> None:
+    truth = {"k1": 1.2, "k4": 0.8, "m2": 1.1}
+    kinds = {"k1": "spring_stiffness", "k4": "spring_stiffness", "m2": "mass"}
+    record = run(bench, watcher, bench.campaign(truth, parameters=kinds))
+    np.testing.assert_allclose(record.updated, list(truth.values()), rtol=1e-6)
+
+
+def test_energies_that_do_not_balance_are_not_believed(
+    bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = bench.campaign(TRUTH)
+    honest = type(campaign.solver).read
+
+    def without_hourglass(*arguments: Any) -> Any:
+        from dataclasses import replace
+
+        result = honest(*arguments)
+        if hasattr(result, "total_strain_energy"):
+            return replace(result, total_strain_energy=0.9 * result.total_strain_energy)
+        return result
+
+    monkeypatch.setattr(type(campaign.solver), "read", without_hourglass)
+    record = run(bench, watcher, campaign)
+    assert record.status == "converged"
+    assert set(record.iterations[-1].sensitivity_methods) == {"semi_analytic"}
+
+
+def test_e2_skips_sensitivities_and_ends_at_the_same_values(bench: Any, watcher: Any) -> None:
+    differences = SensitivitySection(method="finite_difference", step=0.001)
+    always = run(bench, watcher, bench.campaign(TRUTH, sensitivity=differences), "always")
+    before = bench.runs()
+    (bench.folder / "store").rename(bench.folder / "first-store")
+    campaign = bench.campaign(TRUTH, sensitivity=differences, update=settings(e2=0.02))
+    skipping = run(bench, watcher, campaign, "skipping")
+    assert sum(item.sensitivity_skipped for item in skipping.iterations) >= 1
+    assert skipping.runs.sensitivity < always.runs.sensitivity
+    assert bench.runs() - before == skipping.runs.modal + skipping.runs.sensitivity
+    np.testing.assert_allclose(skipping.updated, always.updated, rtol=1e-3)
+    assert skipping.status == always.status == "converged"
+
+
+def test_a_step_by_an_old_matrix_that_makes_it_worse_is_taken_back(
+    bench: Any, watcher: Any
+) -> None:
+    # e2 so large that every sensitivity after the first is skipped, from a start far away.
+    truth = {"k1": 2.2, "k2": 0.45, "k3": 1.9, "k4": 0.5}
+    campaign = bench.campaign(
+        truth,
+        shapes=True,
+        sensitivity=SensitivitySection(method="finite_difference", between="keep", step=0.001),
+        update=settings(e2=1e3, max_iterations=60, e1=E1Section(frequency=1e-5, mac=0.99)),
+    )
+    record = run(bench, watcher, campaign)
+    assert record.status == "converged"
+    np.testing.assert_allclose(record.updated, list(truth.values()), rtol=1e-3)
+    misfits = [item.residual.misfit for item in record.iterations if item.accepted]
+    assert misfits[-1] < misfits[0]
+
+
+def test_the_same_campaign_again_starts_no_solver(bench: Any, watcher: Any) -> None:
+    first = run(bench, watcher, bench.campaign(TRUTH))
+    count = bench.runs()
+    again = run(bench, watcher, bench.campaign(TRUTH))
+    assert bench.runs() == count
+    assert again.runs.modal == again.runs.sensitivity == 0
+    assert np.array_equal(again.updated, first.updated)
+
+
+def test_bounds_and_step_limit_are_respected(bench: Any, watcher: Any) -> None:
+    campaign = bench.campaign(TRUTH, bounds=(0.85, 1.15), update=settings(step_limit=0.04))
+    record = run(bench, watcher, campaign)
+    assert record.status == "stationary"
+    assert "on a bound: k2" in record.reason
+    for item in record.iterations:
+        assert (np.abs(item.step) <= 0.04 + 1e-12).all()
+        assert (item.parameters >= 0.85).all()
+        assert (item.parameters <= 1.15).all()
+
+
+def test_a_crashed_solver_is_tried_again(bench: Any, watcher: Any) -> None:
+    bench.script({1: "killed", 3: "short"})
+    record = run(bench, watcher, bench.campaign(TRUTH, retries=1))
+    assert record.status == "converged"
+    assert bench.runs() == record.runs.modal + 2
+
+
+def test_a_failed_trial_step_is_halved(bench: Any, watcher: Any) -> None:
+    bench.script({2: "short"})
+    record = run(bench, watcher, bench.campaign(TRUTH))
+    assert record.status == "converged"
+    assert bench.runs() == record.runs.modal + 1
+
+
+def test_a_rejected_first_deck_ends_the_campaign_and_keeps_its_folder(
+    bench: Any, watcher: Any
+) -> None:
+    bench.script({1: "rejected"})
+    with pytest.raises(SolverRejected, match="failed"):
+        run(bench, watcher, bench.campaign(TRUTH, retries=2))
+    assert bench.runs() == 1
+    assert len(list((bench.folder / "store" / "jobs").glob("*.failed"))) == 1
+
+
+def test_a_failure_leaves_an_earlier_record_as_it_was(bench: Any, watcher: Any) -> None:
+    run(bench, watcher, bench.campaign(TRUTH))
+    record = bench.folder / "run" / "campaign.h5"
+    before = record.read_bytes()
+    bench.script({number: "short" for number in range(1, 99)})
+    with pytest.raises(SolverCrashed):
+        run(bench, watcher, bench.campaign({"k5": 1.1}))
+    assert record.read_bytes() == before
+
+
+def test_no_iterations_compare_the_initial_model_only(bench: Any, watcher: Any) -> None:
+    record = run(bench, watcher, bench.campaign(TRUTH, update=settings(max_iterations=0)))
+    assert record.status == "max_iterations"
+    assert bench.runs() == 1
+    assert np.isnan(record.standard_errors).all()
+
+
+def test_a_lost_mode_widens_the_computed_range(
+    bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modetune.flows.campaign.EXTRA_MODES", 0)
+    monkeypatch.setattr("modetune.flows.campaign.RIGID_MODES", 0)
+    record = run(bench, watcher, bench.campaign(TRUTH, modes=(4, 5, 6), shapes=True))
+    # Three modes were asked for at first; the measured ones are the fourth to the sixth.
+    assert record.iterations[0].pairing.computed.tolist() == [3, 4, 5]
+
+
+def test_the_record_reads_with_h5py_alone(bench: Any, watcher: Any) -> None:
+    record = run(bench, watcher, bench.campaign(TRUTH, shapes=True))
+    with h5py.File(bench.folder / "run" / "campaign.h5") as file:
+        assert file.attrs["status"] == "converged"
+        assert [name.decode() for name in file["parameters/names"][()]] == list(TRUTH)
+        np.testing.assert_array_equal(file["parameters/updated"][()], record.updated)
+        assert len(file["iterations"]) == len(record.iterations)
+        last = file[f"iterations/{len(record.iterations) - 1:03d}"]
+        assert last.attrs["modal_key"] == record.iterations[-1].modal_key
+        assert last["sensitivity"].shape == (last["residual"].size, len(TRUTH))
+        np.testing.assert_allclose(last["pair_mac"][()], 1.0)
+
+
+def test_the_summary_has_what_machines_read(bench: Any, watcher: Any) -> None:
+    record = run(bench, watcher, bench.campaign(TRUTH))
+    told = summary(record, Path("runs/chain"))
+    for key in ("status", "reason", "iterations", "solver_runs", "parameters", "modes",
+                "sensitivity_skipped", "wall_s", "run_dir"):  # fmt: skip
+        assert key in told
+    errors = [parameter["standard_error"] for parameter in told["parameters"]]  # type: ignore
+    assert all(0.0 < error < 1.0 for error in errors)
