@@ -12,6 +12,7 @@
     │   ├── SolverCrashed        it was stopped or broke off: may be tried again
     │   ├── SolverTimeout        raise the limit or make the model smaller
     │   └── SolverCancelled      the campaign itself was stopped
+    ├── CampaignStopped          start it again: finished jobs are in the store
     └── StoreError               repair the store
         ├── StoreDamaged         an entry's checksum does not hold
         └── StorageUnavailable   no permission or no space
@@ -48,6 +49,12 @@ class ModesError(ModetuneError):
     """The modes do not allow what was asked: lost, unpaired, or not enough of them."""
 
     exit_code = 4
+
+
+class CampaignStopped(ModetuneError):
+    """The user stopped the campaign."""
+
+    exit_code = 130
 
 
 class SolverError(ModetuneError):

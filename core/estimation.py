@@ -156,7 +156,8 @@ def _in_box(problem: StepProblem, rows: Floats, target: Floats, scale: Floats) -
 class LCurve:
     """Fit against size over a range of regularisation factors.
 
-    factors, misfits, sizes: (n,), |z - S d|_W and |d|_Wt; corner: the factor where the curve turns from falling to level most sharply.
+    factors, misfits, sizes: (n,), |z - S d|_W and |d|_Wt; corner: the factor where the curve
+    turns from falling to level most sharply.
     """
 
     factors: Floats

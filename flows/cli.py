@@ -16,13 +16,15 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from modetune import __version__
-from modetune.core.errors import ModetuneError
+from modetune.core.errors import CampaignStopped, ModetuneError
 
 app = typer.Typer(
     add_completion=False,
@@ -88,7 +90,8 @@ def modes(
     from modetune.flows.modal_run import modal_summary, model_modes, parse_values
 
     campaign = _load(campaign_file, settings or [])
-    result = model_modes(campaign, parse_values(campaign, at or []))
+    with _stoppable():
+        result = model_modes(campaign, parse_values(campaign, at or []))
     told = modal_summary(campaign, result)
     if as_json:
         _tell(told, True)
@@ -170,9 +173,8 @@ def _update(
             "Prefect's server does not answer (its log is in %s); running without it", server.home
         )
         server = None
-    errors = Console(stderr=True)
     try:
-        with ConsoleProgress(errors).shown() as progress:
+        with _stoppable(), ConsoleProgress(Console(stderr=True)).shown() as progress:
             run = update_campaign(campaign, runs / campaign.name, progress, server)
     finally:
         if server is not None:
@@ -184,6 +186,16 @@ def _update(
     if end:
         _end(run.record.status)
     return run
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise CampaignStopped(
+            "stopped; finished jobs are in the store, the same command goes on from there"
+        ) from None
 
 
 def _load(campaign_file: Path, settings: list[str]) -> Any:
@@ -225,8 +237,6 @@ def main() -> None:
         app(standalone_mode=True)
     except ModetuneError as error:
         _fail(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        _fail("stopped; finished jobs are in the store, the same command goes on from there", 130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(0) from None

@@ -54,7 +54,6 @@ class ConsoleProgress:
     @contextlib.contextmanager
     def shown(self) -> Iterator[ConsoleProgress]:
         """Show the display while a campaign runs."""
-        self.console.print(Text(HEADER))
         with self._live:
             yield self
 
@@ -64,6 +63,8 @@ class ConsoleProgress:
         self._task = self._live.add_task(text, total=None)
 
     def iteration(self, record: IterationRecord) -> None:
+        if record.number == 0:
+            self.console.print(Text(HEADER))
         # soft_wrap: a line stays a line where the output is no terminal.
         self.console.print(Text(iteration_line(record)), soft_wrap=True)
 

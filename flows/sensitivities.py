@@ -167,9 +167,7 @@ class Sensitivities:
     def _perturbed(self, theta: Floats, column: int) -> list[Mapping[str, float]]:
         signs = (1.0, -1.0) if self.settings.difference == "central" else (1.0,)
         step = self.settings.step
-        return [
-            self.parameters.values(_scaled(theta, column, 1.0 + sign * step)) for sign in signs
-        ]
+        return [self.parameters.values(_scaled(theta, column, 1.0 + sign * step)) for sign in signs]
 
     def _finite_difference(self, point: Point, column: int) -> ModeDerivatives:
         base = point.modal.elastic

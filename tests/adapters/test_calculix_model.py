@@ -252,7 +252,7 @@ def test_a_set_name_with_blanks_in_quotes_is_refused(tmp_path: Path) -> None:
     "rows",
     [
         "1, 1, 2, 5, 4,\n7, 8, 11, 10\n2, 2, 3, 6, 5,\n8, 9, 12, 11\n",
-        "1, 1, 2, 5, 4\n7, 8, 11, 10\n2, 2, 3, 6, 5, 8, 9, 12, 11\n",  # ccx counts nodes, not commas
+        "1, 1, 2, 5, 4\n7, 8, 11, 10\n2, 2, 3, 6, 5, 8, 9, 12, 11\n",  # ccx counts nodes
         "1, 1, 2, 5, 4, 7, 8, 11, 10,\n** between\n2, 2, 3, 6, 5, 8, 9, 12, 11,\n",
     ],
 )

@@ -92,7 +92,6 @@ def test_a_file_cut_short_is_no_result(tmp_path: Path, cut: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("9.909436E+07", "NaN"),
         ("  0.9909436E+08", "            NaN"),
         ("         6 ", "         6  x"),
         ("        12 ", "        ** "),
@@ -100,8 +99,8 @@ def test_a_file_cut_short_is_no_result(tmp_path: Path, cut: str) -> None:
     ],
 )
 def test_garbled_files_are_no_result(tmp_path: Path, old: str, new: str) -> None:
-    text = TEXT.replace(old, new, 1) if old in TEXT else TEXT.replace("E+07", "NaN", 1)
-    assert text != TEXT
+    assert old in TEXT
+    text = TEXT.replace(old, new, 1)
     with pytest.raises(SolverCrashed, match=r"job\.dat"):
         read_modal(dat_of(tmp_path, text), ANALYSIS, 0.0)
 
@@ -210,7 +209,7 @@ def test_matrices_are_read_with_the_names_of_their_equations() -> None:
     assert result.stiffness.shape == result.mass.shape == (21, 21)
     for matrix in (result.stiffness.toarray(), result.mass.toarray()):
         np.testing.assert_array_equal(matrix, matrix.T)
-        assert np.linalg.eigvalsh(matrix).min() > 0.0
+    assert np.linalg.eigvalsh(result.stiffness.toarray()).min() > 0.0  # nothing is free to move
     # first lines of clamped.sti and clamped.mas
     assert result.stiffness[0, 0] == float((DATA / "clamped.sti").read_text().split()[2])
     assert result.mass[0, 0] == float((DATA / "clamped.mas").read_text().split()[2])

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.configs.garteur.aircraft import COARSE, FINE, GROUPS, MESHES, Mesh, aircraft, blocks
+from modetune.configs.garteur.aircraft import (
+    COARSE,
+    FINE,
+    GROUPS,
+    MESHES,
+    Floats,
+    Mesh,
+    aircraft,
+    blocks,
+)
 from modetune.configs.garteur.twin import write_twin
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"
@@ -54,8 +63,8 @@ def test_parts_share_all_nodes_of_their_joints(name: str) -> None:
     model = aircraft(MESHES[name])
     of = {group: set(model.elements[group].ravel().tolist()) for group in GROUPS}
 
-    def joint(first: str, second: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-        return model.nodes[np.array(sorted(of[first] & of[second])) - 1]
+    def joint(first: str, second: str) -> Floats:
+        return np.asarray(model.nodes[np.array(sorted(of[first] & of[second])) - 1])
 
     # The joint's nodes span the whole contact area, on both sides' grids alike.
     for first, second, low, high in (

@@ -51,9 +51,7 @@ def test_shape_part_has_the_length_one_less_mac() -> None:
 @pytest.mark.parametrize("factor", [-1.0, 3.7, -0.002])
 def test_scale_and_sign_of_the_measured_shapes_change_no_misfit(factor: float) -> None:
     model, base = sample(0), near(sample(0), 1)
-    scaled = mode_set(
-        base.frequencies_hz, factor * base.mode_shapes, base.nodes, base.components
-    )
+    scaled = mode_set(base.frequencies_hz, factor * base.mode_shapes, base.nodes, base.components)
     pairing = pair_by_order(base, model)
     one, other = (residual(test, model, pairing, BOTH) for test in (base, scaled))
     assert other.misfit == pytest.approx(one.misfit)

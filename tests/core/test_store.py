@@ -12,7 +12,7 @@ import pytest
 from scipy import sparse
 
 from modetune.core.errors import StorageUnavailable
-from modetune.core.keys import canonical_json, content_key
+from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.modes import mode_set
 from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
 from modetune.core.store import Entry, Store, check_writable, writing
@@ -53,7 +53,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_the_digest_of_a_literal_case_never_changes() -> None:
-    content = {"solver": "calculix", "version": "2.20", "values": [1, 0.5], "deck": "x"}
+    content: Json = {"solver": "calculix", "version": "2.20", "values": [1, 0.5], "deck": "x"}
     assert canonical_json(content) == (
         '{"deck":"x","solver":"calculix","values":[1,0.5],"version":"2.20"}'
     )
@@ -139,19 +139,29 @@ def test_a_file_that_only_looks_like_hdf5_is_set_aside(store: Store) -> None:
 def test_a_failed_write_leaves_what_stood_there(tmp_path: Path) -> None:
     target = tmp_path / "file"
     target.write_text("before")
-    with pytest.raises(ZeroDivisionError), writing(target) as part:
-        part.write_text("half")
-        raise ZeroDivisionError
+
+    def fail() -> None:
+        with writing(target) as part:
+            part.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
     assert target.read_text() == "before"
     assert list(tmp_path.iterdir()) == [target]
 
 
 def test_a_full_disk_is_told_and_harms_nothing(store: Store) -> None:
     put(store, modal())
-    with pytest.raises(StorageUnavailable, match="full"), writing(store.path(KEY)) as part:
-        part.write_text("half")
-        with Path("/dev/full").open("w") as full:  # every write to it meets a full disk
-            full.write("x")
+
+    def fill() -> None:
+        with writing(store.path(KEY)) as part:
+            part.write_text("half")
+            with Path("/dev/full").open("w") as full:  # every write to it meets a full disk
+                full.write("x")
+
+    with pytest.raises(StorageUnavailable, match="full"):
+        fill()
     assert store.get(KEY) is not None
 
 

@@ -128,9 +128,7 @@ class ScriptedSolver:
     def command(self, threads: int) -> Command:
         return Command((sys.executable, "-I", "-S", "-c", PROGRAM))
 
-    def read(
-        self, values: Values, analysis: Analysis, folder: Path, return_code: int
-    ) -> Result:
+    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         log = (folder / "solver.log").read_text()
         if "REJECTED" in log:
             raise SolverRejected(f"the scripted solver refused its input in {folder}")

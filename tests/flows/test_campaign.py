@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modetune.adapters.modes_csv import write_modes_csv
 from modetune.configs.garteur import aircraft
 from modetune.core.errors import CampaignError
 from modetune.core.modes import mode_set
-from modetune.adapters.modes_csv import write_modes_csv
 from modetune.flows.campaign import load_campaign
 
 GOOD = """\
@@ -144,7 +144,8 @@ def test_strain_energies_are_refused_for_what_they_cannot_do(folder: Path) -> No
 
 def test_settings_override_the_file_and_are_checked_like_it(folder: Path) -> None:
     campaign = load_campaign(
-        folder / "campaign.yaml", ["update.e2=0", "parameters=[{name: k, quantity: density, material: ALU}]"]
+        folder / "campaign.yaml",
+        ["update.e2=0", "parameters=[{name: k, quantity: density, material: ALU}]"],
     )
     assert campaign.update.e2 == 0.0
     assert campaign.parameters.names == ("k",)

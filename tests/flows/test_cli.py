@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -40,9 +41,7 @@ def command(folder: Path) -> Callable[..., list[str]]:
     return build
 
 
-def run(
-    folder: Path, *arguments: str, **environment: str
-) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "modetune.flows", *arguments],
         cwd=folder, capture_output=True, text=True, env={**os.environ, **environment},
@@ -63,9 +62,10 @@ def ccx_processes(marker: str) -> list[int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
-                if os.readlink(entry / "cwd").startswith(marker) and "ccx" in (
-                    entry / "comm"
-                ).read_text():
+                if (
+                    str((entry / "cwd").readlink()).startswith(marker)
+                    and "ccx" in (entry / "comm").read_text()
+                ):
                     found.append(int(entry.name))
             except OSError:
                 continue
@@ -79,6 +79,10 @@ def wait_for(condition: Callable[[], object], seconds: float = 30.0) -> bool:
             return True
         time.sleep(0.02)
     return False
+
+
+def enough_results(store: Path, count: int) -> bool:
+    return len(list(store.glob("??/*.h5"))) >= count
 
 
 def test_check_tells_what_was_read(folder: Path) -> None:
@@ -181,7 +185,8 @@ def test_a_killed_campaign_goes_on_and_ends_on_the_same_bits(folder: Path) -> No
             [sys.executable, "-m", "modetune.flows", *arguments], cwd=folder, env=environment,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
-        assert wait_for(lambda: len(list(store.glob("??/*.h5"))) >= finished, 120.0)
+        wanted = partial(enough_results, store, finished)
+        assert wait_for(wanted, 120.0)
         process.send_signal(signal.SIGKILL)
         process.wait()
         assert wait_for(lambda: not ccx_processes(str(store)), 10.0), "an orphan ccx lives on"

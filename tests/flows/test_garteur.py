@@ -64,7 +64,11 @@ DENSITY = (
 
 
 def test_three_methods_agree_on_frequencies(folder: Path) -> None:
-    settings = [DENSITY, "residuals.shape_weight=0", "sensitivity={difference: central, step: 0.02}"]
+    settings = [
+        DENSITY,
+        "residuals.shape_weight=0",
+        "sensitivity={difference: central, step: 0.02}",
+    ]
     campaign = load_campaign(folder / "twin.yaml", settings)
     exact, _ = derivatives(campaign, "semi_analytic", [0, 1, 2])
     energies, _ = derivatives(campaign, "strain_energy", [0, 1])
@@ -95,7 +99,9 @@ def test_shape_sensitivities_agree_with_central_differences(folder: Path) -> Non
         for column in range(3):
             expected = differences.mode_shapes[:, pair, column]
             # 1 % of the mode's largest derivative, or of the shape where the parameter leaves it.
-            shape = np.abs(evaluation.modal.elastic.mode_shapes[:, evaluation.pairing.computed[pair]])
+            shape = np.abs(
+                evaluation.modal.elastic.mode_shapes[:, evaluation.pairing.computed[pair]]
+            )
             scale = 0.01 * max(np.abs(expected).max(), 0.01 * shape.max())
             np.testing.assert_allclose(exact.mode_shapes[:, pair, column], expected, atol=scale)
 
@@ -176,7 +182,7 @@ def test_e2_saves_sensitivity_jobs_and_ends_at_the_same_moduli(folder: Path, wat
     by_differences = "sensitivity={method: finite_difference, step: 0.01}"
     settings = (by_differences, "update.e1.frequency=1.0e-5", "update.max_iterations=10")
     always = run(folder, watcher, "twin.yaml", *settings)
-    skipping = run(folder, watcher, "twin.yaml", *settings, "update.e2=0.05")
+    skipping = run(folder, watcher, "twin.yaml", *settings, "update.e2=0.12")
     assert always.status == skipping.status == "converged"
     assert sum(item.sensitivity_skipped for item in skipping.iterations) >= 1
     ran = [r.runs.sensitivity + r.runs.reused for r in (always, skipping)]
@@ -212,5 +218,3 @@ def test_pairing_of_the_twin_is_by_shape_and_says_so(exact_twin: CampaignRecord)
     assert all("MAC" in reason for reason in first.reasons)
     # Modes 4 and 5 stand in another order in the model than in the test.
     assert first.computed.tolist() != list(range(8))
-
-

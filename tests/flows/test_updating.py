@@ -201,9 +201,9 @@ def test_the_record_reads_with_h5py_alone(bench: Any, watcher: Any) -> None:
 
 def test_the_summary_has_what_machines_read(bench: Any, watcher: Any) -> None:
     record = run(bench, watcher, bench.campaign(TRUTH))
-    told = summary(record, Path("runs/chain"))
+    told: Any = summary(record, Path("runs/chain"))
     for key in ("status", "reason", "iterations", "solver_runs", "parameters", "modes",
                 "sensitivity_skipped", "wall_s", "run_dir"):  # fmt: skip
         assert key in told
-    errors = [parameter["standard_error"] for parameter in told["parameters"]]  # type: ignore
+    errors = [parameter["standard_error"] for parameter in told["parameters"]]
     assert all(0.0 < error < 1.0 for error in errors)

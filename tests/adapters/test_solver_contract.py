@@ -1,0 +1,285 @@
+"""What every solver behind the seam must do, on models with closed forms; run for real.
+
+Units are mm, t, s, MPa. A new solver adds a `Harness` with decks of the same models.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from modetune.adapters.calculix.solver import PROGRAM_VARIABLE, calculix_solver
+from modetune.adapters.process import run_process
+from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
+from modetune.core.errors import (
+    ModelError,
+    SolverCrashed,
+    SolverMissing,
+    SolverRejected,
+)
+from modetune.core.keys import canonical_json
+from modetune.core.parameters import Parameter, Quantity
+from modetune.core.results import MatrixResult, ModalResult, Result
+
+E, NU, RHO = 70_000.0, 0.3, 2.7e-9
+
+#: A bar along x, 20 elements of 25 mm in two groups of unequal length.
+LENGTH, WIDTH, HEIGHT, BAR_ELEMENTS, ROOT_ELEMENTS = 500.0, 20.0, 10.0, 20, 7
+#: A square plate, simply supported on all edges.
+SIDE, THICKNESS, PLATE_ELEMENTS = 200.0, 2.0, 24
+#: A chain to ground along x: SPRING1, mass, SPRINGA, mass, SPRINGA, mass ... all alike.
+CHAIN_MASSES, STIFFNESS, MASS = 12, 50.0, 2e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A model all solvers know, what is asked of it, and what is right."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    groups: Mapping[str, tuple[str, ...]]
+    n_modes: int
+    nodes: tuple[int, ...]
+    n_rigid: int
+    mass: float
+    frequencies_hz: tuple[float, ...]
+    tolerance: float
+    solid: bool = True
+
+
+def parameter(name: str, quantity: Quantity, *targets: str) -> Parameter:
+    return Parameter(name, quantity, targets, 0.5, 2.0, 0.1)
+
+
+def beam_frequency(root: float) -> float:
+    """Euler-Bernoulli beam bending over HEIGHT: root^2 / 2 pi sqrt(E I / rho A L^4)."""
+    radius = HEIGHT / 12.0**0.5
+    return root**2 / (2.0 * np.pi) * radius * (E / RHO) ** 0.5 / LENGTH**2
+
+
+def plate_frequency(m: int, n: int) -> float:
+    """Kirchhoff plate on simple supports: pi / 2 sqrt(D / rho h) (m^2 + n^2) / a^2."""
+    bending = E * THICKNESS**3 / 12.0 / (1.0 - NU**2)
+    return np.pi / 2.0 * (bending / RHO / THICKNESS) ** 0.5 * (m**2 + n**2) / SIDE**2
+
+
+def chain_frequency(mode: int) -> float:
+    """Fixed-free chain of equal links: sqrt(k / m) / pi sin((2 j - 1) pi / (4 n + 2))."""
+    angle = (2 * mode - 1) * np.pi / (4 * CHAIN_MASSES + 2)
+    return (STIFFNESS / MASS) ** 0.5 / np.pi * float(np.sin(angle))
+
+
+BAR_PARAMETERS = (
+    parameter("E_root", "youngs_modulus", "ROOT"),
+    parameter("E_tip", "youngs_modulus", "TIP"),
+    parameter("rho", "density", "ROOT", "TIP"),
+)
+BAR_GROUPS = {"E_root": ("ROOT",), "E_tip": ("TIP",)}
+BAR_MASS = LENGTH * WIDTH * HEIGHT * RHO
+CANTILEVER = Case(
+    "cantilever", BAR_PARAMETERS, BAR_GROUPS, 6, (1, 5, 81, 84), 0, BAR_MASS,
+    # Roots of cos x cosh x = -1; the clamp holds the cross-section too and makes it stiffer.
+    (beam_frequency(1.8751),), 0.01,
+)  # fmt: skip
+FREE_BAR = Case(
+    "free_bar", BAR_PARAMETERS, BAR_GROUPS, 10, (1, 41, 84), 6, BAR_MASS,
+    (beam_frequency(4.7300),), 0.01,  # first root of cos x cosh x = 1
+)  # fmt: skip
+PLATE = Case(
+    "plate",
+    (
+        parameter("E_plate", "youngs_modulus", "PLATE"),
+        parameter("t_plate", "thickness", "PLATE"),
+        parameter("rho", "density", "PLATE"),
+    ),
+    {"E_plate": ("PLATE",)}, 6, (15, 30, 85), 0, SIDE**2 * THICKNESS * RHO,
+    # 24 elements over at most 2 half waves, and S4 has the shear that Kirchhoff's plate has not.
+    (plate_frequency(1, 1), plate_frequency(1, 2), plate_frequency(2, 1)), 0.03, solid=False,
+)  # fmt: skip
+CHAIN = Case(
+    "chain",
+    (
+        parameter("k_ground", "spring_stiffness", "GROUND"),
+        parameter("k_links", "spring_stiffness", "LINKS"),
+        parameter("m", "mass", "MASSES"),
+    ),
+    {"k_ground": ("GROUND",), "k_links": ("LINKS",)}, 2, (1, 3, 6), 0, CHAIN_MASSES * MASS,
+    (chain_frequency(1), chain_frequency(2)), 1e-5, solid=False,
+)  # fmt: skip
+CASES = (CANTILEVER, FREE_BAR, PLATE, CHAIN)
+
+
+def calculix_deck(case: Case) -> str:
+    if case is PLATE:
+        return calculix_plate()
+    return calculix_chain() if case is CHAIN else calculix_bar(clamped=case is CANTILEVER)
+
+
+def calculix_material(name: str) -> list[str]:
+    return [f"*MATERIAL, NAME={name}", "*ELASTIC", f"{E}, {NU}", "*DENSITY", f"{RHO}"]
+
+
+def calculix_bar(*, clamped: bool) -> str:
+    lines = ["*NODE, NSET=NALL"]
+    corners = ((0.0, 0.0), (WIDTH, 0.0), (WIDTH, HEIGHT), (0.0, HEIGHT))
+    for station in range(BAR_ELEMENTS + 1):
+        x = station * LENGTH / BAR_ELEMENTS
+        lines += [f"{4 * station + i}, {x}, {y}, {z}" for i, (y, z) in enumerate(corners, 1)]
+    for element in range(BAR_ELEMENTS):
+        group = "ROOT" if element < ROOT_ELEMENTS else "TIP"
+        nodes = ", ".join(str(4 * element + i) for i in range(1, 9))
+        lines += [f"*ELEMENT, TYPE=C3D8I, ELSET={group}", f"{element + 1}, {nodes}"]
+    for group in ("ROOT", "TIP"):
+        lines += [*calculix_material(group), f"*SOLID SECTION, ELSET={group}, MATERIAL={group}"]
+    if clamped:
+        lines += ["*BOUNDARY", *(f"{node}, 1, 3" for node in range(1, 5))]
+    return "\n".join(lines) + "\n"
+
+
+def calculix_plate() -> str:
+    side = PLATE_ELEMENTS + 1
+    lines, edge = ["*NODE, NSET=NALL"], []
+    for i in range(side):
+        for j in range(side):
+            node = side * i + j + 1
+            x, y = (SIDE * k / PLATE_ELEMENTS for k in (i, j))
+            lines.append(f"{node}, {x}, {y}, 0.")
+            if i in (0, PLATE_ELEMENTS) or j in (0, PLATE_ELEMENTS):
+                edge.append(node)
+    lines.append("*ELEMENT, TYPE=S4, ELSET=PLATE")
+    for i in range(PLATE_ELEMENTS):
+        for j in range(PLATE_ELEMENTS):
+            first = side * i + j + 1
+            nodes = f"{first}, {first + side}, {first + side + 1}, {first + 1}"
+            lines.append(f"{PLATE_ELEMENTS * i + j + 1}, {nodes}")
+    lines += [*calculix_material("PLATE"), "*SHELL SECTION, ELSET=PLATE, MATERIAL=PLATE"]
+    lines += [f"{THICKNESS}", "*BOUNDARY", *(f"{node}, 3" for node in edge)]
+    return "\n".join([*lines, "1, 1, 2", f"{side}, 1"]) + "\n"
+
+
+def calculix_chain(link: str = "SPRING2", directions: str = "1, 1") -> str:
+    nodes = range(1, CHAIN_MASSES + 1)
+    lines = ["*NODE, NSET=NALL", *(f"{node}, {10.0 * node}, 0., 0." for node in nodes)]
+    lines += ["*ELEMENT, TYPE=SPRING1, ELSET=GROUND", "1, 1"]
+    lines += [f"*ELEMENT, TYPE={link}, ELSET=LINKS"]
+    lines += [f"{node + 1}, {node}, {node + 1}" for node in nodes[:-1]]
+    lines += ["*ELEMENT, TYPE=MASS, ELSET=MASSES", *(f"{100 + node}, {node}" for node in nodes)]
+    lines += ["*SPRING, ELSET=GROUND", "1", f"{STIFFNESS}"]
+    lines += ["*SPRING, ELSET=LINKS", directions, f"{STIFFNESS}", "*MASS, ELSET=MASSES", f"{MASS}"]
+    lines += ["*BOUNDARY", *(f"{node}, 2, 3" for node in nodes)]
+    return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Harness:
+    """A solver under test: how it is made, its decks, and whether it is installed."""
+
+    name: str
+    program: str
+    solver: Callable[[Path, tuple[Parameter, ...]], Solver]
+    deck: Callable[[Case], str]
+    comment: str
+
+
+HARNESSES = (Harness("calculix", "ccx", calculix_solver, calculix_deck, "** "),)
+
+
+@pytest.fixture(params=HARNESSES, ids=lambda harness: harness.name)
+def harness(request: pytest.FixtureRequest) -> Harness:
+    found: Harness = request.param
+    if shutil.which(found.program) is None and found.name != "calculix":
+        pytest.skip(f"{found.program} is not installed")  # CalculiX has to be
+    return found
+
+
+@pytest.fixture(params=CASES, ids=lambda case: case.name)
+def case(request: pytest.FixtureRequest) -> Case:
+    found: Case = request.param
+    return found
+
+
+def solver_of(harness: Harness, case: Case, folder: Path, text: str = "") -> Solver:
+    path = folder / "model.inp"
+    path.write_text(text or harness.deck(case))
+    return harness.solver(path, case.parameters)
+
+
+def modal(case: Case) -> ModalAnalysis:
+    return ModalAnalysis(case.n_modes, case.nodes, tuple(case.groups.items()))
+
+
+def run(solver: Solver, values: Mapping[str, float], analysis: Analysis, folder: Path) -> Result:
+    job = folder / f"job{sum(1 for _ in folder.iterdir())}"
+    job.mkdir()
+    solver.write(values, analysis, job)
+    finished = run_process(solver.command(1), job, 120.0, threading.Event())
+    return solver.read(values, analysis, job, finished.return_code)
+
+
+def run_modal(solver: Solver, case: Case, folder: Path, **values: float) -> ModalResult:
+    result = run(solver, values, modal(case), folder)
+    assert isinstance(result, ModalResult)
+    return result
+
+
+def run_matrices(solver: Solver, folder: Path, **values: float) -> MatrixResult:
+    result = run(solver, values, MatrixAnalysis(), folder)
+    assert isinstance(result, MatrixResult)
+    return result
+
+
+def test_a_solver_tells_its_version(harness: Harness, tmp_path: Path) -> None:
+    assert re.fullmatch(r"\d+(\.\w+)*", solver_of(harness, FREE_BAR, tmp_path).version())
+
+
+def test_frequencies_mass_and_rigid_modes_are_right(
+    harness: Harness, case: Case, tmp_path: Path
+) -> None:
+    result = run_modal(solver_of(harness, case, tmp_path), case, tmp_path)
+    assert result.n_rigid == case.n_rigid
+    assert result.elastic.frequencies_hz[: len(case.frequencies_hz)] == pytest.approx(
+        case.frequencies_hz, rel=case.tolerance
+    )
+    assert result.mass == pytest.approx(case.mass, rel=1e-6)  # printed with seven digits
+    assert sorted(set(result.modes.nodes.tolist())) == sorted(case.nodes)
+    print(result.elastic.frequencies_hz / result.elastic.frequencies_hz[0], case.frequencies_hz)
+
+
+def test_strain_energies_balance_and_groups_sum_to_the_total(
+    harness: Harness, case: Case, tmp_path: Path
+) -> None:
+    result = run_modal(solver_of(harness, case, tmp_path), case, tmp_path)
+    # phi^T K phi = lambda for mass-normalised modes; energies are printed with seven digits.
+    np.testing.assert_allclose(result.energy_balance, 1.0, rtol=1e-5)
+    elastic = slice(result.n_rigid, None)
+    np.testing.assert_allclose(
+        result.strain_energies[:, elastic].sum(axis=0),
+        result.total_strain_energy[elastic],
+        rtol=1e-5,
+    )
+
+
+def test_matrices_have_the_eigenvalues_of_the_modal_run(
+    harness: Harness, case: Case, tmp_path: Path
+) -> None:
+    solver = solver_of(harness, case, tmp_path)
+    if not solver.model.solid_shapes:
+        pytest.skip("dependent nodes are not in the matrices")
+    result = run_modal(solver, case, tmp_path)
+    matrices = run_matrices(solver, tmp_path)
+    # M is singular in the incompatible unknowns, K (free) in the rigid ones: K - s M is neither.
+    shift = -result.eigenvalues[-1]
+    stiffness, mass = matrices.stiffness.toarray(), matrices.mass.toarray()
+    inverse = linalg.eigvalsh(mass, stiffness - shift * mass)[::-1]
+    eigenvalues = 1.0 / inverse[: case.n_modes] + shift
+    np.testing.assert_allclose(
+        eigenvalues, result.eigenvalues, rtol=1e-6, atol=1e-8 * result.eigenvalues[-1]
+    )
