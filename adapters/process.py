@@ -123,7 +123,7 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finishe
     told = json.loads(report)
     if told["error"] == "missing":
         raise SolverMissing(f"{where}: there is no such program; install it or put it on PATH")
-    if (told["error"] or told["return_code"] != 0) and _disk_full(folder):
+    if (told["error"] or told["return_code"] != 0) and disk_full(folder):
         raise StorageUnavailable(
             f"{where} failed and the disk is full; free some space and run the same command "
             "again: finished jobs are not repeated"
@@ -137,6 +137,7 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finishe
     return Finished(told["return_code"], wall_s, told["cpu_s"], told["peak_memory_bytes"])
 
 
-def _disk_full(folder: Path) -> bool:
+def disk_full(folder: Path) -> bool:
+    """Whether the disk below a folder has no room left, the likely cause of what failed there."""
     status = os.statvfs(folder)
     return status.f_bavail * status.f_frsize < FULL_DISK

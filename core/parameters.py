@@ -16,11 +16,15 @@ import numpy as np
 from modetune.core.modes import Floats
 
 Quantity = Literal[
-    "youngs_modulus", "poissons_ratio", "density", "thickness", "spring_stiffness", "mass"
-]
+    "youngs_modulus", "poissons_ratio", "density", "thickness", "spring_stiffness", "mass",
+    "matrix_factor",
+]  # fmt: skip
 
-#: The stiffness matrix is proportional to these, and the mass matrix does not know them.
-STIFFNESS_LINEAR: frozenset[Quantity] = frozenset({"youngs_modulus", "spring_stiffness"})
+#: The stiffness of their elements is proportional to these, and the mass does not know them. Of a
+#: matrix factor that is so where it scales no mass matrix: the solver then names an energy set.
+STIFFNESS_LINEAR: frozenset[Quantity] = frozenset(
+    {"youngs_modulus", "spring_stiffness", "matrix_factor"}
+)
 #: Stiffness and mass matrices are linear in these.
 LINEAR: frozenset[Quantity] = STIFFNESS_LINEAR | {"density", "mass"}
 

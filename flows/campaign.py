@@ -6,6 +6,7 @@ All problems are collected and told at once, each with file and line, before any
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +14,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.modes_csv import read_modes_csv
 from modetune.adapters.solver import Solver
+from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.configs.garteur import aircraft
 from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignError, ModelError
@@ -27,11 +30,17 @@ from modetune.flows.schema import (
     ModelSection,
     RunSection,
     SensitivitySection,
+    SolverName,
     Units,
     UpdateSection,
 )
-from modetune.flows.yaml_file import YamlFile, override, read_yaml
+from modetune.flows.settings import override
 
+#: What binds each solver of a campaign to its model; raises ModelError.
+SOLVERS: dict[SolverName, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
+    "calculix": calculix_solver,
+    "matrices": matrices_solver,
+}
 #: Names the store's folder for all campaigns.
 STORE_VARIABLE = "MODETUNE_STORE"
 #: Nodes whose shapes are kept where the test has no sensors, to track modes by.
@@ -89,7 +98,7 @@ def cores() -> int:
 
 def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
     """Read a campaign file. Raises CampaignError with all problems; StoreError."""
-    source = read_yaml(path)
+    source = read_yaml(path, "a campaign")
     try:
         file = CampaignFile.model_validate(override(source, settings or []))
     except ValidationError as error:
@@ -193,7 +202,8 @@ def _read_model(
     key = "deck" if file.model.deck is not None else "generator"
     where = source.where(("model", key))
     try:
-        solver = calculix_solver(_deck(source, file.model, store), parameters.parameters)
+        factory = SOLVERS[file.model.solver]
+        solver = factory(_deck(source, file.model, store), parameters.parameters)
     except ModelError as error:
         problems.append(f"{error} (named in {where})")
         return None

@@ -104,23 +104,30 @@ def modes(
 
 @app.command()
 def demo(
-    case: Annotated[str, typer.Argument(help="Which case: garteur.")] = "garteur",
+    case: Annotated[str, typer.Argument(help="Which case: garteur or six-mass.")] = "garteur",
     as_json: AsJson = False,
 ) -> None:
     """Run a case of the reference thesis from beginning to end, in ./demo."""
     from modetune.core.errors import CampaignError
-    from modetune.flows.demo import CASES, compare_with_thesis
+    from modetune.flows.demo import CASES
 
     if case not in CASES:
         raise CampaignError(f"there is no demo {case!r}; there is {', '.join(CASES)}")
-    folder = Path("demo") / case
+    chosen, folder = CASES[case], Path("demo") / case
     folder.mkdir(parents=True, exist_ok=True)
-    for file in CASES[case].files:
+    for file in chosen.files:
         shutil.copyfile(file, folder / file.name)
-    run = _update(folder / CASES[case].campaign, [], folder / "runs", True, as_json, end=False)
-    if not as_json:
-        typer.echo(compare_with_thesis(run.record))
-    _end(run.record.status)
+    campaign = folder / chosen.campaign
+    run = _run_update(campaign, [], folder / "runs", chosen.with_prefect)
+    compared = chosen.compare(run, folder)
+    if as_json:
+        from modetune.flows.recording import summary
+
+        _tell({**summary(run.record, run.folder), **compared.told()}, True)
+    else:
+        _show(run)
+        compared.show()
+    _end(run.record.status if compared.holds else "not as the thesis")
 
 
 @server_app.command("status")
@@ -151,17 +158,22 @@ def version() -> None:
 
 
 def _update(
-    campaign_file: Path,
-    settings: list[str],
-    runs: Path,
-    with_prefect: bool,
-    as_json: bool,
-    end: bool = True,
-) -> Any:
+    campaign_file: Path, settings: list[str], runs: Path, with_prefect: bool, as_json: bool
+) -> None:
+    from modetune.flows.recording import summary
+
+    run = _run_update(campaign_file, settings, runs, with_prefect)
+    if as_json:
+        _tell(summary(run.record, run.folder), True)
+    else:
+        _show(run)
+    _end(run.record.status)
+
+
+def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefect: bool) -> Any:
     from rich.console import Console
 
-    from modetune.flows.display import ConsoleProgress, show_run
-    from modetune.flows.recording import summary
+    from modetune.flows.display import ConsoleProgress
     from modetune.flows.running import update_campaign
     from modetune.flows.server import use_server
 
@@ -175,17 +187,18 @@ def _update(
         server = None
     try:
         with _stoppable(), ConsoleProgress(Console(stderr=True)).shown() as progress:
-            run = update_campaign(campaign, runs / campaign.name, progress, server)
+            return update_campaign(campaign, runs / campaign.name, progress, server)
     finally:
         if server is not None:
             server.close()
-    if as_json:
-        _tell(summary(run.record, run.folder), True)
-    else:
-        show_run(Console(), run)
-    if end:
-        _end(run.record.status)
-    return run
+
+
+def _show(run: Any) -> None:
+    from rich.console import Console
+
+    from modetune.flows.display import show_run
+
+    show_run(Console(), run)
 
 
 @contextmanager

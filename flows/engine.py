@@ -16,9 +16,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from modetune.adapters.process import run_process
+from modetune.adapters.process import disk_full, run_process
 from modetune.adapters.solver import Analysis, Solver
-from modetune.core.errors import ModelError, SolverCrashed, SolverError, SolverTimeout
+from modetune.core.errors import (
+    ModelError,
+    SolverCrashed,
+    SolverError,
+    SolverTimeout,
+    StorageUnavailable,
+)
 from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.parameters import Values
 from modetune.core.results import ModeDerivatives, Result
@@ -130,6 +136,13 @@ class JobEngine:
             try:
                 yield part
             except (SolverError, ModelError) as error:
+                if disk_full(part):  # solvers end with good grace and half a file
+                    shutil.rmtree(part, ignore_errors=True)
+                    raise StorageUnavailable(
+                        f"the disk that holds {base} is full, so a solver run was cut short; "
+                        "nothing stored before was harmed; free some space and run the same "
+                        "command again: finished jobs are not repeated"
+                    ) from error
                 part.rename(failed)
                 raise type(error)(str(error).replace(str(part), str(failed))) from error
             except BaseException:

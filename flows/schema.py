@@ -18,7 +18,13 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
+SolverName = Literal["calculix", "matrices"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "finite_difference"]
+#: The key that names what a parameter's quantity belongs to.
+TARGETS: dict[Quantity, Literal["material", "elset", "part"]] = {
+    "youngs_modulus": "material", "poissons_ratio": "material", "density": "material",
+    "thickness": "elset", "spring_stiffness": "elset", "mass": "elset", "matrix_factor": "part",
+}  # fmt: skip
 
 
 class _Section(BaseModel):
@@ -37,13 +43,15 @@ class ModelSection(_Section):
 
     deck: str | None = None
     generator: GeneratorSection | None = None
-    solver: Literal["calculix"] = "calculix"
+    solver: SolverName = "calculix"
     units: Units
 
     @model_validator(mode="after")
     def _one_source(self) -> ModelSection:
         if (self.deck is None) == (self.generator is None):
             raise ValueError("give either `deck` or `generator`")
+        if self.generator is not None and self.solver != "calculix":
+            raise ValueError(f"the generator writes a deck for calculix, not for {self.solver}")
         return self
 
 
@@ -69,16 +77,19 @@ class ParameterSection(_Section):
     quantity: Quantity
     material: str | tuple[str, ...] | None = None
     elset: str | tuple[str, ...] | None = None
+    part: str | tuple[str, ...] | None = None
     bounds: tuple[Positive, Positive] = (0.5, 2.0)
     deviation: Positive = 0.2
     initial: Positive = 1.0
 
     @model_validator(mode="after")
     def _sound(self) -> ParameterSection:
-        by_material = self.quantity in ("youngs_modulus", "poissons_ratio", "density")
-        wanted, other = ("material", "elset") if by_material else ("elset", "material")
-        if getattr(self, wanted) is None or getattr(self, other) is not None:
-            raise ValueError(f"{self.quantity} needs `{wanted}` (and not `{other}`)")
+        wanted = TARGETS[self.quantity]
+        others = [key for key in ("material", "elset", "part") if key != wanted]
+        if getattr(self, wanted) is None or any(getattr(self, key) is not None for key in others):
+            raise ValueError(
+                f"{self.quantity} needs `{wanted}` (and not {' or '.join(f'`{o}`' for o in others)})"
+            )
         lower, upper = self.bounds
         if lower >= upper:
             raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
@@ -88,7 +99,7 @@ class ParameterSection(_Section):
 
     @property
     def targets(self) -> tuple[str, ...]:
-        chosen = self.material if self.material is not None else self.elset
+        chosen = getattr(self, TARGETS[self.quantity])
         return (chosen,) if isinstance(chosen, str) else tuple(chosen or ())
 
 

@@ -27,6 +27,9 @@ SECTIONS = (
 #: Cards that tie nodes to others: their unknowns are not in the stored matrices.
 DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING")
 
+#: Elements whose printed strain energy is zero (SPRINGA) or lacks the hourglass part.
+WITHOUT_ENERGY = re.compile(r"SPRINGA|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -98,8 +101,8 @@ class CalculixModel:
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """Element sets whose strain energy is proportional to the parameter.
 
-        None where sections overlap or a laminate uses the material among others: the energy of
-        the set is then not the parameter's own.
+        None where sections overlap or a laminate uses the material among others (the energy of
+        the set is then not the parameter's own), or where ccx prints no whole energy.
         """
         names = {canonical_name(target) for target in parameter.targets}
         if parameter.quantity == "youngs_modulus":
@@ -113,6 +116,9 @@ class CalculixModel:
             return ()
         members = self.mesh.element_sets
         sets = [name for name in sets if members.get(name)]
+        kinds = {self.mesh.elements[number].kind for name in sets for number in members[name]}
+        if any(WITHOUT_ENERGY.fullmatch(kind) for kind in kinds):
+            return ()
         inside = [members[name] for name in sets]
         others = [name for name in self.section_sets() if name not in sets]
         outside = [members.get(name, frozenset()) for name in others]

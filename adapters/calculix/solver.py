@@ -140,7 +140,7 @@ class CalculixSolver:
             if "memory" in said.lower():
                 raise SolverCrashed(f"CalculiX ran out of memory in {folder}:\n{said}")
             if "aupd" in said and isinstance(analysis, ModalAnalysis):  # ARPACK refused its sizes
-                said += f"\n  the model may have fewer unknowns than the {analysis.n_modes} modes"
+                said += f"\n  {analysis.n_modes} modes want some more unknowns than the model has"
             raise SolverRejected(f"CalculiX refused the deck {place} (job in {folder}):\n{said}")
         if return_code != 0 or "Job finished" not in log:
             raise SolverCrashed(
@@ -169,16 +169,14 @@ class CalculixSolver:
         for position, line in enumerate(lines):
             text = "".join(changed.get(position, line.text).upper().split())
             squeezed.setdefault(text, position)
+        quoted = ("".join(message.card_image.upper().split()) for message in messages)
+        found = [squeezed[text] for text in quoted if text and text in squeezed]
         elements = self.deck.mesh.elements
-        for message in messages:
-            found = squeezed.get("".join(message.card_image.upper().split()) or "*")
-            if found is None and message.element in elements:
-                found = elements[message.element].line
-            cards = self.deck.deck.named(message.keyword) if message.keyword else []
-            if found is None and len(cards) == 1:
-                found = cards[0].lines.start
-            if found is not None:
-                return f"at {lines[found].where}"
+        found += [elements[m.element].line for m in messages if m.element in elements]
+        cards = (self.deck.deck.named(message.keyword) for message in messages)
+        found += [named[0].lines.start for named in cards if len(named) == 1]
+        if found:
+            return f"at {lines[found[0]].where}"
         return str(self.deck.deck.file)
 
 

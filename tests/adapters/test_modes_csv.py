@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from modetune.adapters.modes_csv import read_modes_csv, write_modes_csv
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.modes import ModeSet, mode_set
+
+#: Files are written, at the speed of a busy machine.
+UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 TEXT = """\
 # wing, hung on bungees
@@ -97,6 +100,7 @@ def measurements(draw: st.DrawFn) -> tuple[tuple[int, ...], ModeSet]:
     return tuple(numbers), modes
 
 
+@UNTIMED
 @given(measurements())
 def test_what_is_written_is_read_again(measurement: tuple[tuple[int, ...], ModeSet]) -> None:
     numbers, modes = measurement

@@ -35,7 +35,7 @@ E, NU, RHO = 70_000.0, 0.3, 2.7e-9
 LENGTH, WIDTH, HEIGHT, BAR_ELEMENTS, ROOT_ELEMENTS = 500.0, 20.0, 10.0, 20, 7
 #: A square plate, simply supported on all edges.
 SIDE, THICKNESS, PLATE_ELEMENTS = 200.0, 2.0, 24
-#: A chain to ground along x: SPRING1, mass, SPRINGA, mass, SPRINGA, mass ... all alike.
+#: A chain to ground along x: spring, mass, spring, mass ... all alike.
 CHAIN_MASSES, STIFFNESS, MASS = 12, 50.0, 2e-3
 
 
@@ -62,19 +62,19 @@ def parameter(name: str, quantity: Quantity, *targets: str) -> Parameter:
 def beam_frequency(root: float) -> float:
     """Euler-Bernoulli beam bending over HEIGHT: root^2 / 2 pi sqrt(E I / rho A L^4)."""
     radius = HEIGHT / 12.0**0.5
-    return root**2 / (2.0 * np.pi) * radius * (E / RHO) ** 0.5 / LENGTH**2
+    return float(root**2 / (2.0 * np.pi) * radius * (E / RHO) ** 0.5 / LENGTH**2)
 
 
 def plate_frequency(m: int, n: int) -> float:
     """Kirchhoff plate on simple supports: pi / 2 sqrt(D / rho h) (m^2 + n^2) / a^2."""
     bending = E * THICKNESS**3 / 12.0 / (1.0 - NU**2)
-    return np.pi / 2.0 * (bending / RHO / THICKNESS) ** 0.5 * (m**2 + n**2) / SIDE**2
+    return float(np.pi / 2.0 * (bending / RHO / THICKNESS) ** 0.5 * (m**2 + n**2) / SIDE**2)
 
 
 def chain_frequency(mode: int) -> float:
     """Fixed-free chain of equal links: sqrt(k / m) / pi sin((2 j - 1) pi / (4 n + 2))."""
     angle = (2 * mode - 1) * np.pi / (4 * CHAIN_MASSES + 2)
-    return (STIFFNESS / MASS) ** 0.5 / np.pi * float(np.sin(angle))
+    return float((STIFFNESS / MASS) ** 0.5 / np.pi * np.sin(angle))
 
 
 BAR_PARAMETERS = (
@@ -250,7 +250,6 @@ def test_frequencies_mass_and_rigid_modes_are_right(
     )
     assert result.mass == pytest.approx(case.mass, rel=1e-6)  # printed with seven digits
     assert sorted(set(result.modes.nodes.tolist())) == sorted(case.nodes)
-    print(result.elastic.frequencies_hz / result.elastic.frequencies_hz[0], case.frequencies_hz)
 
 
 def test_strain_energies_balance_and_groups_sum_to_the_total(
@@ -283,3 +282,208 @@ def test_matrices_have_the_eigenvalues_of_the_modal_run(
     np.testing.assert_allclose(
         eigenvalues, result.eigenvalues, rtol=1e-6, atol=1e-8 * result.eigenvalues[-1]
     )
+
+
+@pytest.mark.parametrize(
+    ("case", "values", "factor"),
+    [  # eigenvalues go with E, k, 1/rho, 1/m and (thin plate bending) t^2
+        (CANTILEVER, {"E_root": 1.21, "E_tip": 1.21}, 1.1),
+        (CANTILEVER, {"rho": 1.21}, 1.0 / 1.1),
+        (FREE_BAR, {"E_root": 1.21, "E_tip": 1.21, "rho": 1.21}, 1.0),
+        (PLATE, {"E_plate": 1.21}, 1.1),
+        (CHAIN, {"k_ground": 1.21, "k_links": 1.21}, 1.1),
+        (CHAIN, {"m": 1.21}, 1.0 / 1.1),
+    ],
+)
+def test_edited_values_change_what_they_should(
+    harness: Harness, case: Case, values: dict[str, float], factor: float, tmp_path: Path
+) -> None:
+    solver = solver_of(harness, case, tmp_path)
+    before = run_modal(solver, case, tmp_path)
+    after = run_modal(solver, case, tmp_path, **values)
+    np.testing.assert_allclose(
+        after.elastic.frequencies_hz, factor * before.elastic.frequencies_hz, rtol=2e-6
+    )
+    heavier = values.get("rho", values.get("m", 1.0))
+    assert after.mass == pytest.approx(heavier * before.mass, rel=1e-6)
+
+
+def test_thickness_raises_mass_in_proportion_and_bending_about_so(
+    harness: Harness, tmp_path: Path
+) -> None:
+    solver = solver_of(harness, PLATE, tmp_path)
+    before = run_modal(solver, PLATE, tmp_path)
+    after = run_modal(solver, PLATE, tmp_path, t_plate=1.1)
+    assert after.mass == pytest.approx(1.1 * before.mass, rel=1e-6)
+    # D / rho h goes with t^2; shear and the mesh take a little of it.
+    ratios = after.elastic.frequencies_hz / before.elastic.frequencies_hz
+    assert ratios[0] == pytest.approx(1.1, rel=0.01)
+
+
+def test_one_group_stiffened_gains_frequency_by_its_share_of_energy(
+    harness: Harness, tmp_path: Path
+) -> None:
+    solver = solver_of(harness, CANTILEVER, tmp_path)
+    base = run_modal(solver, CANTILEVER, tmp_path)
+    step = 1e-3
+    low, high = (run_modal(solver, CANTILEVER, tmp_path, E_root=1.0 + s) for s in (-step, step))
+    slope = (high.eigenvalues - low.eigenvalues) / (2.0 * step)
+    # d lambda / d theta = 2 U_g; eigenvalues have seven digits, so slopes have about 2e-4
+    energies = 2.0 * base.elastic_energies("E_root")
+    np.testing.assert_allclose(slope, energies, rtol=1e-3, atol=2e-4 * base.eigenvalues.max())
+
+
+def test_updated_decks_run_to_the_same_modes(harness: Harness, case: Case, tmp_path: Path) -> None:
+    solver = solver_of(harness, case, tmp_path)
+    values = {case.parameters[0].name: 1.2345, case.parameters[-1].name: 0.87}
+    expected = run_modal(solver, case, tmp_path, **values)
+    updated = solver.write_updated(values, tmp_path / "updated")
+    assert updated.parent == tmp_path / "updated"
+    again = run_modal(harness.solver(updated, case.parameters), case, tmp_path)
+    np.testing.assert_array_equal(again.eigenvalues, expected.eigenvalues)
+    assert again.mass == pytest.approx(expected.mass, rel=1e-12)  # sums in another order
+
+
+def test_content_is_blind_to_paths_and_comments_and_sees_numbers(
+    harness: Harness, case: Case, tmp_path: Path
+) -> None:
+    text = harness.deck(case)
+    head, middle, tail = text.partition("\n")
+    texts = {
+        "plain": text,
+        "elsewhere/deep": f"{head}{middle}{harness.comment} something else\n{tail}",
+        "number": text.replace(".0", ".01", 1),
+    }
+    contents: dict[str, dict[str, str]] = {}
+    analyses: dict[str, Analysis] = {
+        "modal": modal(case),
+        "matrices": MatrixAnalysis(),
+        "more": ModalAnalysis(case.n_modes + 1, case.nodes, tuple(case.groups.items())),
+        "nodes": ModalAnalysis(case.n_modes, case.nodes[:1], tuple(case.groups.items())),
+        "groups": ModalAnalysis(case.n_modes, case.nodes),
+    }
+    for name, content in texts.items():
+        (tmp_path / name).mkdir(parents=True)
+        solver = solver_of(harness, case, tmp_path / name, content)
+        contents[name] = {key: canonical_json(solver.content({}, a)) for key, a in analyses.items()}
+        edited = solver.content({case.parameters[0].name: 1.01}, analyses["modal"])
+        assert canonical_json(edited) != contents[name]["modal"]
+        assert str(tmp_path) not in canonical_json(edited)
+    assert contents["plain"] == contents["elsewhere/deep"]
+    assert len(set(contents["plain"].values())) == len(analyses)
+    assert texts["number"] != text
+    for key in analyses:
+        assert contents["number"][key] != contents["plain"][key]
+
+
+def test_a_deck_split_into_includes_has_the_content_of_the_whole(tmp_path: Path) -> None:
+    solver = solver_of(HARNESSES[0], FREE_BAR, tmp_path)
+    whole = canonical_json(solver.content({}, modal(FREE_BAR)))
+    text = calculix_deck(FREE_BAR)
+    cut = text.index("*MATERIAL")
+    (tmp_path / "materials.inp").write_text(text[cut:])
+    split = solver_of(
+        HARNESSES[0], FREE_BAR, tmp_path, text[:cut] + "*INCLUDE, INPUT=materials.inp\n"
+    )
+    assert canonical_json(split.content({}, modal(FREE_BAR))) == whole
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [  # what is wrong, and the line that ccx's message leads to
+        ("MATERIAL=TIP", "MATERIAL=TOP", "*SOLID SECTION, ELSET=TIP, MATERIAL=TOP"),
+        (f"{E}, {NU}", f"{E}, 0.5", f"{E}, 0.5"),
+        (f"{E}, {NU}", f"7o000., {NU}", f"7o000., {NU}"),
+        ("5, 17, 18, 19, 20,", "5, 18, 17, 19, 20,", "5, 18, 17, 19, 20, 21, 22, 23, 24"),
+        ("1, 1, 3", "CLAMP, 1, 3", "CLAMP, 1, 3"),
+    ],
+)
+def test_a_deck_that_ccx_rejects_is_named_with_its_line(
+    tmp_path: Path, old: str, new: str, line: str
+) -> None:
+    deck = calculix_deck(CANTILEVER)
+    text = deck.replace(old, new, 1)
+    assert text != deck
+    solver = solver_of(HARNESSES[0], CANTILEVER, tmp_path, text)
+    where = f"{tmp_path / 'model.inp'}, line {text.splitlines().index(line) + 1} "
+    with pytest.raises(SolverRejected, match=re.escape(where)):
+        run_modal(solver, CANTILEVER, tmp_path)
+
+
+def test_a_rejected_line_that_a_parameter_changed_is_found(tmp_path: Path) -> None:
+    nu = parameter("nu", "poissons_ratio", "TIP")
+    path = tmp_path / "model.inp"
+    path.write_text(calculix_deck(CANTILEVER))
+    solver = calculix_solver(path, (nu,))
+    lines = path.read_text().splitlines()
+    number = len(lines) - lines[::-1].index(f"{E}, {NU}")  # the last, that of TIP
+    with pytest.raises(SolverRejected, match=re.escape(f"{path}, line {number} ")):
+        run(solver, {"nu": 2.0}, modal(CANTILEVER), tmp_path)
+
+
+def test_more_modes_than_the_model_has_are_refused_with_a_reason(tmp_path: Path) -> None:
+    solver = solver_of(HARNESSES[0], CHAIN, tmp_path)
+    with pytest.raises(SolverRejected, match="12 modes want some more unknowns"):
+        run(solver, {}, ModalAnalysis(12, (1,)), tmp_path)
+
+
+def test_a_node_that_is_not_there_is_refused_before_ccx_falls_over_it(tmp_path: Path) -> None:
+    # ccx 2.20 ends with a segmentation fault.
+    text = calculix_deck(FREE_BAR).replace("81, 82, 83, 84", "81, 82, 83, 999")
+    with pytest.raises(ModelError, match=r"line \d+: element 20 has node 999, which is not there"):
+        solver_of(HARNESSES[0], FREE_BAR, tmp_path, text)
+
+
+def test_a_run_without_its_closing_line_is_no_result(tmp_path: Path) -> None:
+    solver = solver_of(HARNESSES[0], FREE_BAR, tmp_path)
+    (tmp_path / "solver.log").write_text("STEP 1\n")
+    for code in (0, 1):
+        with pytest.raises(SolverCrashed, match=f"with code {code} and without its closing line"):
+            solver.read({}, modal(FREE_BAR), tmp_path, code)
+    (tmp_path / "solver.log").write_text(" *ERROR in u_calloc: error allocating memory\n")
+    with pytest.raises(SolverCrashed, match="ran out of memory"):
+        solver.read({}, modal(FREE_BAR), tmp_path, 201)
+
+
+def test_springs_between_two_nodes_move_right_but_print_no_energy(tmp_path: Path) -> None:
+    # Why SPRINGA sets have no energy sets.
+    solver = solver_of(HARNESSES[0], CHAIN, tmp_path, calculix_chain("SPRINGA", ""))
+    result = run_modal(solver, CHAIN, tmp_path)
+    assert result.modes.frequencies_hz == pytest.approx(CHAIN.frequencies_hz, rel=CHAIN.tolerance)
+    assert (result.strain_energies[1] == 0.0).all()
+    assert (result.energy_balance < 0.5).all()
+    assert solver.energy_sets(CHAIN.parameters[1]) == ()
+
+
+def test_a_preload_changes_the_modes_as_theory_says(tmp_path: Path) -> None:
+    # Galerkin for a cantilever under a tip pull P: lambda grows by about 1 + P L^2 / 2.47 E I
+    # (buckling at -2.47 E I / L^2); with a twentieth of it the first frequency by 2.5 %.
+    text = calculix_deck(CANTILEVER)
+    pull = 0.05 * 2.467 * E * WIDTH * HEIGHT**3 / 12.0 / LENGTH**2
+    loads = "".join(f"{node}, 1, {pull / 4.0}\n" for node in range(81, 85))
+    steps = (
+        f"*STEP, NLGEOM\n*STATIC\n*CLOAD\n{loads}*NODE PRINT, NSET=NALL\nU\n*END STEP\n"
+        "*STEP, PERTURBATION\n*FREQUENCY\n3\n*END STEP\n"
+    )
+    plain = run_modal(solver_of(HARNESSES[0], CANTILEVER, tmp_path), CANTILEVER, tmp_path)
+    solver = solver_of(HARNESSES[0], CANTILEVER, tmp_path, text + steps)
+    pulled = run_modal(solver, CANTILEVER, tmp_path)
+    ratio = pulled.modes.frequencies_hz[0] / plain.modes.frequencies_hz[0]
+    assert ratio == pytest.approx(1.05**0.5, rel=0.005)
+
+
+def test_a_missing_ccx_is_said_with_its_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(PROGRAM_VARIABLE, "no-such-ccx")
+    solver = solver_of(HARNESSES[0], FREE_BAR, tmp_path)
+    with pytest.raises(SolverMissing, match=f"`no-such-ccx` is not on this.*{PROGRAM_VARIABLE}"):
+        solver.version()
+
+
+def test_a_program_that_is_no_ccx_is_no_solver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(PROGRAM_VARIABLE, "true")
+    with pytest.raises(SolverMissing, match="`true -v` printed no CalculiX version"):
+        solver_of(HARNESSES[0], FREE_BAR, tmp_path).version()

@@ -226,6 +226,32 @@ def test_a_timeout_kills_the_solver_and_says_so(folder: Path) -> None:
 
 
 @pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 6 MB: room for the deck and the start of a matrix job."""
+    place = tmp_path / "small"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(place)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode != 0:
+        pytest.skip("a small file system can be mounted by root only")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@needs_ccx
+def test_a_full_disk_ends_with_five_and_harms_nothing(folder: Path, small_disk: Path) -> None:
+    store = small_disk / "store"
+    settings = ["--no-prefect", "--set", "run.parallel=1", "--set", COARSE]
+    good = run(folder, "update", "thesis.yaml", *settings, MODETUNE_STORE=str(store))
+    assert good.returncode == 0, good.stderr
+    kept = {path: path.read_bytes() for path in store.glob("??/*.h5")}
+    result = run(folder, "update", "twin.yaml", *settings, MODETUNE_STORE=str(store))
+    assert result.returncode == 5
+    assert "is full" in one_paragraph(result)
+    assert len(kept) == 2
+    assert all(path.read_bytes() == data for path, data in kept.items())
+
+
+@pytest.fixture
 def own_server(tmp_path: Path) -> Iterator[dict[str, str]]:
     """A home for the shared server, ended with the test."""
     home = tmp_path / "home"

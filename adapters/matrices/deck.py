@@ -1,0 +1,93 @@
+"""The model's file: a YAML mapping that is a spring-mass system, or names matrix files.
+
+A spring-mass system; each mass is one unknown, component x of node 1, 2, ... in their order:
+
+    masses:  {m1: 2.0, m2: 2.5}
+    springs:
+      k1: {between: [ground, m1], stiffness: 1100.0}
+      k2: {between: [m1, m2], stiffness: 1000.0}
+
+Matrices (`matrix_files.py` has the forms); unknown i is component x of node i unless `dofs` names
+a text file with a `node.component` a line:
+
+    stiffness: K.mtx
+    mass: M.mtx
+    dofs: dofs.txt
+    parts:
+      wing: {stiffness: K_wing.mtx, mass: M_wing.npz}
+      joint: {stiffness: "parts.h5:joint/K"}
+
+An updated model is the same text with other numbers, or the same files with other matrices in
+them: parts are then scaled too, so that 1 is again the value in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from modetune.adapters.matrices.index import read_index, write_index
+from modetune.adapters.matrices.model import Factors, MatrixModel
+from modetune.adapters.matrices.spring_mass import read_spring_mass
+from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
+from modetune.core.errors import CampaignError, ModelError
+from modetune.core.store import storage_errors, writing
+
+SYSTEM_KEYS = {"masses", "springs"}
+MATRIX_KEYS = {"stiffness", "mass", "dofs", "parts"}
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixDeck:
+    """A model's file and what it says.
+
+    values: where each part's number stands in a spring-mass system; empty for matrix files.
+    """
+
+    file: YamlFile
+    model: MatrixModel
+    values: Mapping[str, Place]
+
+
+def read_deck(path: Path) -> MatrixDeck:
+    """Read a model file and its matrices. Raises ModelError with every problem, each with line."""
+    try:
+        file = read_yaml(path, "a model of matrices")
+    except CampaignError as error:
+        raise ModelError(str(error)) from error
+    system = "masses" in file.data or "springs" in file.data
+    known = SYSTEM_KEYS if system else MATRIX_KEYS
+    needed = ("masses", "springs") if system else ("stiffness", "mass")
+    problems = [
+        f"{file.where((key,))}: unknown key `{key}`; there are {', '.join(sorted(known))}"
+        for key in map(str, file.data)
+        if key not in known
+    ]
+    problems += [f"{path}: the key `{key}` is missing" for key in needed if key not in file.data]
+    if problems:
+        raise ModelError("\n".join(problems))
+    if system:
+        return MatrixDeck(file, *read_spring_mass(file))
+    return MatrixDeck(file, read_index(file), {})
+
+
+def write_updated(deck: MatrixDeck, factors: Factors, folder: Path) -> Path:
+    """Write the model with scaled parts into a folder; returns the main file there.
+
+    Raises StorageUnavailable.
+    """
+    file, path = deck.file, folder / deck.file.path.name
+    if deck.values:
+        words = {
+            deck.values[name]: repr(deck.model.parts[name].value * factor)
+            for name, factor in factors.items()
+            if factor != 1.0
+        }
+        text = file.replaced(words)
+    else:
+        with storage_errors(path):
+            text = write_index(file, deck.model, factors, folder)
+    with writing(path) as part:
+        part.write_bytes(text.encode("utf-8"))
+    return path

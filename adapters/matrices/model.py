@@ -1,0 +1,126 @@
+"""A model that is matrices: K and M, named unknowns, and the parts that parameters scale.
+
+With theta_j the relative value of part j, whose own stiffness and mass are K_j and M_j,
+
+    K(theta) = K + sum_j (theta_j - 1) K_j,     M(theta) = M + sum_j (theta_j - 1) M_j
+
+(thesis (2.5), (2.6)), linear in every parameter. In a spring-mass system each spring is a part
+with a K_j and each mass one with an M_j.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from modetune.core.errors import ModelError
+from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import Parameter, Quantity
+
+#: Values of parts relative to the model's own; a part that is not named stays as it is.
+Factors = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one parameter may scale: its share of stiffness and mass, (n, n) each, or none.
+
+    quantity: how parameters call it; value: in the model's units, 1 for matrices.
+    """
+
+    quantity: Quantity
+    value: float
+    stiffness: sparse.csr_array | None
+    mass: sparse.csr_array | None
+
+
+@dataclass(frozen=True)
+class MatrixModel:
+    """Stiffness and mass (n, n), what each unknown is called (n,), and the parts by name."""
+
+    name: str
+    stiffness: sparse.csr_array
+    mass: sparse.csr_array
+    nodes: Integers
+    components: Integers
+    parts: Mapping[str, Part]
+
+    def part(self, name: str) -> Part:
+        """A part by its name. Raises ModelError with the nearest names."""
+        if name not in self.parts:
+            near = get_close_matches(name, self.parts, n=3)
+            hint = f"; did you mean {' or '.join(near)}?" if near else ""
+            raise ModelError(f"the model has no part {name}{hint}")
+        return self.parts[name]
+
+    def targets(self, parameter: Parameter) -> list[Part]:
+        """The parts of a parameter. Raises ModelError with the first reason why it has none."""
+        found = []
+        for name in parameter.targets:
+            part = self.part(name)
+            if part.quantity != parameter.quantity:
+                raise ModelError(
+                    f"part {name} has a {part.quantity}, which {parameter.quantity} cannot scale"
+                )
+            found.append(part)
+        return found
+
+    def assembled(self, factors: Factors) -> tuple[sparse.csr_array, sparse.csr_array]:
+        """K and M with these parts scaled."""
+        stiffness, mass = self.stiffness, self.mass
+        for name, factor in sorted(factors.items()):
+            part = self.parts[name]
+            if part.stiffness is not None:
+                stiffness = stiffness + (factor - 1.0) * part.stiffness
+            if part.mass is not None:
+                mass = mass + (factor - 1.0) * part.mass
+        return sparse.csr_array(stiffness), sparse.csr_array(mass)
+
+    def group_stiffness(self, names: tuple[str, ...], factors: Factors) -> sparse.csr_array:
+        """The scaled stiffness of several parts together."""
+        total = sparse.csr_array(self.stiffness.shape)
+        for name in names:
+            stiffness = self.part(name).stiffness
+            if stiffness is not None:
+                total = sparse.csr_array(total + factors.get(name, 1.0) * stiffness)
+        return total
+
+    def total_mass(self, mass: sparse.csr_array) -> float:
+        """r^T M r for unit motion r along the first translation that unknowns have, else NaN."""
+        translations = self.components[self.components <= 3]
+        if translations.size == 0:
+            return float("nan")
+        motion = (self.components == translations.min()).astype(np.float64)
+        return float(motion @ (mass @ motion))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of everything in the model that can change numbers."""
+        digest = hashlib.sha256()
+        for name, numbers in (("nodes", self.nodes), ("components", self.components)):
+            _feed(digest, name, numbers.astype("<i8"))
+        _feed_matrix(digest, "stiffness", self.stiffness)
+        _feed_matrix(digest, "mass", self.mass)
+        for name in sorted(self.parts):
+            part = self.parts[name]
+            for kind, matrix in (("stiffness", part.stiffness), ("mass", part.mass)):
+                if matrix is not None:
+                    _feed_matrix(digest, f"{name}/{kind}", matrix)
+        return digest.hexdigest()
+
+
+def _feed_matrix(digest: hashlib._Hash, name: str, matrix: sparse.csr_array) -> None:
+    _feed(digest, f"{name}/indptr", matrix.indptr.astype("<i8"))
+    _feed(digest, f"{name}/indices", matrix.indices.astype("<i8"))
+    _feed(digest, f"{name}/data", matrix.data.astype("<f8"))
+
+
+def _feed(digest: hashlib._Hash, name: str, numbers: Floats | Integers) -> None:
+    digest.update(f"{name}:{numbers.size};".encode())
+    digest.update(numbers.tobytes())

@@ -1,0 +1,1 @@
+"""The six-mass system of the reference thesis, chapter 3."""

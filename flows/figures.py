@@ -1,0 +1,163 @@
+"""Figures of a model beside its test, one function a figure; each returns it, `save` writes it.
+
+Figures are made without pyplot, so nothing global is touched and any thread may draw. Colours are
+those of Okabe and Ito (2008), told apart by everyone; test, before and after have the same colour
+and line in all figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from modetune.core.frf import Complexes
+from modetune.core.modes import Floats
+from modetune.core.store import writing
+
+DPI = 150
+#: Colour, line and width of each kind of curve.
+STYLES: dict[str, tuple[str, str, float]] = {
+    "test": ("#000000", "-", 2.2),
+    "before": ("#56B4E9", "-", 1.3),
+    "after": ("#D55E00", "--", 1.5),
+}
+PARAMETER_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+#: Side of a MAC bar, of the unit square it stands on.
+BAR = 0.66
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseCurve:
+    """A response function: whose it is, its label, and its values (n_lines,)."""
+
+    kind: Literal["test", "before", "after"]
+    label: str
+    values: Complexes
+
+
+def mac_figure(title: str, tables: Sequence[tuple[str, Floats]]) -> Figure:
+    """MAC matrices as 3D bars, side by side, each under its heading.
+
+    tables: heading and MAC (n_computed, n_measured) in [0, 1].
+    """
+    figure = _figure(4.9 * len(tables) + 0.5, 4.7)
+    for place, (heading, mac) in enumerate(tables, start=1):
+        axes: Any = figure.add_subplot(1, len(tables), place, projection="3d")
+        computed, measured = (index.ravel() + 1.0 for index in np.indices(mac.shape))
+        heights = mac.ravel()
+        axes.bar3d(
+            measured - BAR / 2, computed - BAR / 2, np.zeros_like(heights), BAR, BAR,
+            np.maximum(heights, 1e-3), color=colormaps["viridis"](Normalize(0.0, 1.0)(heights)),
+            edgecolor="#00000040", linewidth=0.4,
+        )  # fmt: skip
+        axes.set_zlim(0.0, 1.0)
+        axes.set_xticks(range(1, mac.shape[1] + 1))
+        axes.set_yticks(range(1, mac.shape[0] + 1))
+        axes.set_zticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+        axes.set_xlabel("test mode")
+        axes.set_ylabel("computed mode")
+        axes.set_zlabel("MAC")
+        axes.view_init(elev=32.0, azim=-58.0)
+        axes.set_box_aspect(None, zoom=0.88)
+        axes.set_title(heading, fontsize=10)
+    figure.suptitle(title)
+    return figure
+
+
+def frequency_figure(
+    title: str, numbers: Sequence[int], test_hz: Floats, before_hz: Floats, after_hz: Floats
+) -> Figure:
+    """Computed over measured frequencies, before and after, with the 45-degree line.
+
+    numbers: of the modes, (n_modes,), like the frequencies.
+    """
+    figure = _figure(5.4, 5.2)
+    axes = figure.add_subplot()
+    largest = 1.06 * float(max(test_hz.max(), before_hz.max(), after_hz.max()))
+    axes.plot([0.0, largest], [0.0, largest], color="#808080", linewidth=1.0, label="equal")
+    axes.plot(test_hz, before_hz, "o", color=STYLES["before"][0], label="before", markersize=8)
+    axes.plot(test_hz, after_hz, "x", color=STYLES["after"][0], label="after", markersize=8,
+              markeredgewidth=2.0)  # fmt: skip
+    for number, x, y in zip(numbers, test_hz, np.minimum(before_hz, after_hz), strict=True):
+        axes.annotate(str(number), (float(x), float(y)), (0.0, -14.0), textcoords="offset points",
+                      ha="center", va="center", fontsize=8)  # fmt: skip
+    axes.set_xlim(0.0, largest)
+    axes.set_ylim(0.0, largest)
+    axes.set_aspect("equal")
+    axes.set_xlabel("test, Hz")
+    axes.set_ylabel("computed, Hz")
+    axes.set_title(title)
+    axes.grid(alpha=0.3)
+    axes.legend()
+    return figure
+
+
+def parameter_figure(
+    title: str,
+    names: Sequence[str],
+    iterations: Sequence[int],
+    values: Floats,
+    targets: Floats | None = None,
+) -> Figure:
+    """Parameters over iterations, relative to the deck.
+
+    values: (n_iterations, n_parameters); targets: (n_parameters,), true values where they are
+    known, as dotted lines.
+    """
+    figure = _figure(6.4, 4.2)
+    axes = figure.add_subplot()
+    for place, name in enumerate(names):
+        colour = PARAMETER_COLOURS[place % len(PARAMETER_COLOURS)]
+        axes.plot(iterations, values[:, place], "o-", color=colour, label=name, markersize=4)
+        if targets is not None:
+            axes.axhline(float(targets[place]), color=colour, linestyle=":", linewidth=1.2)
+    axes.set_xticks(list(iterations))
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("value relative to the deck")
+    axes.set_title(title)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return figure
+
+
+def response_figure(
+    title: str, unit: str, excitation_hz: Floats, curves: Sequence[ResponseCurve]
+) -> Figure:
+    """Magnitudes of response functions over frequency, semi-logarithmic, one over the other.
+
+    excitation_hz: (n_lines,); unit: of the response, for the axis.
+    """
+    figure = _figure(7.2, 4.2)
+    axes = figure.add_subplot()
+    for curve in curves:
+        colour, line, width = STYLES[curve.kind]
+        axes.semilogy(excitation_hz, np.abs(curve.values), line, color=colour, linewidth=width,
+                      label=curve.label)  # fmt: skip
+    axes.set_xlim(float(excitation_hz[0]), float(excitation_hz[-1]))
+    axes.set_xlabel("Hz")
+    axes.set_ylabel(unit)
+    axes.set_title(title)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend()
+    return figure
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG. Raises StorageUnavailable."""
+    with writing(path) as part:
+        figure.savefig(part, format="png", dpi=DPI)
+    return path
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
