@@ -2,7 +2,9 @@
 
 Each case is run on solid-like models (a box of three unknowns a point, each point coupled to its 26
 neighbours) from 10^3 to 10^5 unknowns; the exponent p of time ~ n^p is fitted over the sizes,
-and the largest memory the process has held is given. Sparse direct solution of boxes goes with
+and the largest memory the process has held is given. Nelson's derivatives are those of 20 modes for
+50 parameters, each the stiffness of a slab; pairing is of 200 noisy shapes with 200, in another
+order. Sparse direct solution of boxes goes with
 p = 2 at best in the limit (George 1973); below 10^5 the products with 300 masters weigh more.
 
     python benchmarks/core_scaling.py [--sizes 1000 10000 100000] [--masters 300]
@@ -25,21 +27,29 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from modetune.core.factorisation import factorise
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
+from modetune.core.pairing import pair_by_shape
 from modetune.core.reduction import guyan, irs, serep
+from modetune.core.sensitivity import nelson
 
 N_MODES = 20
+N_PARAMETERS = 50
+N_PAIRED = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """stiffness, mass (n, n); masters (n_masters,); frequencies_hz, mode_shapes of 20 modes."""
+    """stiffness, mass (n, n); masters (n_masters,); frequencies_hz, mode_shapes of 20 modes;
+    changes: dK, dM of 50 parameters; measured, computed: 200 modes each at all n unknowns."""
 
     stiffness: sparse.csr_array
     mass: sparse.csr_array
     masters: Integers
     frequencies_hz: Floats
     mode_shapes: Floats
+    changes: list[tuple[sparse.csr_array, sparse.csr_array]]
+    measured: ModeSet
+    computed: ModeSet
 
 
 def box(n_unknowns: int, n_masters: int) -> Box:
@@ -66,7 +76,32 @@ def box(n_unknowns: int, n_masters: int) -> Box:
     eigenvalues, shapes = linalg.eigsh(
         stiffness, k=N_MODES, M=mass, sigma=0.0, OPinv=inverse, v0=start
     )
-    return Box(stiffness, mass, masters, np.sqrt(eigenvalues) / (2.0 * np.pi), shapes)
+    frequencies_hz = np.sqrt(eigenvalues) / (2.0 * np.pi)
+    return Box(stiffness, mass, masters, frequencies_hz, shapes, slabs(stiffness), *mode_pair(n))
+
+
+def slabs(stiffness: sparse.csr_array) -> list[tuple[sparse.csr_array, sparse.csr_array]]:
+    """The stiffness of 50 slabs by themselves, and no mass."""
+    n = stiffness.shape[0]
+    nothing, slab = sparse.csr_array((n, n)), np.arange(n) * N_PARAMETERS // n
+    found = []
+    for number in range(N_PARAMETERS):
+        inside = sparse.diags_array((slab == number).astype(np.float64))
+        found.append((sparse.csr_array(inside @ stiffness @ inside), nothing))
+    return found
+
+
+def mode_pair(n: int) -> tuple[ModeSet, ModeSet]:
+    """200 shapes of n unknowns, and the same with noise in another order."""
+    rng = np.random.default_rng(2)
+    shapes, order = rng.standard_normal((n, N_PAIRED)), rng.permutation(N_PAIRED)
+    noisy = shapes + 0.1 * rng.standard_normal(shapes.shape)
+    hz = np.arange(1.0, N_PAIRED + 1.0)
+    nodes, components = np.arange(n) // 3 + 1, np.arange(n) % 3 + 1
+    return (
+        mode_set(hz, noisy, nodes, components),
+        mode_set(hz[order], shapes[:, order], nodes, components),
+    )
 
 
 def run_guyan(model: Box) -> None:
@@ -81,10 +116,24 @@ def run_serep(model: Box) -> None:
     serep(model.stiffness, model.mass, model.masters, model.mode_shapes)
 
 
+def run_nelson(model: Box) -> None:
+    eigenvalues = (2.0 * np.pi * model.frequencies_hz) ** 2
+    nelson(
+        model.stiffness, model.mass, eigenvalues, model.mode_shapes, model.changes,
+        list(range(N_MODES)), model.masters,
+    )  # fmt: skip
+
+
+def run_pairing(model: Box) -> None:
+    pair_by_shape(model.measured, model.computed)
+
+
 CASES: tuple[Callable[[Box], None], ...] = (
     run_guyan,
     run_irs,
     run_serep,
+    run_nelson,
+    run_pairing,
 )
 
 

@@ -19,7 +19,7 @@ from modetune.core.pairing import Pairing
 class Tolerances:
     """e1: largest relative frequency error and least MAC of a model that agrees with its test.
 
-    mac is 0 where shapes do not count.
+    The MAC counts wherever shapes were measured, also if the residual leaves them out.
     """
 
     frequency: float

@@ -113,14 +113,16 @@ def parameter_step(
 
 def _solve(problem: StepProblem, form: StepForm, factor: float) -> Floats:
     root_t = np.sqrt(problem.parameter_weights)
+    used = problem.weights > 0.0
+    plain, plain_target = problem.sensitivity[used], problem.residual[used]
     if form == "pseudo_inverse":
-        return _in_box(problem, problem.sensitivity, problem.residual, np.ones_like(root_t))
+        return _in_box(problem, plain, plain_target, np.ones_like(root_t))
     root_w = np.sqrt(problem.weights)
     rows, target = root_w[:, None] * problem.sensitivity, root_w * problem.residual
     if form == "weighted_least_squares":
         return _in_box(problem, rows, target, np.ones_like(root_t))
     if form == "minimum_norm":
-        return _in_box(problem, problem.sensitivity, problem.residual, root_t)
+        return _in_box(problem, plain, plain_target, root_t)
     pull = -problem.offset if form == "pulled_to_initial" else np.zeros_like(root_t)
     penalty = np.sqrt(factor) * root_t
     stacked = np.vstack([rows, np.diag(penalty)])
@@ -192,20 +194,26 @@ def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
 
 
 def parameter_covariance(
-    sensitivity: Floats, variances: Floats, prior_weights: Floats | None = None
+    sensitivity: Floats, variances: Floats, weights: Floats, prior_weights: Floats | None = None
 ) -> Floats:
     """Covariance of the parameters that measurement variances leave, (n, n), linear.
 
-    variances: (n_residuals,), of the residuals; prior_weights: (n_parameters,), where the step
-    was held by them (regularised forms). A parameter that nothing determines has an infinite
-    variance. Source: inverse of S^T W S (+ W_t), thesis (41), (49).
+    variances: (n_residuals,), of the residuals; weights: (n_residuals,), by which the step
+    weighed them; prior_weights: (n_parameters,), reciprocal variances beforehand, where the step
+    was held by them. A parameter that nothing determines has an infinite variance. With
+    A = S^T W S + P it is A^-1 (S^T W V W S + P) A^-1, which is the familiar (S^T V^-1 S)^-1 where
+    the weights are the reciprocal variances. Source: error propagation through thesis (41), (52).
     """
-    information = sensitivity.T @ (sensitivity / variances[:, None])
+    weighted = weights[:, None] * sensitivity
+    information = sensitivity.T @ weighted
+    noise = weighted.T @ (variances[:, None] * weighted)
     if prior_weights is not None:
         information = information + np.diag(prior_weights)
+        noise = noise + np.diag(prior_weights)
     values, vectors = np.linalg.eigh(information)
     null = values <= RANK_TOLERANCE * max(float(values[-1]), 0.0)
-    covariance = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T
+    inverse = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T
+    covariance = inverse @ noise @ inverse
     loose = np.any(np.abs(vectors[:, null]) > 1e-6, axis=1)
     covariance[loose, loose] = np.inf
     return np.asarray(covariance)

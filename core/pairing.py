@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from modetune.core.correlation import mac, subspace_mac
+from modetune.core.correlation import Shapes, mac, subspace_mac
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
 
@@ -46,6 +46,11 @@ class Pairing:
     subspace_mac: Floats
     reasons: tuple[str, ...]
 
+    @property
+    def judged_mac(self) -> Floats:
+        """The larger of both: close modes turn within their space, which is no error of theirs."""
+        return np.fmax(self.mac, self.subspace_mac)
+
 
 class LostMode(ModesError):
     """A measured mode has no counterpart among the computed ones: compute more of them."""
@@ -62,7 +67,7 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
     if rows_m.size == 0:
         raise ModesError("no sensor of the test is a node of the model's results")
     shapes_m, shapes_c = measured.mode_shapes[rows_m], computed.mode_shapes[rows_c]
-    table = mac(shapes_m, shapes_c)
+    table = _mac_or_zero(shapes_m, shapes_c)
     apart = np.abs(computed.frequencies_hz[None, :] / measured.frequencies_hz[:, None] - 1.0)
     cost = -(table - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
     rows, columns = linear_sum_assignment(cost)
@@ -70,10 +75,10 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         value = float(table[row, column])
         cluster = close_modes(computed.frequencies_hz, column)
-        space = subspace_mac(shapes_m[:, row], shapes_c[:, cluster])
+        space = _space_or_zero(shapes_m[:, row], shapes_c[:, cluster])
         if max(value, space) < lost_mac:
             raise LostMode(
-                f"measured mode {row + 1} at {measured.frequencies_hz[row]:.4g} Hz is not among "
+                f"the measured mode at {measured.frequencies_hz[row]:.4g} Hz is not among "
                 f"the {computed.n_modes} computed modes: the best MAC left for it is {value:.2f}, "
                 f"at least {lost_mac:.2f} is needed; check sensor nodes and directions, or "
                 "compute more modes"
@@ -110,17 +115,18 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     """
     if computed.n_modes < before.computed.size:
         raise LostMode(f"only {computed.n_modes} elastic modes for {before.computed.size} pairs")
-    table = mac(previous.mode_shapes[:, before.computed], computed.mode_shapes)
+    table = _mac_or_zero(previous.mode_shapes[:, before.computed], computed.mode_shapes)
     rows, columns = linear_sum_assignment(-table)
     reasons = []
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         cluster = close_modes(computed.frequencies_hz, column)
         shape = previous.mode_shapes[:, before.computed[row]]
-        space = subspace_mac(shape, computed.mode_shapes[:, cluster])
+        space = _space_or_zero(shape, computed.mode_shapes[:, cluster])
         if max(table[row, column], space) < LOST_MAC:
             raise LostMode(
-                f"the computed mode paired with measured mode {before.measured[row] + 1} does not "
-                f"continue: the best MAC with its shape before is {table[row, column]:.2f}"
+                f"the elastic mode at {previous.frequencies_hz[before.computed[row]]:.4g} Hz, one "
+                f"of the pairs, does not continue: the best MAC with its shape before is "
+                f"{table[row, column]:.2f}"
             )
         moved = "" if column == before.computed[row] else (
             f", now elastic mode {column + 1} (was {before.computed[row] + 1})"
@@ -128,6 +134,19 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
         reasons.append(f"continues its shape, MAC {table[row, column]:.3f}{moved}")
     unknown = np.full(rows.size, np.nan)
     return Pairing(before.measured, columns.astype(np.int64), unknown, unknown, tuple(reasons))
+
+
+def _mac_or_zero(first: Shapes, second: Shapes) -> Floats:
+    """MAC where a computed mode may rest at all sensors: it resembles nothing measured."""
+    moving = np.any(second != 0.0, axis=0)
+    table = np.zeros((first.shape[1], second.shape[1]))
+    table[:, moving] = mac(first, second[:, moving])
+    return table
+
+
+def _space_or_zero(shape: Shapes, basis: Shapes) -> float:
+    moving = basis[:, np.any(basis != 0.0, axis=0)]
+    return subspace_mac(shape, moving) if moving.shape[1] else 0.0
 
 
 def close_modes(frequencies_hz: Floats, mode: int, width: float = CLUSTER) -> Integers:

@@ -1,7 +1,8 @@
 """The campaign's record, campaign.h5: every iteration, readable with h5py alone.
 
     /                     attributes: format, name, status, reason, solver, solver_version,
-                          modetune_version, campaign (the file's text), wall_s,
+                          modetune_version, campaign (the file's text), settings (what --set
+                          put over it, a line each), wall_s,
                           runs_modal, runs_sensitivity, runs_reused
     /parameters/          names, quantities, deck_values, initial, lower, upper, updated,
                           standard_errors                                    (n_parameters,)
@@ -17,10 +18,11 @@
                           sensitivity_methods, sensitivity_age (iterations since computed),
                           regularisation, condition (of the weighted sensitivity)
         sensitivity       (n_residuals, n_parameters), of that step; empty at 000
+        sensitivity_keys  keys of the jobs behind it, in the store
         frequencies_hz    (n_elastic,), all computed elastic modes
         mode_shapes       (n_dof, n_pairs), of the paired modes at the record's sensors
         pair_measured, pair_computed   positions (from 0) of the pairs
-        pair_mac, frequency_errors     (n_pairs,)
+        pair_mac, pair_subspace_mac (against close modes together), frequency_errors (n_pairs,)
         pair_reasons      text
         residual, weights (n_residuals,)
 
@@ -81,6 +83,7 @@ class IterationRecord:
     residual: Residual
     sensitivity: Floats
     sensitivity_methods: tuple[str, ...]
+    sensitivity_keys: tuple[str, ...]
     sensitivity_age: int
     sensitivity_skipped: bool
     slope: float
@@ -103,6 +106,7 @@ class CampaignRecord:
 
     name: str
     campaign_text: str
+    settings: tuple[str, ...]
     modetune_version: str
     solver: str
     solver_version: str
@@ -136,6 +140,7 @@ def write_record(path: Path, record: CampaignRecord) -> None:
             solver_version=record.solver_version,
             modetune_version=record.modetune_version,
             campaign=record.campaign_text,
+            settings="\n".join(record.settings),
             wall_s=record.wall_s,
             runs_modal=record.runs.modal,
             runs_sensitivity=record.runs.sensitivity,
@@ -197,11 +202,15 @@ def _write_iteration(group: h5py.Group, iteration: IterationRecord) -> None:
     group["pair_measured"] = pairing.measured
     group["pair_computed"] = pairing.computed
     group["pair_mac"] = pairing.mac
+    group["pair_subspace_mac"] = pairing.subspace_mac
     group.create_dataset("pair_reasons", data=list(pairing.reasons), dtype=h5py.string_dtype())
     group["frequency_errors"] = iteration.frequency_errors
     group["residual"] = iteration.residual.values
     group["weights"] = iteration.residual.weights
     group["sensitivity"] = iteration.sensitivity
+    group.create_dataset(
+        "sensitivity_keys", data=list(iteration.sensitivity_keys), dtype=h5py.string_dtype()
+    )
     group["frequencies_hz"] = iteration.computed.frequencies_hz
     shapes = iteration.computed.select(pairing.computed)
     group["mode_shapes"] = shapes.mode_shapes

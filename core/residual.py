@@ -62,11 +62,7 @@ class Residual:
     @property
     def misfit(self) -> float:
         """The weighted sum of squares that updating brings down (thesis (40))."""
-        return self.misfit_by(self.weights)
-
-    def misfit_by(self, weights: Floats) -> float:
-        """The same by the weights of another set, to compare two sets by one measure."""
-        return float(self.values @ (weights * self.values))
+        return float(self.values @ (self.weights * self.values))
 
 
 def residual(

@@ -17,10 +17,11 @@ import hashlib
 import logging
 import os
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import h5py
 import numpy as np
@@ -92,31 +93,46 @@ class Store:
             file.attrs["checksum"] = _checksum(file)
 
     @contextmanager
-    def lock(self, key: str) -> Iterator[None]:
-        """Hold the job of this key: a second holder, of this or another process, waits."""
+    def lock(self, key: str, waiting: Callable[[], None]) -> Iterator[None]:
+        """Hold the job of this key; a second holder, of this or another process, waits.
+
+        waiting: called over and over while another holds it; it sleeps a little, or raises.
+        """
         path = self.folder / "locks" / key
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             handle = path.open("w")
         with handle:
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            while not locked(handle):
+                waiting()
             yield
 
     def _set_aside(self, path: Path) -> None:
         with storage_errors(path):
             target = self.folder / "damaged"
             target.mkdir(parents=True, exist_ok=True)
-            path.replace(target / path.name)
+            with suppress(FileNotFoundError):  # another process found the same damage
+                path.replace(target / path.name)
+
+
+def locked(handle: IO[str]) -> bool:
+    """Take the lock of an open file for this handle alone, unless another has it."""
+    with storage_errors(Path(handle.name)):
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[Path]:
+def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
     """A temporary path beside `path` that takes its place, flushed to disk, when all went well.
 
     Raises StorageUnavailable on a full disk or without permission; what stood at `path` before
     then still stands there.
     """
-    with storage_errors(path):
+    with storage_errors(path, remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
         os.close(handle)
@@ -131,11 +147,12 @@ def writing(path: Path) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
-def check_writable(folder: Path) -> None:
+def check_writable(folder: Path, remedy: str) -> None:
     """Fail now rather than after an hour's solving. Raises StorageUnavailable."""
-    with writing(folder / ".writable") as part:
-        part.write_text("")
-    (folder / ".writable").unlink(missing_ok=True)
+    with storage_errors(folder / "any", remedy):
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
 
 
 def _umask() -> int:
@@ -148,7 +165,7 @@ def _umask() -> int:
 
 
 @contextmanager
-def storage_errors(path: Path) -> Iterator[None]:
+def storage_errors(path: Path, remedy: str = "name another place") -> Iterator[None]:
     """Turn what the operating system says of a folder into a sentence with a remedy."""
     try:
         yield
@@ -161,7 +178,7 @@ def storage_errors(path: Path) -> Iterator[None]:
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR):
             raise StorageUnavailable(
                 f"{path.parent} cannot be written ({error.strerror}); give write permission, or "
-                "name another place with `store:` in the campaign or MODETUNE_STORE"
+                f"{remedy}"
             ) from error
         if error.errno is None:  # HDF5 reports a failed write without the system's number
             raise StorageUnavailable(f"{path} could not be written: {error}") from error
@@ -172,7 +189,8 @@ def _checksum(file: h5py.File) -> str:
     """SHA-256 over all attributes but itself and all arrays, by name."""
     digest = hashlib.sha256()
     for name in sorted(set(file.attrs) - {"checksum"}):
-        digest.update(f"{name}={file.attrs[name]!r};".encode())
+        # As plain Python values: how NumPy prints its own has changed between versions.
+        digest.update(f"{name}={np.asarray(file.attrs[name]).tolist()!r};".encode())
     names: list[str] = []
     file.visit(names.append)
     for name in sorted(names):
@@ -200,7 +218,11 @@ def _read_entry(path: Path, key: str) -> Entry:
             )
     except PermissionError as error:
         raise StorageUnavailable(f"{path} may not be read; give read permission") from error
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
+    except OSError as error:
+        if error.errno is not None:  # the system's word (too many files, a stale handle): no damage
+            raise StorageUnavailable(f"{path} could not be read: {error}") from error
+        raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
+    except (KeyError, RuntimeError, ValueError, TypeError) as error:
         # What h5py raises on cut or overwritten files; a missing attribute is damage too.
         raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
 

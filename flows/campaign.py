@@ -43,6 +43,7 @@ SOLVERS: dict[SolverName, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
 }
 #: Names the store's folder for all campaigns.
 STORE_VARIABLE = "MODETUNE_STORE"
+STORE_REMEDY = f"name another store with `store:` in the campaign or {STORE_VARIABLE}"
 #: Nodes whose shapes are kept where the test has no sensors, to track modes by.
 TRACKING_NODES = 500
 #: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
@@ -74,6 +75,7 @@ class Campaign:
     run: RunSection
     store: Store
     nodes: tuple[int, ...]
+    settings: tuple[str, ...] = ()
 
     @property
     def n_modes(self) -> int:
@@ -133,6 +135,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
         run=file.run,
         store=store,
         nodes=_result_nodes(test, solver),
+        settings=tuple(settings or ()),
     )
 
 
@@ -210,6 +213,9 @@ def _read_model(
     for position, parameter in enumerate(parameters.parameters):
         place = source.where(("parameters", position))
         problems += [f"{place}: {said}" for said in solver.problems((parameter,))]
+    if not problems:  # what several parameters do to each other
+        place = source.where(("parameters",))
+        problems += [f"{place}: {said}" for said in solver.problems(parameters.parameters)]
     if not problems:
         problems += _unit_problems(source.where(("model", "units")), file.model.units, solver)
     return solver
@@ -242,7 +248,7 @@ def _deck(source: YamlFile, model: ModelSection, store: Store) -> Path:
             return path
     except OSError:
         pass  # not there yet
-    with writing(path) as part:
+    with writing(path, STORE_REMEDY) as part:
         part.write_text(text)
     return path
 

@@ -26,6 +26,7 @@ import typer
 from modetune import __version__
 from modetune.core.errors import CampaignStopped, ModetuneError
 
+logger = logging.getLogger(__name__)
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
@@ -118,8 +119,9 @@ def demo(
     for file in chosen.files:
         shutil.copyfile(file, folder / file.name)
     campaign = folder / chosen.campaign
-    run = _run_update(campaign, [], folder / "runs", chosen.with_prefect)
-    compared = chosen.compare(run, folder)
+    with _stoppable():
+        run = _run_update(campaign, [], folder / "runs", chosen.with_prefect)
+        compared = chosen.compare(run, folder)
     if as_json:
         from modetune.flows.recording import summary
 
@@ -147,8 +149,12 @@ def server_stop() -> None:
     """End the shared server."""
     from modetune.flows import server
 
-    stopped = server.stop_server(server.server_home())
-    typer.echo("stopped" if stopped else "no shared server is running")
+    said = {
+        "stopped": "stopped",
+        "none": "no shared server is running",
+        "in use": "a campaign is using the server; it was left running",
+    }
+    typer.echo(said[server.stop_server(server.server_home())])
 
 
 @app.command()
@@ -162,7 +168,8 @@ def _update(
 ) -> None:
     from modetune.flows.recording import summary
 
-    run = _run_update(campaign_file, settings, runs, with_prefect)
+    with _stoppable():
+        run = _run_update(campaign_file, settings, runs, with_prefect)
     if as_json:
         _tell(summary(run.record, run.folder), True)
     else:
@@ -180,13 +187,15 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
     campaign = _load(campaign_file, settings)
     campaign.solver.version()
     server = use_server() if with_prefect else None
-    if server is not None and not server.wait():
-        logging.getLogger("modetune").warning(
-            "Prefect's server does not answer (its log is in %s); running without it", server.home
-        )
-        server = None
     try:
-        with _stoppable(), ConsoleProgress(Console(stderr=True)).shown() as progress:
+        with ConsoleProgress(Console(stderr=True)).shown() as progress:
+            if server is not None:
+                progress.working("waiting for Prefect's server")
+                if not server.wait():
+                    where = f"its log is in {server.home}" if server.shared else server.address.url
+                    logger.warning("Prefect's server does not answer (%s); going on without", where)
+                    server.close()
+                    server = None
             return update_campaign(campaign, runs / campaign.name, progress, server)
     finally:
         if server is not None:
@@ -237,7 +246,8 @@ def _quiet() -> None:
     handler.setFormatter(logging.Formatter("modetune: %(message)s"))
     ours = logging.getLogger("modetune")
     ours.addHandler(handler)
-    ours.setLevel(os.environ.get("MODETUNE_LOG", "WARNING").upper())
+    level = os.environ.get("MODETUNE_LOG", "WARNING").upper()
+    ours.setLevel(level if level in logging.getLevelNamesMapping() else "WARNING")
     ours.propagate = False
     warnings.simplefilter("ignore")
 

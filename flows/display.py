@@ -125,7 +125,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
     console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)
     console.print(
         Text(
-            f"{record.iterations[-1].number} iterations; solver runs: {runs.modal} modal, "
+            f"iterations: {record.iterations[-1].number}; solver runs: {runs.modal} modal, "
             f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store; sensitivity "
             f"skipped by e2 in {skipped}; {record.wall_s:.1f} s"
         ),

@@ -20,6 +20,7 @@ from modetune.adapters.process import disk_full, run_process
 from modetune.adapters.solver import Analysis, Solver
 from modetune.core.errors import (
     ModelError,
+    SolverCancelled,
     SolverCrashed,
     SolverError,
     SolverTimeout,
@@ -66,10 +67,10 @@ class JobEngine:
         """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
         asked = canonical_json(self.solver.content(job.values, job.analysis))
         key = content_key(asked)
-        if self.store.get(key) is not None:
+        if key in self.store:  # `result` finds out whether it is whole
             return JobOutcome(key, True, 0.0)
-        with self.store.lock(key):
-            if self.store.get(key) is not None:  # another campaign was faster
+        with self.store.lock(key, self._wait_for_another):
+            if key in self.store:  # another campaign was faster
                 return JobOutcome(key, True, 0.0)
             started = time.monotonic()
             result = self._with_retries(job, key)
@@ -87,6 +88,10 @@ class JobEngine:
             entry = self.store.get(self.solve(job).key)
         assert entry is not None
         return entry.result
+
+    def _wait_for_another(self) -> None:
+        if self.cancelled.wait(0.1):
+            raise SolverCancelled("the campaign is ending while another one runs the same job")
 
     def key(self, job: Job) -> str:
         """The content key of a job."""

@@ -29,8 +29,8 @@ class Evaluation:
         return Point(self.theta, self.modal, self.pairing)
 
     def agrees(self, tolerances: Tolerances) -> bool:
-        """Whether e1 holds."""
-        return agrees(self.errors, self.pairing.mac, tolerances)
+        """Whether e1 holds; members of a cluster of close modes are judged by its space."""
+        return agrees(self.errors, self.pairing.judged_mac, tolerances)
 
 
 def compare(
@@ -72,4 +72,4 @@ def expects_agreement(step: Step, evaluation: Evaluation, tolerances: Tolerances
     errors = 0.5 * step.predicted[:n_frequencies]  # z is of eigenvalues: twice the frequency's
     shapes = step.predicted[n_frequencies:]
     mac = 1.0 - (shapes.reshape(n_frequencies, -1) ** 2).sum(axis=1)
-    return agrees(errors, mac if shapes.size else evaluation.pairing.mac, tolerances)
+    return agrees(errors, mac if shapes.size else evaluation.pairing.judged_mac, tolerances)

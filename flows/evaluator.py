@@ -17,7 +17,7 @@ from modetune.flows.campaign import Campaign
 from modetune.flows.engine import Job, JobEngine, JobOutcome
 from modetune.flows.evaluation import Evaluation, compare
 from modetune.flows.execution import Done, Execution, Work
-from modetune.flows.sensitivities import Exact, Sensitivities, UnbalancedEnergies
+from modetune.flows.sensitivities import Exact, Sensitivities, UnbalancedEnergies, UnlikeMatrices
 
 logger = logging.getLogger(__name__)
 
@@ -29,13 +29,25 @@ WIDENINGS = 2
 class Matrix:
     """A sensitivity matrix.
 
-    values: (n_residuals, n_parameters); methods: how each column was computed; age: iterations
-    since.
+    values: (n_residuals, n_parameters); methods: how each column was computed; keys: of the jobs
+    behind it; age: iterations since.
     """
 
     values: Floats
     methods: tuple[Exact, ...]
+    keys: tuple[str, ...]
     age: int
+
+
+def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
+    """The modal analysis that a campaign asks for: modes, nodes, and the parameters' energies."""
+    solver = campaign.solver
+    groups = tuple(
+        (item.name, solver.energy_sets(item))
+        for item in campaign.parameters.parameters
+        if solver.capabilities.strain_energies and solver.energy_sets(item)
+    )
+    return ModalAnalysis(campaign.n_modes, campaign.nodes, groups)
 
 
 class Evaluator:
@@ -46,13 +58,7 @@ class Evaluator:
         self.engine = engine
         self.execution = execution
         self.runs = RunCounts()
-        solver = campaign.solver
-        groups = tuple(
-            (item.name, solver.energy_sets(item))
-            for item in campaign.parameters.parameters
-            if solver.capabilities.strain_energies and solver.energy_sets(item)
-        )
-        self.analysis = ModalAnalysis(campaign.n_modes, campaign.nodes, groups)
+        self.analysis = campaign_analysis(campaign)
         self.methods = self._sensitivities().methods()
 
     def evaluate(
@@ -79,12 +85,16 @@ class Evaluator:
                 logger.warning("%s; widening the range to %d modes", error, wider)
                 self.analysis = replace(self.analysis, n_modes=wider)
                 outcomes = self._run(number, [self._modal_work(theta)])
-        return evaluation, None if alone else self._assemble(number, evaluation)
+        if alone:
+            return evaluation, None
+        if widening:  # the jobs beside asked for too few modes
+            return evaluation, self.matrix(number, evaluation)
+        return evaluation, self._assemble(number, evaluation, outcomes[1:])
 
     def matrix(self, number: int, evaluation: Evaluation) -> Matrix:
         """The sensitivity at an evaluated set."""
-        self._run(number, self._works(evaluation.theta, self.methods))
-        return self._assemble(number, evaluation)
+        outcomes = self._run(number, self._works(evaluation.theta, self.methods))
+        return self._assemble(number, evaluation, outcomes)
 
     def skip(self, number: int, slope: float) -> None:
         """Note that e2 makes this iteration do without a sensitivity of its own."""
@@ -92,24 +102,27 @@ class Evaluator:
         names = [f"sensitivity {name}" for name in self.campaign.parameters.names]
         self.execution.skip(f"iteration {number}", names, reason)
 
-    def _assemble(self, number: int, evaluation: Evaluation) -> Matrix:
+    def _assemble(
+        self, number: int, evaluation: Evaluation, outcomes: Sequence[tuple[JobOutcome, ...]]
+    ) -> Matrix:
         methods, columns = self._sensitivities(), range(len(self.methods))
         try:
             derivatives = methods.assemble(evaluation.point, self.methods, columns)
-        except UnbalancedEnergies as error:
+        except (UnbalancedEnergies, UnlikeMatrices) as error:
             if self.campaign.sensitivity.method != "auto":
                 raise
-            logger.warning("%s: no strain energies are used", error)
-            instead = methods.without_energies()
-            self.methods = tuple(
-                instead if method == "strain_energy" else method for method in self.methods
-            )
+            energies = isinstance(error, UnbalancedEnergies)
+            failed = "strain_energy" if energies else "semi_analytic"
+            instead = methods.without_energies() if energies else "finite_difference"
+            logger.warning("%s: %s is used in its place", error, instead)
+            self.methods = tuple(instead if method == failed else method for method in self.methods)
             return self.matrix(number, evaluation)
         values = residual_sensitivity(
             self.campaign.test.modes, evaluation.modal.elastic, evaluation.pairing,
             self.campaign.weighting, derivatives,
         )  # fmt: skip
-        return Matrix(values, self.methods, 0)
+        keys = tuple(outcome.key for column in outcomes for outcome in column)
+        return Matrix(values, self.methods, keys, 0)
 
     def _works(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
         plans = self._sensitivities()

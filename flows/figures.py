@@ -48,7 +48,7 @@ def mac_figure(title: str, tables: Sequence[tuple[str, Floats]]) -> Figure:
 
     tables: heading and MAC (n_computed, n_measured) in [0, 1].
     """
-    figure = _figure(4.9 * len(tables) + 0.5, 4.7)
+    figure = _figure(4.9 * len(tables) + 0.6, 4.6)
     for place, (heading, mac) in enumerate(tables, start=1):
         axes: Any = figure.add_subplot(1, len(tables), place, projection="3d")
         computed, measured = (index.ravel() + 1.0 for index in np.indices(mac.shape))
@@ -64,9 +64,9 @@ def mac_figure(title: str, tables: Sequence[tuple[str, Floats]]) -> Figure:
         axes.set_zticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
         axes.set_xlabel("test mode")
         axes.set_ylabel("computed mode")
-        axes.set_zlabel("MAC")
+        axes.set_zlabel("MAC", labelpad=6.0)
         axes.view_init(elev=32.0, azim=-58.0)
-        axes.set_box_aspect(None, zoom=0.88)
+        axes.set_box_aspect(None, zoom=0.98)
         axes.set_title(heading, fontsize=10)
     figure.suptitle(title)
     return figure

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TypedDict
 
-from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
 from modetune.core.results import ModalResult
 from modetune.flows.campaign import KILOGRAMS, Campaign
 from modetune.flows.engine import Job
+from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.running import job_engine
 
 
@@ -44,8 +44,7 @@ def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
 
 def model_modes(campaign: Campaign, values: Mapping[str, float]) -> ModalResult:
     """The modes of the model, from the store or the solver. Raises SolverError, StoreError."""
-    analysis = ModalAnalysis(campaign.n_modes, campaign.nodes)
-    result = job_engine(campaign).result(Job(values, analysis))
+    result = job_engine(campaign).result(Job(values, campaign_analysis(campaign)))
     assert isinstance(result, ModalResult)
     return result
 

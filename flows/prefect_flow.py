@@ -7,6 +7,7 @@ What a piece gave travels beside Prefect, not through it; states tell what becam
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,11 +18,13 @@ from prefect.client.schemas.objects import State
 from prefect.states import Completed, Failed
 from prefect.task_runners import ThreadPoolTaskRunner
 
-from modetune.core.errors import ModetuneError
+from modetune.core.errors import ModetuneError, SolverCrashed
 from modetune.core.record import CampaignRecord
 from modetune.flows.engine import JobEngine
 from modetune.flows.execution import Done, Work, solve_work
 from modetune.flows.updating import Updating
+
+logger = logging.getLogger(__name__)
 
 
 class Piece:
@@ -33,13 +36,18 @@ class Piece:
     def __init__(self, engine: JobEngine, work: Work) -> None:
         self.engine = engine
         self.work = work
-        self.done: Done = ()
+        self.done: Done | None = None
+        self.fault: BaseException | None = None
 
 
 @task(cache_policy=NO_CACHE, persist_result=False)
 def solve(piece: Piece) -> State[Any]:
     """Solve one piece of an iteration."""
-    piece.done = solve_work(piece.engine, piece.work)
+    try:
+        piece.done = solve_work(piece.engine, piece.work)
+    except BaseException as fault:
+        piece.fault = fault  # raised where the loop waits
+        raise
     if isinstance(piece.done, ModetuneError):
         return Failed(message=str(piece.done))
     if not piece.done:
@@ -76,7 +84,7 @@ class PrefectExecution:
         except BaseException:
             self.engine.cancelled.set()
             raise
-        return [piece.done for piece in pieces]
+        return [_outcome(piece) for piece in pieces]
 
     def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
         futures = [
@@ -87,6 +95,14 @@ class PrefectExecution:
         ]
         for future in futures:
             future.wait()
+
+
+def _outcome(piece: Piece) -> Done:
+    if piece.fault is not None:
+        raise piece.fault
+    if piece.done is None:
+        raise SolverCrashed(f"Prefect did not run the task {piece.work.name}")
+    return piece.done
 
 
 def run_as_flow(updating: Updating, parallel: int) -> CampaignRecord:
@@ -107,5 +123,11 @@ def run_as_flow(updating: Updating, parallel: int) -> CampaignRecord:
         ended.append(record)
         return Completed(name=record.status.replace("_", " ").capitalize(), message=record.reason)
 
-    update(return_state=True).result()
+    try:
+        update(return_state=True).result()
+    except Exception as error:
+        if not ended:
+            raise
+        # The campaign is complete; only its display could not be told.
+        logger.warning("Prefect's server could not be told of the end: %s", error)
     return ended[0]

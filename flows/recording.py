@@ -31,6 +31,7 @@ def campaign_record(
     return CampaignRecord(
         name=campaign.name,
         campaign_text=campaign.text,
+        settings=campaign.settings,
         modetune_version=__version__,
         solver=campaign.solver.name,
         solver_version=campaign.solver.version(),
@@ -57,10 +58,13 @@ def _trust(
     n = len(campaign.parameters)
     if matrix is None:
         return np.full(n, np.nan), np.full((n, n), np.nan)
-    prior = None
-    if campaign.update.step == "pulled_to_initial" and campaign.update.regularisation != "l_curve":
-        prior = campaign.update.regularisation * campaign.parameters.standard_deviations**-2
-    covariance = parameter_covariance(matrix.values, last.residual.variances, prior)
+    prior, weights = None, last.residual.weights
+    if campaign.update.step in ("pseudo_inverse", "minimum_norm"):
+        weights = (weights > 0.0).astype(np.float64)
+    if campaign.update.step == "pulled_to_initial":
+        factor = last.regularisation if np.isfinite(last.regularisation) else 1.0
+        prior = factor * campaign.parameters.standard_deviations**-2
+    covariance = parameter_covariance(matrix.values, last.residual.variances, weights, prior)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(errors, errors)

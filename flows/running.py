@@ -5,11 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from modetune.core.errors import CampaignError
 from modetune.core.record import CampaignRecord, write_record
-from modetune.core.store import check_writable, storage_errors
-from modetune.flows.campaign import Campaign
+from modetune.core.store import check_writable, locked, storage_errors
+from modetune.flows.campaign import STORE_REMEDY, Campaign
 from modetune.flows.engine import JobEngine
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution import Execution, ThreadExecution
@@ -48,8 +50,20 @@ def update_campaign(
     Raises SolverError, ModesError, StoreError.
     """
     campaign.solver.version()  # a missing solver is told before anything else starts
-    check_writable(campaign.store.folder)
-    check_writable(folder)
+    check_writable(campaign.store.folder, STORE_REMEDY)
+    check_writable(folder, "name another place for run folders with --runs")
+    with (folder / ".lock").open("w") as lock:
+        if not locked(lock):
+            raise CampaignError(
+                f"another run of this campaign is under way in {folder}; wait for it, or name "
+                "another place for run folders with --runs"
+            )
+        return _update(campaign, folder, progress, server)
+
+
+def _update(
+    campaign: Campaign, folder: Path, progress: Progress, server: SharedServer | None
+) -> CampaignRun:
     engine = job_engine(campaign)
     run: Callable[[Updating], CampaignRecord] = Updating.run
     execution: Execution = ThreadExecution(engine, campaign.parallel)
@@ -57,7 +71,7 @@ def update_campaign(
         from modetune.flows.prefect_flow import PrefectExecution, run_as_flow
 
         execution = PrefectExecution(engine)
-        run = lambda updating: run_as_flow(updating, campaign.parallel)  # noqa: E731
+        run = partial(run_as_flow, parallel=campaign.parallel)
 
     # What an earlier run left stays until this one has come to its end.
     unfinished = folder / "campaign.unfinished.h5"

@@ -88,7 +88,7 @@ class ParameterSection(_Section):
         others = [key for key in ("material", "elset", "part") if key != wanted]
         if getattr(self, wanted) is None or any(getattr(self, key) is not None for key in others):
             raise ValueError(
-                f"{self.quantity} needs `{wanted}` (and not {' or '.join(f'`{o}`' for o in others)})"
+                f"{self.quantity} needs `{wanted}` (and not `{others[0]}` or `{others[1]}`)"
             )
         lower, upper = self.bounds
         if lower >= upper:

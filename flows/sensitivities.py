@@ -24,7 +24,7 @@ from scipy import sparse
 
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.eigen import solve_modes
-from modetune.core.errors import ModesError, SolverError
+from modetune.core.errors import ModesError
 from modetune.core.keys import Json
 from modetune.core.modes import Floats, Integers
 from modetune.core.pairing import Pairing, pair_by_tracking
@@ -53,6 +53,10 @@ DERIVATIVES_VERSION = 1
 
 class UnbalancedEnergies(ModesError):
     """The strain energies of the groups are not those of the modes."""
+
+
+class UnlikeMatrices(ModesError):
+    """The stored matrices are not those of the modes (preload, parts that matrices do not hold)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +118,12 @@ class Sensitivities:
         """Jobs that several columns need: the matrices of the unperturbed model."""
         if "semi_analytic" not in methods:
             return ()
-        base = self.parameters.initial if self.constant_matrices else theta
-        return (Job(self.parameters.values(base), MatrixAnalysis()),)
+        jobs = [self._base_job(theta)]
+        if self.constant_matrices:  # K and M at theta are put together from all moved columns
+            for column in np.flatnonzero(theta != self.parameters.initial).tolist():
+                if methods[column] != "semi_analytic":
+                    jobs += self._matrix_jobs(theta, column)
+        return tuple(jobs)
 
     def assemble(
         self, point: Point, methods: Sequence[Exact], columns: Sequence[int]
@@ -176,9 +184,10 @@ class Sensitivities:
         here = (paired.eigenvalues, np.real(paired.mode_shapes))
         low = here if len(ends) == 1 else ends[1]
         width = len(ends) * self.settings.step * float(point.theta[column])
+        shapes = (ends[0][1] - low[1]) / width
         return ModeDerivatives(
             ((ends[0][0] - low[0]) / width)[:, None],
-            ((ends[0][1] - low[1]) / width)[:, :, None],
+            shapes[:, :, None] if self.with_shapes else np.zeros((0, shapes.shape[1], 1)),
         )
 
     def _at(self, point: Point, values: Mapping[str, float]) -> tuple[Floats, Floats]:
@@ -213,6 +222,10 @@ class Sensitivities:
             for factor in self._factors(column)
         )
 
+    def _base_job(self, theta: Floats) -> Job:
+        base = self.parameters.initial if self.constant_matrices else theta
+        return Job(self.parameters.values(base), MatrixAnalysis())
+
     def _matrices(self, job: Job) -> MatrixResult:
         result = self.engine.result(job)
         assert isinstance(result, MatrixResult)
@@ -222,7 +235,7 @@ class Sensitivities:
         """Columns from matrices. They cost an eigensolution and a factorisation a mode, so the
         store keeps them beside the jobs' results."""
         at_theta = Job(self.parameters.values(point.theta), self.modal)
-        jobs = [*self.shared(point.theta, ["semi_analytic"]), at_theta]
+        jobs = [self._base_job(point.theta), at_theta]
         for column in columns:
             jobs += self._matrix_jobs(point.theta, column)
         asked: Json = {
@@ -244,7 +257,7 @@ class Sensitivities:
         }
 
     def _from_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
-        base = self._matrices(self.shared(point.theta, ["semi_analytic"])[0])
+        base = self._matrices(self._base_job(point.theta))
         changes = {column: self._change(point.theta, column, base) for column in columns}
         stiffness, mass = base.stiffness, base.mass
         if self.constant_matrices:
@@ -288,7 +301,7 @@ class Sensitivities:
         modes = paired + point.modal.n_rigid
         apart = np.abs(eigenvalues[modes] / elastic.eigenvalues[paired] - 1.0)
         if (apart > EIGENVALUE_TOLERANCE).any():
-            raise SolverError(
+            raise UnlikeMatrices(
                 f"the stored matrices have other eigenvalues than the modal run (they differ by "
                 f"{apart.max():.2g}): the model has parts that matrices do not hold; use "
                 "finite_difference"

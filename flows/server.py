@@ -23,18 +23,23 @@ import urllib.request
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
-from modetune.core.store import storage_errors
+from modetune.adapters.process import SUPERVISOR
+from modetune.core.store import locked, storage_errors
 
 logger = logging.getLogger(__name__)
 
+#: What became of a request to end the shared server.
+Stopped = Literal["stopped", "none", "in use"]
 #: Where the shared server keeps its database, log and address.
 HOME_VARIABLE = "MODETUNE_HOME"
 #: Seconds without a user after which the shared server ends.
 IDLE_VARIABLE = "MODETUNE_SERVER_IDLE_S"
 IDLE_S = 900.0
 PATIENCE_S = 120.0
+#: A server that the user named is up already or it is not.
+NAMED_PATIENCE_S = 10.0
 
 #: Quiet, offline, and fit for many small task runs on SQLite.
 SETTINGS: Mapping[str, str] = {
@@ -79,14 +84,19 @@ class SharedServer:
 
     def wait(self) -> bool:
         """Wait until the server answers; False where it does not in good time."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + (PATIENCE_S if self.shared else NAMED_PATIENCE_S)
         while time.monotonic() < deadline:
             if answers(self.address.url):
                 return True
-            if self.users is not None and not alive(self.address.pid):
+            if self.shared and not is_keeper(self.address.pid):
                 return False
             time.sleep(0.1)
         return False
+
+    @property
+    def shared(self) -> bool:
+        """Whether it is modetune's own and not one the user named."""
+        return self.users is not None
 
     def close(self) -> None:
         """End the use; the server lives on for others, and for a while."""
@@ -105,14 +115,15 @@ def use_server() -> SharedServer:
     named = os.environ.get("PREFECT_API_URL")
     if named:
         return SharedServer(home, Address(named, 0), None)
-    with storage_errors(home / "server.json"):
+    remedy = f"name another place with {HOME_VARIABLE}, or use --no-prefect"
+    with storage_errors(home / "server.json", remedy):
         home.mkdir(parents=True, exist_ok=True)
         users = (home / "users.lock").open("w")
         fcntl.flock(users, fcntl.LOCK_SH)
         with (home / "server.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             address = read_address(home)
-            if address is None or not (alive(address.pid) and _is_keeper(address.pid)):
+            if address is None or not is_keeper(address.pid):
                 address = _start(home)
     os.environ["PREFECT_HOME"] = str(home / "prefect")
     os.environ["PREFECT_API_URL"] = address.url
@@ -137,32 +148,24 @@ def answers(url: str) -> bool:
         return False
 
 
-def alive(pid: int) -> bool:
-    """Whether a process exists."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-def stop_server(home: Path) -> bool:
-    """End the shared server; False where none runs."""
+def stop_server(home: Path) -> Stopped:
+    """End the shared server unless a campaign uses it."""
     address = read_address(home)
-    if address is None or not _is_keeper(address.pid):
-        return False
+    if address is None or not is_keeper(address.pid):
+        return "none"
+    with (home / "users.lock").open("w") as users:
+        if not locked(users):
+            return "in use"
     os.kill(address.pid, signal.SIGTERM)
-    for _ in range(200):
-        if not alive(address.pid):
-            return True
+    deadline = time.monotonic() + 10.0
+    while is_keeper(address.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
-    return not alive(address.pid)
+    return "stopped"
 
 
-def _is_keeper(pid: int) -> bool:
-    """Whether a process is a keeper of ours: numbers of ended processes are given out again."""
+def is_keeper(pid: int) -> bool:
+    """Whether a process is a living keeper of ours: numbers are given out again, and an ended
+    child that nobody has waited for has no command line."""
     try:
         return b"modetune.flows.server" in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
@@ -197,16 +200,27 @@ def keep(home: Path, port: int) -> None:
     }
     environment.pop("PREFECT_API_URL", None)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
+    # Below a supervisor with a pipe to this process, so that no end of ours leaves it behind.
     server = subprocess.Popen(
-        [sys.executable, "-m", "prefect", "server", "start",
+        [sys.executable, "-I", "-S", str(SUPERVISOR), "prefect.log",
+         sys.executable, "-m", "prefect", "server", "start",
          "--host", "127.0.0.1", "--port", str(port)],
-        env=environment, stdin=subprocess.DEVNULL, start_new_session=True,
+        cwd=home, env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+        start_new_session=True,
     )  # fmt: skip
     try:
         _wait_for_idleness(home, server)
     finally:
-        os.killpg(server.pid, signal.SIGKILL)
-        server.wait()
+        _end(home, server)
+
+
+def _end(home: Path, server: subprocess.Popen[bytes]) -> None:
+    """End the server, and take its address away unless another server's stands there by now."""
+    assert server.stdin is not None
+    server.stdin.close()
+    server.wait()
+    address = read_address(home)
+    if address is not None and address.pid == os.getpid():
         (home / "server.json").unlink(missing_ok=True)
 
 
@@ -217,13 +231,10 @@ def _wait_for_idleness(home: Path, server: subprocess.Popen[bytes]) -> None:
         time.sleep(min(1.0, limit))
         with (home / "server.lock").open("w") as lock, (home / "users.lock").open("w") as users:
             fcntl.flock(lock, fcntl.LOCK_EX)  # nobody may come to use it in between
-            try:
-                fcntl.flock(users, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+            if not locked(users):
                 used = time.monotonic()
-                continue
-            if time.monotonic() - used > limit:
-                (home / "server.json").unlink(missing_ok=True)
+            elif time.monotonic() - used > limit:
+                _end(home, server)
                 return
 
 

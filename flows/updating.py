@@ -60,12 +60,13 @@ class State:
     """Where the loop stands.
 
     current: the last accepted set; matrix: for the step from there, None where it has yet to be
-    computed; skip: whether e2 lets the next iteration do without a matrix of its own.
+    computed; skip: the slope by which e2 lets the next iteration do without a matrix of its own,
+    None where it does not.
     """
 
     current: Evaluation
     matrix: Matrix | None
-    skip: bool
+    skip: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +116,7 @@ class Updating:
                 if gained or matrix.age > 0 or state.current.agrees(self.campaign.tolerances):
                     continue
             elif matrix.age > 0:
-                state = State(state.current, None, False)
+                state = State(state.current, None, None)
                 continue
             elif self.number == self.campaign.update.max_iterations:
                 continue
@@ -127,8 +128,9 @@ class Updating:
         self.progress.working("initial model")
         alone = self.campaign.update.max_iterations == 0
         current, matrix = self.evaluator.evaluate(0, initial, None, alone)
+        self.last_matrix = matrix
         self._note(current, None, None, np.nan, True, "initial model", False)
-        return State(current, matrix, False)
+        return State(current, matrix, None)
 
     def _fresh(self, current: Evaluation) -> Matrix:
         self.progress.working(f"iteration {self.number}: sensitivities")
@@ -140,7 +142,7 @@ class Updating:
         An old matrix gets one chance; with a fresh one the step is halved until it helps.
         """
         current = state.current
-        chances = 1 if matrix.age > 0 else HALVINGS + 1
+        chances, failures = 1 if matrix.age > 0 else HALVINGS + 1, 0
         for chance in range(chances):
             if np.max(np.abs(step.change)) < NO_STEP:
                 return None
@@ -148,21 +150,21 @@ class Updating:
                 return None
             self.number += 1
             self.progress.working(f"iteration {self.number}")
-            if state.skip:
-                self.evaluator.skip(self.number, self.iterations[-1].slope)
+            ending = "taken back, new sensitivity" if matrix.age > 0 else "step halved"
             try:
                 trial = self._evaluate(state, step, chance)
             except (SolverError, ModesError) as error:
-                if isinstance(error, SolverMissing | SolverCancelled) or chance == chances - 1:
+                never_solved = matrix.age == 0 and failures == chance == chances - 1
+                if isinstance(error, SolverMissing | SolverCancelled) or never_solved:
                     raise
-                logger.warning("%s; the step is halved", error)
+                failures += 1
+                logger.warning("%s; %s", error, ending)
             else:
-                better = self._gain(current, trial.evaluation) > 0.0
+                better = self._gain(current, trial) > 0.0
                 if better or trial.evaluation.agrees(self.campaign.tolerances):
                     return trial
-                ending = "taken back, new sensitivity" if matrix.age > 0 else "step halved"
                 self._note(trial.evaluation, trial.step, matrix, trial.slope, False,
-                           f"worse: {ending}", state.skip)  # fmt: skip
+                           f"worse: {ending}", False)  # fmt: skip
             step = self._halved(current, matrix, step)
         return None
 
@@ -170,30 +172,36 @@ class Updating:
         current = state.current
         # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
         alone = (
-            state.skip
+            state.skip is not None
             or chance > 0
             or self.number == self.campaign.update.max_iterations
             or expects_agreement(step, current, self.campaign.tolerances)
         )
         theta = current.theta + step.change
         evaluation, fresh = self.evaluator.evaluate(self.number, theta, current, alone)
-        change = slope(evaluation.residual.values, current.residual.values, theta.size)
+        used = current.residual.weights > 0.0
+        now, before = evaluation.residual.values[used], current.residual.values[used]
+        change = slope(now, before, theta.size)
         return Trial(step, evaluation, fresh, change)
 
     def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
         """The state after a better set, and whether more than nothing was gained by it."""
-        before = self._objective(state.current, state.current)
-        gain = self._gain(state.current, trial.evaluation)
-        promised = before - self._predicted(state.current, trial.step)
+        before = self._objective(state.current, state.current.residual.values, trial.step)
+        gain = self._gain(state.current, trial)
+        promised = before - self._objective(state.current, trial.step.predicted, trial.step, 1.0)
         e2 = self.campaign.update.e2
-        skip = 0.0 < e2 and trial.slope <= e2
+        skip = trial.slope if 0.0 < trial.slope <= e2 else None
         following = trial.matrix
-        if state.skip:
+        if state.skip is not None:
             following = self._older(matrix, state.current, trial)
         if matrix.age > 0 and gain < max(KEPT_PROMISE * promised, STATIONARY * before):
-            following, skip = None, False
-        decision = f"e2: slope {trial.slope:.2g}, no new sensitivity next" if skip else ""
-        self._note(trial.evaluation, trial.step, matrix, trial.slope, True, decision, state.skip)
+            following, skip = None, None
+        skipped = state.skip is not None and following is not None
+        if state.skip is not None and skipped:
+            self.evaluator.skip(self.number, state.skip)
+        self.last_matrix = following or matrix
+        decision = "" if skip is None else f"e2: slope {skip:.2g}, no new sensitivity next"
+        self._note(trial.evaluation, trial.step, matrix, trial.slope, True, decision, skipped)
         return State(trial.evaluation, following, skip), gain > STATIONARY * before
 
     def _older(self, matrix: Matrix, current: Evaluation, trial: Trial) -> Matrix:
@@ -224,29 +232,31 @@ class Updating:
         predicted = current.residual.values - matrix.values @ change
         return replace(step, change=change, predicted=predicted)
 
-    def _objective(self, current: Evaluation, evaluation: Evaluation) -> float:
-        """What the steps bring down: the misfit, and the pull to the initial values if any.
+    def _objective(
+        self, current: Evaluation, residual: Floats, step: Step, share: float = 0.0
+    ) -> float:
+        """What the step form brings down, for a residual found at a share of the step.
 
-        Weights of shapes grow as the shapes come near; `current` says whose weights count.
+        The weights are those of the current set, since weights of shapes grow as these come near;
+        pseudo_inverse and minimum_norm know none. A pull to the initial values counts too.
         """
-        misfit = evaluation.residual.misfit_by(current.residual.weights)
-        return misfit + self._pull(evaluation.theta)
-
-    def _gain(self, current: Evaluation, evaluation: Evaluation) -> float:
-        """How much lower the objective is than at the current set, by that set's weights."""
-        return self._objective(current, current) - self._objective(current, evaluation)
-
-    def _predicted(self, current: Evaluation, step: Step) -> float:
-        left = step.predicted
-        pull = self._pull(current.theta + step.change)
-        return float(left @ (current.residual.weights * left)) + pull
-
-    def _pull(self, theta: Floats) -> float:
         settings, parameters = self.campaign.update, self.campaign.parameters
-        if settings.step != "pulled_to_initial" or settings.regularisation == "l_curve":
-            return 0.0
-        offset = (theta - parameters.initial) / parameters.standard_deviations
-        return float(settings.regularisation * (offset @ offset))
+        weights = current.residual.weights
+        if settings.step in ("pseudo_inverse", "minimum_norm"):
+            weights = (weights > 0.0).astype(np.float64)
+        pull = 0.0
+        if settings.step == "pulled_to_initial":
+            theta = current.theta + share * step.change
+            offset = (theta - parameters.initial) / parameters.standard_deviations
+            pull = step.regularisation * float(offset @ offset)
+        return float(residual @ (weights * residual)) + pull
+
+    def _gain(self, current: Evaluation, trial: Trial) -> float:
+        """How much lower the objective is at a trial than at the current set."""
+        now, there = current.residual.values, trial.evaluation.residual.values
+        return self._objective(current, now, trial.step) - self._objective(
+            current, there, trial.step, 1.0
+        )
 
     def _note(
         self,
@@ -271,6 +281,7 @@ class Updating:
             residual=evaluation.residual,
             sensitivity=matrix.values if matrix else np.zeros((0, len(parameters))),
             sensitivity_methods=matrix.methods if matrix else (),
+            sensitivity_keys=matrix.keys if matrix else (),
             sensitivity_age=matrix.age if matrix else 0,
             sensitivity_skipped=skipped,
             slope=change,

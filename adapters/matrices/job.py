@@ -62,8 +62,8 @@ def run_job(folder: Path) -> int:
     """Solve the job in a folder: the embedded solver's program. Returns its exit code."""
     told = json.loads((folder / JOB).read_text())
     job = MatrixJob(int(told["n_modes"]), tuple(told["rows"]), int(told["n_groups"]))
-    stiffness = sparse.csr_array(sparse.load_npz(folder / "stiffness.npz"))
-    mass = sparse.csr_array(sparse.load_npz(folder / "mass.npz"))
+    stiffness = _load(folder, "stiffness")
+    mass = _load(folder, "mass")
     _say(f"{stiffness.shape[0]} unknowns, {stiffness.nnz} entries of stiffness")
     try:
         arrays = _modes(job, stiffness, mass, folder) if job.n_modes else _matrices(stiffness, mass)
@@ -72,7 +72,7 @@ def run_job(folder: Path) -> int:
         return 1
     part = folder / f"{RESULT}.part"
     with part.open("wb") as out:
-        np.savez(out, **arrays)  # type: ignore[arg-type]  # its stub takes a flag by the same way
+        np.savez(out, **arrays)
     part.replace(folder / RESULT)
     _say(CLOSING_MARK)
     return 0
@@ -91,7 +91,7 @@ def _modes(
             "is like that; look at the parts' matrices and the parameters' bounds"
         )
     _say(f"{n_modes} modes, eigenvalues {eigenvalues[0]:.6e} to {eigenvalues[-1]:.6e}")
-    groups = [sparse.load_npz(folder / f"group{number}.npz") for number in range(job.n_groups)]
+    groups = [_load(folder, f"group{number}") for number in range(job.n_groups)]
     energies = [0.5 * np.sum(shapes * (group @ shapes), axis=0) for group in groups]
     return {
         "eigenvalues": eigenvalues,
@@ -107,6 +107,10 @@ def _matrices(stiffness: sparse.csr_array, mass: sparse.csr_array) -> dict[str, 
         for name, matrix in (("stiffness", stiffness), ("mass", mass))
         for part in ("data", "indices", "indptr")
     }
+
+
+def _load(folder: Path, name: str) -> sparse.csr_array:
+    return sparse.csr_array(sparse.load_npz(folder / f"{name}.npz"))
 
 
 def _say(line: str) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -21,6 +22,9 @@ from modetune.core.errors import ModelError
 from modetune.core.factorisation import symmetric_matrix
 
 HDF5 = (".h5", ".hdf5")
+#: What SciPy and h5py raise on files that are cut, damaged or something else.
+_NO_MATRIX = (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile)
+_CSR = ("data", "indices", "indptr")
 
 
 def split_reference(reference: str) -> tuple[str, str]:
@@ -39,11 +43,13 @@ def read_matrix(folder: Path, reference: str) -> sparse.csr_array:
     file, name = split_reference(reference)
     path = folder / file
     suffix = path.suffix.lower()
+    given: Any
     try:
         if suffix == ".mtx":
             given = io.mmread(path)
         elif suffix == ".npz":
-            given = sparse.load_npz(path)
+            with path.open("rb") as stream:
+                given = sparse.load_npz(stream)
         elif suffix in HDF5 and name:
             given = _read_hdf5(path, name)
         else:
@@ -52,7 +58,7 @@ def read_matrix(folder: Path, reference: str) -> sparse.csr_array:
             )
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except _NO_MATRIX as error:
         raise ModelError(f"{reference} in {folder} holds no matrix: {error}") from error
     if np.iscomplexobj(given):
         raise ModelError(f"the matrix {reference} is complex; real ones are needed")
@@ -71,7 +77,7 @@ def write_matrix(folder: Path, reference: str, matrix: sparse.csr_array) -> None
     else:
         with h5py.File(path, "a") as out:
             group = out.create_group(name)
-            for part in ("data", "indices", "indptr"):
+            for part in _CSR:
                 group.create_dataset(part, data=getattr(matrix, part))
 
 
@@ -87,6 +93,3 @@ def _read_hdf5(path: Path, name: str) -> sparse.csr_array:
     matrix = sparse.csr_array((data, indices, indptr), shape=(size, size))
     matrix.check_format(full_check=True)
     return matrix
-
-
-_CSR = ("data", "indices", "indptr")

@@ -55,8 +55,8 @@ class MatrixModel:
         """A part by its name. Raises ModelError with the nearest names."""
         if name not in self.parts:
             near = get_close_matches(name, self.parts, n=3)
-            hint = f"; did you mean {' or '.join(near)}?" if near else ""
-            raise ModelError(f"the model has no part {name}{hint}")
+            hint = f"did you mean {' or '.join(near)}?" if near else f"it has {_some(self.parts)}"
+            raise ModelError(f"the model has no part {name}; {hint}")
         return self.parts[name]
 
     def targets(self, parameter: Parameter) -> list[Part]:
@@ -113,6 +113,11 @@ class MatrixModel:
                 if matrix is not None:
                     _feed_matrix(digest, f"{name}/{kind}", matrix)
         return digest.hexdigest()
+
+
+def _some(names: Mapping[str, Part]) -> str:
+    shown = ", ".join(list(names)[:10]) or "none"
+    return f"{shown}, ..." if len(names) > 10 else shown
 
 
 def _feed_matrix(digest: hashlib._Hash, name: str, matrix: sparse.csr_array) -> None:

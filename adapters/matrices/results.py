@@ -48,7 +48,7 @@ def read_result(
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Floats]:
     """All arrays whole; an entry's checksum stands in the file."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in names}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise SolverCrashed(f"the result {path} is missing, cut or damaged: {error}") from error

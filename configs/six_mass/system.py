@@ -8,8 +8,8 @@ writes the models (analytical.yaml, experimental.yaml, six_mass.yaml) and the te
 The thesis shows the connections in a figure that its text does not have. The arrangement here is a
 choice. Ten springs between different pairs, every mass held:
 
-    ground - k8 - m6 - k5 - m4 - k9 - ground      ground - k6 - m2 - k4 - m1 - k3 - m3 - k10 - ground
-             m6 - k7 - m5 - k2 - m4                        m2 - k1 - m4
+    ground - k8 - m6 - k5 - m4 - k9 - ground,     m6 - k7 - m5 - k2 - m4,
+    ground - k6 - m2 - k4 - m1 - k3 - m3 - k10 - ground,     m2 - k1 - m4
 
 Of the arrangements looked at (a local search over all ways to place ten springs) it is among those
 that come nearest to the thesis's MAC before updating in Tables 3 and 12 together, and of these the
@@ -78,9 +78,7 @@ def modes_of(model: Path) -> ModeSet:
     system = matrices_solver(model, ()).deck.model
     eigenvalues, shapes = solve_modes(system.stiffness, system.mass, len(MASSES))
     frequencies_hz = np.sqrt(eigenvalues) / (2.0 * np.pi)
-    return mode_set(
-        frequencies_hz, shapes, system.nodes, system.components, normalisation="mass"
-    )
+    return mode_set(frequencies_hz, shapes, system.nodes, system.components, normalisation="mass")
 
 
 def write_case(folder: Path) -> None:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import pytest
 from scipy import linalg
 
 from modetune.adapters.calculix.solver import PROGRAM_VARIABLE, calculix_solver
+from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
 from modetune.core.errors import (
@@ -487,3 +489,66 @@ def test_a_program_that_is_no_ccx_is_no_solver(
     monkeypatch.setenv(PROGRAM_VARIABLE, "true")
     with pytest.raises(SolverMissing, match="`true -v` printed no CalculiX version"):
         solver_of(HARNESSES[0], FREE_BAR, tmp_path).version()
+
+
+# The embedded solver knows no elements but springs and masses: the chain, held and free.
+
+LINKS = tuple(f"k{node}" for node in range(2, CHAIN_MASSES + 1))
+LUMPS = tuple(f"m{node}" for node in range(1, CHAIN_MASSES + 1))
+MATRICES_CHAIN = replace(
+    CHAIN,
+    parameters=(
+        parameter("k_ground", "spring_stiffness", "k1"),
+        parameter("k_links", "spring_stiffness", *LINKS),
+        parameter("m", "mass", *LUMPS),
+    ),
+    groups={"k_ground": ("k1",), "k_links": LINKS},
+    solid=True,
+)
+MATRICES_FREE_CHAIN = replace(
+    MATRICES_CHAIN,
+    name="free_chain",
+    parameters=MATRICES_CHAIN.parameters[1:],
+    groups={"k_links": LINKS},
+    n_modes=4,
+    n_rigid=1,
+    # Free chain of equal links: sqrt(k / m) / pi sin(j pi / 2 n).
+    frequencies_hz=tuple(
+        float((STIFFNESS / MASS) ** 0.5 / np.pi * np.sin(mode * np.pi / (2 * CHAIN_MASSES)))
+        for mode in (1, 2, 3)
+    ),
+)
+
+
+def matrices_chain(case: Case) -> str:
+    lines = ["masses:", *(f"  {name}: {MASS}" for name in LUMPS), "springs:"]
+    if case.n_rigid == 0:
+        lines.append(f"  k1: {{between: [ground, m1], stiffness: {STIFFNESS}}}")
+    for node in range(2, CHAIN_MASSES + 1):
+        lines.append(f"  k{node}: {{between: [m{node - 1}, m{node}], stiffness: {STIFFNESS}}}")
+    return "\n".join(lines) + "\n"
+
+
+MATRICES = Harness("matrices", sys.executable, matrices_solver, matrices_chain, "# ")
+
+
+def test_the_embedded_solver_tells_its_version(tmp_path: Path) -> None:
+    version = solver_of(MATRICES, MATRICES_CHAIN, tmp_path).version()
+    assert re.fullmatch(r"\d+(\.\w+)*", version)
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        test_frequencies_mass_and_rigid_modes_are_right,
+        test_strain_energies_balance_and_groups_sum_to_the_total,
+        test_matrices_have_the_eigenvalues_of_the_modal_run,
+        test_updated_decks_run_to_the_same_modes,
+        test_content_is_blind_to_paths_and_comments_and_sees_numbers,
+    ],
+)
+@pytest.mark.parametrize("chain", [MATRICES_CHAIN, MATRICES_FREE_CHAIN], ids=lambda c: c.name)
+def test_the_embedded_solver_meets_the_contract(
+    check: Callable[[Harness, Case, Path], None], chain: Case, tmp_path: Path
+) -> None:
+    check(MATRICES, chain, tmp_path)

@@ -131,16 +131,30 @@ def test_covariance_matches_the_spread_of_many_noisy_fits() -> None:
     fits = noise @ (w @ s @ np.linalg.inv(s.T @ w @ s))
     # 4000 samples tell a variance within about 1 / sqrt(2000) = 2 %; 10 % is safe.
     np.testing.assert_allclose(
-        np.cov(fits.T).diagonal(), parameter_covariance(s, variances).diagonal(), rtol=0.1
+        np.cov(fits.T).diagonal(),
+        parameter_covariance(s, variances, p.weights).diagonal(),
+        rtol=0.1,
     )
+
+
+def test_covariance_knows_the_emphasis_of_the_step() -> None:
+    p = problem(12, 3)
+    s, variances = p.sensitivity, 1.0 / p.weights
+    weights = p.weights * np.where(np.arange(12) < 4, 1.0, 0.1)
+    noise = np.random.default_rng(6).normal(size=(4000, 12)) * np.sqrt(variances)
+    w = np.diag(weights)
+    fits = noise @ (w @ s @ np.linalg.inv(s.T @ w @ s))
+    found = parameter_covariance(s, variances, weights).diagonal()
+    np.testing.assert_allclose(np.cov(fits.T).diagonal(), found, rtol=0.1)
+    assert (found > parameter_covariance(s, variances, p.weights).diagonal()).all()
 
 
 def test_a_parameter_without_effect_has_an_infinite_error_and_a_prior_bounds_it() -> None:
     s = np.array([[1.0, 0.0], [2.0, 0.0]])
-    covariance = parameter_covariance(s, np.ones(2))
+    covariance = parameter_covariance(s, np.ones(2), np.ones(2))
     assert covariance[0, 0] == pytest.approx(0.2)
     assert covariance[1, 1] == np.inf
-    held = parameter_covariance(s, np.ones(2), np.array([25.0, 25.0]))
+    held = parameter_covariance(s, np.ones(2), np.ones(2), np.array([25.0, 25.0]))
     assert held[1, 1] == pytest.approx(0.04)
 
 

@@ -56,7 +56,7 @@ def test_frequency_breaks_the_tie_of_equal_shapes() -> None:
 
 
 def test_a_mode_missed_by_the_solver_is_lost() -> None:
-    with pytest.raises(LostMode, match=r"measured mode 3 at 30 Hz"):
+    with pytest.raises(LostMode, match=r"the measured mode at 30 Hz"):
         pair_by_shape(sines([10.0, 20.0, 30.0], [1, 2, 3]), sines([10.0, 20.0, 40.0], [1, 2, 4]))
 
 
@@ -106,6 +106,24 @@ def test_no_common_sensor_is_told() -> None:
     elsewhere = mode_set([10.0], np.ones((2, 1)), [100, 101], [1, 1])
     with pytest.raises(ModesError, match="no sensor"):
         pair_by_shape(elsewhere, computed)
+
+
+def test_a_computed_mode_that_rests_at_all_sensors_is_no_partner() -> None:
+    computed = sines([10.0, 20.0, 30.0], [1, 2, 3])
+    shapes = computed.mode_shapes.copy()
+    shapes[:, 1] = 0.0  # in the plane, where the sensors measure across it
+    still = mode_set([10.0, 20.0, 30.0], shapes, computed.nodes, computed.components)
+    pairing = pair_by_shape(sines([10.0, 30.0], [1, 3]), still)
+    assert pairing.computed.tolist() == [0, 2]
+
+
+def test_turned_close_modes_are_judged_by_their_space() -> None:
+    measured = sines([10.0, 20.0, 20.1], [1, 2, 3])
+    x = np.linspace(0.0, np.pi, 22)[1:-1]
+    two, three = np.sin(2 * x), np.sin(3 * x)
+    shapes = np.stack([np.sin(x), two + three, two - three], axis=1)
+    computed = mode_set([10.0, 20.0, 20.1], shapes, np.arange(20), np.full(20, 3))
+    np.testing.assert_allclose(pair_by_shape(measured, computed).judged_mac, 1.0)
 
 
 def test_close_modes_are_within_their_width() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import threading
+import time
 from pathlib import Path
 
 import h5py
@@ -167,8 +168,8 @@ def test_a_full_disk_is_told_and_harms_nothing(store: Store) -> None:
 
 def test_a_place_that_cannot_be_a_folder_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageUnavailable, match="MODETUNE_STORE"):
-        check_writable(tmp_path / "file" / "store")
+    with pytest.raises(StorageUnavailable, match="use MODETUNE_STORE"):
+        check_writable(tmp_path / "file" / "store", "use MODETUNE_STORE")
 
 
 def test_a_lock_lets_one_in_at_a_time(store: Store) -> None:
@@ -176,7 +177,7 @@ def test_a_lock_lets_one_in_at_a_time(store: Store) -> None:
 
     def work() -> None:
         for _ in range(20):
-            with store.lock(KEY):
+            with store.lock(KEY, lambda: time.sleep(0.001)):
                 inside[0] += 1
                 most[0] = max(most[0], inside[0])
                 inside[0] -= 1

@@ -117,6 +117,11 @@ def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
     assert "same name" in problems(folder, GOOD + GOOD.splitlines()[-1] + "\n")
 
 
+def test_two_parameters_on_one_number_are_refused(folder: Path) -> None:
+    second = "  - {name: E_again, quantity: youngs_modulus, material: ALU}\n"
+    assert "both E_bar and E_again change this number" in problems(folder, GOOD + second)
+
+
 def test_a_sensor_outside_the_model_is_named(folder: Path) -> None:
     (folder / "measured.csv").write_text(TEST + "8.x,1,2\n77.z,1,2\n")
     said = problems(folder)

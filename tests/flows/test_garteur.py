@@ -180,7 +180,7 @@ def test_noise_leaves_the_wing_within_two_per_cent(folder: Path, watcher: Any) -
 
 def test_e2_saves_sensitivity_jobs_and_ends_at_the_same_moduli(folder: Path, watcher: Any) -> None:
     by_differences = "sensitivity={method: finite_difference, step: 0.01}"
-    settings = (by_differences, "update.e1.frequency=1.0e-5", "update.max_iterations=10")
+    settings = (by_differences, "update.e1.frequency=1.0e-6", "update.max_iterations=10")
     always = run(folder, watcher, "twin.yaml", *settings)
     skipping = run(folder, watcher, "twin.yaml", *settings, "update.e2=0.12")
     assert always.status == skipping.status == "converged"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,10 @@ import h5py
 import numpy as np
 import pytest
 
-from modetune.core.errors import SolverCrashed, SolverRejected
+from modetune.adapters.solver import MatrixAnalysis
+from modetune.core.errors import CampaignError, SolverCancelled, SolverCrashed, SolverRejected
 from modetune.core.record import CampaignRecord
+from modetune.flows.engine import Job
 from modetune.flows.recording import summary
 from modetune.flows.running import update_campaign
 from modetune.flows.schema import E1Section, SensitivitySection, UpdateSection
@@ -61,6 +65,9 @@ def test_masses_and_springs_together_are_recovered(bench: Any, watcher: Any) -> 
     kinds = {"k1": "spring_stiffness", "k4": "spring_stiffness", "m2": "mass"}
     record = run(bench, watcher, bench.campaign(truth, parameters=kinds))
     np.testing.assert_allclose(record.updated, list(truth.values()), rtol=1e-6)
+    # Springs by strain energies, the mass by matrices: every run is planned and counted.
+    assert bench.runs("matrices") == record.runs.sensitivity
+    assert bench.runs("modal") == record.runs.modal
 
 
 def test_energies_that_do_not_balance_are_not_believed(
@@ -149,6 +156,51 @@ def test_a_failed_trial_step_is_halved(bench: Any, watcher: Any) -> None:
     assert bench.runs() == record.runs.modal + 1
 
 
+def test_a_failed_trial_by_an_old_matrix_is_taken_back(
+    bench: Any, watcher: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    differences = SensitivitySection(method="finite_difference", step=0.001)
+    # e2 skips from iteration 2 on: runs 1-5 are the start, 6-10 iteration 1, 11 iteration 2, and
+    # 12 is the first trial by a matrix of an earlier iteration.
+    bench.script({12: "short"})
+    campaign = bench.campaign(TRUTH, sensitivity=differences, update=settings(e2=1.0))
+    record = run(bench, watcher, campaign)
+    assert "taken back, new sensitivity" in caplog.text
+    assert record.status == "converged"
+    np.testing.assert_allclose(record.updated, list(TRUTH.values()), rtol=1e-3)
+
+
+@pytest.mark.parametrize("step", ["pseudo_inverse", "minimum_norm", "pulled_to_initial"])
+def test_every_step_form_ends_by_its_own_measure(bench: Any, watcher: Any, step: Any) -> None:
+    regularisation: Any = "l_curve" if step == "pulled_to_initial" else 1.0
+    update = settings(
+        step=step, regularisation=regularisation, e1=E1Section(frequency=2e-3, mac=0.0)
+    )
+    record = run(bench, watcher, bench.campaign(TRUTH, update=update))
+    assert record.status == "converged"
+    assert all(item.accepted for item in record.iterations)
+
+
+def test_two_runs_of_one_folder_are_refused(bench: Any, watcher: Any) -> None:
+    folder = bench.folder / "run"
+    folder.mkdir()
+    with (folder / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(CampaignError, match="under way"):
+            run(bench, watcher, bench.campaign(TRUTH))
+    assert bench.runs() == 0
+
+
+def test_waiting_for_another_campaigns_job_can_be_stopped(bench: Any) -> None:
+    campaign = bench.campaign(TRUTH)
+    engine = bench.engine(campaign)
+    job = Job(campaign.parameters.values(campaign.parameters.initial), MatrixAnalysis())
+    with engine.store.lock(engine.key(job), lambda: None):
+        threading.Timer(0.2, engine.cancelled.set).start()
+        with pytest.raises(SolverCancelled, match="another one runs the same job"):
+            engine.solve(job)
+
+
 def test_a_rejected_first_deck_ends_the_campaign_and_keeps_its_folder(
     bench: Any, watcher: Any
 ) -> None:
@@ -197,6 +249,9 @@ def test_the_record_reads_with_h5py_alone(bench: Any, watcher: Any) -> None:
         assert last.attrs["modal_key"] == record.iterations[-1].modal_key
         assert last["sensitivity"].shape == (last["residual"].size, len(TRUTH))
         np.testing.assert_allclose(last["pair_mac"][()], 1.0)
+        keys = [key.decode() for key in last["sensitivity_keys"][()]]
+        assert len(keys) == 1 + len(TRUTH)
+        assert all(key in record.iterations[-1].sensitivity_keys for key in keys)
 
 
 def test_the_summary_has_what_machines_read(bench: Any, watcher: Any) -> None:
