@@ -57,12 +57,14 @@ class Command:
 class ModelSummary:
     """What an adapter knows of its model without running it.
 
-    node_ids: every node that carries results. solid_shapes: whether the stored matrices' unknowns
-    can be found at nodes (solids without dependent nodes), so that shapes follow from them.
+    node_ids: every node that carries results; components: which of 1..6 it has there.
+    solid_shapes: whether the stored matrices' unknowns can be found at nodes (solids without
+    dependent nodes), so that shapes follow from them.
     """
 
     name: str
     node_ids: frozenset[int]
+    components: frozenset[int]
     n_elements: int
     solid_shapes: bool
 

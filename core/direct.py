@@ -86,7 +86,7 @@ class DirectUpdate:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredModes:
+class ReferenceModes:
     """Measured modes to impose on a model.
 
     frequencies_hz: (n_modes,), above 0. shapes: (n_rows, n_modes), real. rows: (n_rows,) of the
@@ -103,7 +103,7 @@ class MeasuredModes:
 
 
 def direct_matrix_update(
-    stiffness: Matrix, mass: Matrix, measured: MeasuredModes, model_shapes: Floats | None = None
+    stiffness: Matrix, mass: Matrix, measured: ReferenceModes, model_shapes: Floats | None = None
 ) -> DirectUpdate:
     """Smallest changes of mass and stiffness that give the model the measured modes exactly.
 
@@ -138,7 +138,7 @@ def direct_matrix_update(
 def error_matrix_update(
     stiffness: Matrix,
     mass: Matrix,
-    measured: MeasuredModes,
+    measured: ReferenceModes,
     frequencies_hz: ArrayLike,
     model_shapes: Floats,
 ) -> DirectUpdate:
@@ -170,7 +170,7 @@ def error_matrix_update(
 
 
 def _full_shapes(
-    k: Any, m: Any, measured: MeasuredModes, model_shapes: Floats | None
+    k: Any, m: Any, measured: ReferenceModes, model_shapes: Floats | None
 ) -> tuple[Floats, Expansion]:
     """Measured shapes at all unknowns, scaled; and the expansion that filled them."""
     shapes = np.asarray(measured.shapes)
@@ -186,7 +186,7 @@ def _full_shapes(
     return phi, expanded
 
 
-def _expanded(k: Any, m: Any, measured: MeasuredModes, model_shapes: Floats) -> Expansion:
+def _expanded(k: Any, m: Any, measured: ReferenceModes, model_shapes: Floats) -> Expansion:
     match measured.filling:
         case "kidder":
             return kidder_expansion(k, m, measured.frequencies_hz, measured.shapes, measured.rows)

@@ -21,7 +21,7 @@ from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.configs.garteur import aircraft
 from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignError, ModelError
-from modetune.core.modes import MeasuredModes
+from modetune.core.modes import COMPONENTS, MeasuredModes
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.residual import Weighting
 from modetune.core.store import Store, writing
@@ -264,6 +264,14 @@ def _disagreements(
             f"{source.path.parent / file.test.modes}: sensor node "
             f"{', '.join(map(str, absent[:5]))}{', ...' if len(absent) > 5 else ''} is not in the "
             f"model {solver.model.name} (named in {source.where(('test', 'modes'))})"
+        )
+    strange = sorted(set(test.modes.components.tolist()) - solver.model.components)
+    if strange:
+        has = ", ".join(COMPONENTS[number - 1] for number in sorted(solver.model.components))
+        found.append(
+            f"{source.path.parent / file.test.modes}: sensors measure "
+            f"{', '.join(COMPONENTS[number - 1] for number in strange)}, but results of "
+            f"{solver.name} have {has} (named in {source.where(('test', 'modes'))})"
         )
     if file.sensitivity.method == "strain_energy":
         place = source.where(("sensitivity", "method"))

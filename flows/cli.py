@@ -100,7 +100,8 @@ def modes(
     for number, frequency in enumerate(told["frequencies_hz"], start=1):
         rigid = "  rigid" if number <= told["rigid_modes"] else ""
         typer.echo(f"{number:4d} {frequency:14.6f} Hz{rigid}")
-    typer.echo(f"mass {told['mass_kg']:.6g} kg; {told['solver']} {told['solver_version']}")
+    mass = "not known" if told["mass_kg"] is None else f"{told['mass_kg']:.6g} kg"
+    typer.echo(f"mass {mass}; {told['solver']} {told['solver_version']}")
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TypedDict
 
@@ -18,8 +19,8 @@ class ModalSummary(TypedDict):
 
     frequencies_hz: list[float]
     rigid_modes: int
-    mass: float
-    mass_kg: float
+    mass: float | None
+    mass_kg: float | None
     solver: str
     solver_version: str
 
@@ -51,11 +52,12 @@ def model_modes(campaign: Campaign, values: Mapping[str, float]) -> ModalResult:
 
 def modal_summary(campaign: Campaign, result: ModalResult) -> ModalSummary:
     """What `modetune modes` tells; mass in the deck's unit and in kg."""
+    known = math.isfinite(result.mass)  # a model of rotations alone has none
     return {
         "frequencies_hz": result.modes.frequencies_hz.tolist(),
         "rigid_modes": result.n_rigid,
-        "mass": result.mass,
-        "mass_kg": result.mass * KILOGRAMS[campaign.units],
+        "mass": result.mass if known else None,
+        "mass_kg": result.mass * KILOGRAMS[campaign.units] if known else None,
         "solver": campaign.solver.name,
         "solver_version": campaign.solver.version(),
     }

@@ -22,7 +22,7 @@ from modetune.adapters.modes_csv import read_modes_csv
 from modetune.core.correlation import mac
 from modetune.core.direct import (
     DirectUpdate,
-    MeasuredModes,
+    ReferenceModes,
     direct_matrix_update,
     error_matrix_update,
 )
@@ -286,10 +286,10 @@ def history_figure(record: CampaignRecord, truth: Sequence[float]) -> Figure:
     )  # fmt: skip
 
 
-def _given(measured: ModeSet, unmeasured: tuple[int, ...]) -> MeasuredModes:
+def _given(measured: ModeSet, unmeasured: tuple[int, ...]) -> ReferenceModes:
     rows = [row for row in range(N) if row + 1 not in unmeasured]
     shapes = np.real(measured.mode_shapes[rows])
-    return MeasuredModes(measured.frequencies_hz, shapes, rows, "mass", "kidder")
+    return ReferenceModes(measured.frequencies_hz, shapes, rows, "mass", "kidder")
 
 
 def _worst(result: Outcome) -> tuple[float, float]:

@@ -56,6 +56,7 @@ class CalculixModel:
         return ModelSummary(
             name=self.deck.file.stem,
             node_ids=self.mesh.element_nodes if free else self.mesh.nodes,
+            components=frozenset({1, 2, 3}),  # ccx prints no rotations
             n_elements=len(elements),
             solid_shapes=solid and free and not self.deck.named("*TRANSFORM"),
         )

@@ -72,7 +72,7 @@ def run_job(folder: Path) -> int:
         return 1
     part = folder / f"{RESULT}.part"
     with part.open("wb") as out:
-        np.savez(out, **arrays)
+        np.savez(out, allow_pickle=False, **arrays)
     part.replace(folder / RESULT)
     _say(CLOSING_MARK)
     return 0

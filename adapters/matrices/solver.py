@@ -42,6 +42,7 @@ class MatricesSolver:
         return ModelSummary(
             name=model.name,
             node_ids=frozenset(model.nodes.tolist()),
+            components=frozenset(model.components.tolist()),
             n_elements=len(model.parts),
             solid_shapes=True,  # every unknown is one of a node, under one name
         )

@@ -113,10 +113,10 @@ def aircraft(mesh: Mesh) -> Aircraft:
     offset = 0
     for block in blocks(mesh):
         grid = np.stack(np.meshgrid(block.x, block.y, block.z, indexing="ij"), axis=-1)
-        numbers = offset + np.arange(grid[..., 0].size).reshape(grid.shape[:3])
+        shape = (block.x.size, block.y.size, block.z.size)
+        numbers = offset + np.arange(grid[..., 0].size).reshape(shape)
         corners = [
-            numbers[i : numbers.shape[0] - 1 + i, j : numbers.shape[1] - 1 + j,
-                    k : numbers.shape[2] - 1 + k].ravel()
+            numbers[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k].ravel()
             for k in (0, 1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))
         ]  # fmt: skip
         points.append(grid.reshape(-1, 3))
@@ -128,7 +128,7 @@ def aircraft(mesh: Mesh) -> Aircraft:
         group: np.concatenate([merged[corners] for name, corners in cells if name == group])
         for group in GROUPS
     }
-    return Aircraft(nodes, elements)
+    return Aircraft(np.asarray(nodes, dtype=np.float64), elements)
 
 
 def calculix_deck(mesh: Mesh) -> str:

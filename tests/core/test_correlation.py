@@ -224,7 +224,7 @@ def test_mass_matrices_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ModesError, match="do not fit"):
         effective_mass(SHAPES, np.eye(7), np.ones((6, 1)))
     with pytest.raises(ModelError, match="real"):
-        effective_mass(SHAPES * 1j, np.eye(7), np.ones((7, 1)))
+        effective_mass(np.asarray(SHAPES * 1j, np.complex128), np.eye(7), np.ones((7, 1)))
     with pytest.raises(ModesError, match="do not fit"):
         rigid_body_shapes(np.zeros((2, 2)), np.array([1, 2]))
     with pytest.raises(ModesError, match="numbered"):

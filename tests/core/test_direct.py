@@ -14,7 +14,7 @@ from modetune.core.correlation import mac
 from modetune.core.direct import (
     Filling,
     LowRankChange,
-    MeasuredModes,
+    ReferenceModes,
     direct_matrix_update,
     error_matrix_update,
 )
@@ -40,9 +40,9 @@ def modes(k: Any, m: Any) -> tuple[Any, Any]:
     return np.sqrt(lam) / (2.0 * np.pi), phi
 
 
-def measured(n_modes: int, rows: Any = ALL, filling: Filling = "kidder") -> MeasuredModes:
+def measured(n_modes: int, rows: Any = ALL, filling: Filling = "kidder") -> ReferenceModes:
     frequencies, phi = modes(*chain(TEST))
-    return MeasuredModes(frequencies[:n_modes], phi[rows, :n_modes], rows, "mass", filling)
+    return ReferenceModes(frequencies[:n_modes], phi[rows, :n_modes], rows, "mass", filling)
 
 
 @pytest.mark.parametrize("n_modes", [1, 3, 6])
@@ -84,8 +84,8 @@ def test_shapes_of_unknown_scale_are_normalised_in_the_models_mass(
 ) -> None:
     k, m = chain(MODEL)
     test = measured(3)
-    plain = MeasuredModes(test.frequencies_hz, test.shapes, ALL)
-    scaled = MeasuredModes(test.frequencies_hz, sign * scale * test.shapes, ALL, "max")
+    plain = ReferenceModes(test.frequencies_hz, test.shapes, ALL)
+    scaled = ReferenceModes(test.frequencies_hz, sign * scale * test.shapes, ALL, "max")
     one, other = direct_matrix_update(k, m, plain), direct_matrix_update(k, m, scaled)
     np.testing.assert_allclose(
         one.stiffness_change.dense(), other.stiffness_change.dense(), rtol=1e-6, atol=1e-6
@@ -129,7 +129,7 @@ def test_the_error_matrix_method_is_exact_to_first_order() -> None:
     for size in (1e-2, 1e-3):
         true_k, true_m = k + size * dk, m + size * dm
         true_frequencies, true_phi = modes(true_k, true_m)
-        test = MeasuredModes(true_frequencies, true_phi, ALL, "mass")
+        test = ReferenceModes(true_frequencies, true_phi, ALL, "mass")
         update = error_matrix_update(k, m, test, frequencies, phi)
         errors.append(
             (
@@ -171,7 +171,7 @@ def test_measured_modes_that_do_not_fit_are_refused() -> None:
     def refused(message: str, **changes: Any) -> None:
         values = {"frequencies_hz": good.frequencies_hz, "shapes": good.shapes, "rows": ALL}
         with pytest.raises(ModesError, match=message):
-            direct_matrix_update(k, m, MeasuredModes(**{**values, **changes}))
+            direct_matrix_update(k, m, ReferenceModes(**{**values, **changes}))
 
     refused("above 0 Hz", frequencies_hz=np.array([0.0, 1.0]))
     refused("frequencies for", frequencies_hz=np.array([1.0]))

@@ -108,7 +108,7 @@ def test_rank_and_condition_are_told() -> None:
 def test_the_l_curve_finds_the_noise_level_of_a_hilbert_matrix(seed: int) -> None:
     # Hansen's kind of problem: exact solution of ones, data with 1e-4 noise.
     n = 8
-    s = 1.0 / (np.arange(2 * n)[:, None] + np.arange(n)[None, :] + 1.0)
+    s = 1.0 / (np.arange(1.0, 2 * n + 1)[:, None] + np.arange(float(n))[None, :])
     noise = 1e-4 * np.random.default_rng(seed).normal(size=2 * n)
     p = StepProblem(s, s @ np.ones(n) + noise, np.ones(2 * n), np.ones(n), np.zeros(n),
                     np.full(n, -1e9), np.full(n, 1e9))  # fmt: skip

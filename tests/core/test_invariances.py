@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from modetune.core.correlation import subspace_mac
-from modetune.core.direct import MeasuredModes, direct_matrix_update
+from modetune.core.direct import ReferenceModes, direct_matrix_update
 from modetune.core.modes import mode_set
 from modetune.core.pairing import pair_by_shape
 from modetune.core.sensitivity import cluster_rotation, fox_kapoor, nelson
@@ -123,7 +123,7 @@ def test_a_direct_update_does_not_see_a_measured_pair_turn(angle: float, sign: f
     one, other = (
         direct_matrix_update(
             STIFFNESS, MASS,
-            MeasuredModes(hz, np.column_stack([pair[:, :2], sign * shapes[:, 2]]), rows, "mass"),
+            ReferenceModes(hz, np.column_stack([pair[:, :2], sign * shapes[:, 2]]), rows, "mass"),
         )
         for pair in (shapes, turned(shapes, angle))
     )  # fmt: skip

@@ -95,7 +95,7 @@ class ScriptedSolver:
 
     @property
     def model(self) -> ModelSummary:
-        return ModelSummary("chain", frozenset(range(1, 7)), 13, solid_shapes=True)
+        return ModelSummary("chain", frozenset(range(1, 7)), frozenset({1}), 13, solid_shapes=True)
 
     def version(self) -> str:
         return "1"

@@ -129,6 +129,11 @@ def test_a_sensor_outside_the_model_is_named(folder: Path) -> None:
     assert "campaign.yaml, line 6" in said
 
 
+def test_a_component_that_the_solver_does_not_give_is_named(folder: Path) -> None:
+    (folder / "measured.csv").write_text(TEST + "8.x,1,2\n8.rz,1,2\n")
+    assert "sensors measure rz, but results of calculix have x, y, z" in problems(folder)
+
+
 def test_nan_in_the_test_names_file_and_line(folder: Path) -> None:
     (folder / "measured.csv").write_text("mode,1,2\nfrequency_hz,10,nan\n")
     assert "measured.csv, line 2" in problems(folder)
