@@ -27,7 +27,8 @@ def test_every_command_of_the_readme_is_there() -> None:
         [sys.executable, "-m", "modetune.flows", "--help"],
         capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
-    for command in set(re.findall(r"^modetune (\w+)", README, re.MULTILINE)):
+    blocks = "\n".join(re.findall(r"```\n(.*?)```", README, re.DOTALL))
+    for command in set(re.findall(r"^modetune (\w+)", blocks, re.MULTILINE)):
         assert re.search(rf"\b{command}\b", said), command
 
 
@@ -37,4 +38,4 @@ def test_every_campaign_key_is_documented() -> None:
         assert f"`{name}" in documented
         inner = getattr(field.annotation, "model_fields", {})
         for key in inner:
-            assert re.search(rf"[`.]{key}`", documented), f"{name}.{key}"
+            assert re.search(rf"[`.]{key}[`.]", documented), f"{name}.{key}"
