@@ -10,7 +10,15 @@ from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.pairing import Pairing, pair_by_order, pair_by_shape, pair_by_tracking
 from modetune.core.residual import Residual, Weighting, residual
 from modetune.core.results import ModalResult
-from modetune.flows.sensitivities import Point
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Where derivatives are taken: parameter values, the modes there, and which are paired."""
+
+    theta: Floats
+    modal: ModalResult
+    pairing: Pairing
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,8 @@ from modetune.flows.campaign import Campaign
 from modetune.flows.engine import Job, JobEngine, JobOutcome
 from modetune.flows.evaluation import Evaluation, compare
 from modetune.flows.execution import Done, Execution, Work
-from modetune.flows.sensitivities import Exact, Sensitivities, UnbalancedEnergies, UnlikeMatrices
+from modetune.flows.semi_analytic import UnlikeMatrices
+from modetune.flows.sensitivities import Exact, Sensitivities, UnbalancedEnergies
 
 logger = logging.getLogger(__name__)
 

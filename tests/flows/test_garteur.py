@@ -13,10 +13,11 @@ from modetune.configs.garteur.twin import TRUTH
 from modetune.core.errors import SolverMissing
 from modetune.core.record import CampaignRecord
 from modetune.flows.campaign import Campaign, load_campaign
+from modetune.flows.evaluation import Point
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution import ThreadExecution
 from modetune.flows.running import job_engine, update_campaign
-from modetune.flows.sensitivities import Exact, Point, Sensitivities
+from modetune.flows.sensitivities import Exact, Sensitivities
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"
 

@@ -1,0 +1,210 @@
+"""Derivatives from the solver's stored matrices: Fox and Kapoor's, and Nelson's for shapes.
+
+dK/dp and dM/dp come from differences of stored matrices, one job a parameter besides the model's
+own, two where they are not linear in p. Where all parameters are linear the differences are the
+same for all values: they are taken once, at the initial model, and K and M anywhere else follow
+from them without a job. Modes are those of the matrices (the solver's have lost digits in print,
+and the unknowns that it keeps to itself), checked against the solver's eigenvalues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.core.eigen import solve_modes
+from modetune.core.errors import ModesError
+from modetune.core.keys import Json
+from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import LINEAR, ParameterSet
+from modetune.core.results import MatrixResult, ModeDerivatives
+from modetune.core.sensitivity import fox_kapoor, nelson, stack_derivatives
+from modetune.flows.engine import Job, JobEngine
+from modetune.flows.evaluation import Point
+
+#: Eigenvalues of the stored matrices and of the solver's own run agree to its seven digits.
+EIGENVALUE_TOLERANCE = 1e-4
+
+
+#: Raised by hand when the same matrices give other derivatives.
+DERIVATIVES_VERSION = 1
+
+
+class UnlikeMatrices(ModesError):
+    """The stored matrices are not those of the modes (preload, parts that matrices do not hold)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SemiAnalytic:
+    """The method bound to a model; step: relative change of a parameter between matrices."""
+
+    engine: JobEngine
+    parameters: ParameterSet
+    step: float
+    with_shapes: bool
+    modal: ModalAnalysis
+
+    @property
+    def constant(self) -> bool:
+        """Whether dK/dp and dM/dp are the same for all parameter values.
+
+        So where K and M are linear in each parameter and no two parameters scale the same thing.
+        """
+        parameters = self.parameters.parameters
+        scaled = [(item.quantity, target.upper()) for item in parameters for target in item.targets]
+        return len(set(scaled)) == len(scaled) and all(p.quantity in LINEAR for p in parameters)
+
+    def _factors(self, column: int) -> tuple[float, ...]:
+        """Factors on the parameter at which matrices are stored, besides the model's own.
+
+        One is exact where matrices are linear. Of a shell's thickness t they are A t + B + C / t
+        (stiffness in the plane and across it, on the unknowns of both faces), whose derivative
+        the pair 1 + s, 1 / (1 + s) gives exactly; a plain central difference would be drowned by
+        the stiffness across the thickness, however small its step.
+        """
+        upper = 1.0 + self.step
+        linear = self.parameters.parameters[column].quantity in LINEAR
+        return (upper,) if linear else (upper, 1.0 / upper)
+
+    def jobs(self, theta: Floats, column: int) -> tuple[Job, ...]:
+        """The matrix jobs of a column."""
+        base = self.parameters.initial if self.constant else theta
+        return tuple(
+            Job(self.parameters.values(scaled(base, column, factor)), MatrixAnalysis())
+            for factor in self._factors(column)
+        )
+
+    def base_job(self, theta: Floats) -> Job:
+        """The matrix job of the model from which columns differ."""
+        base = self.parameters.initial if self.constant else theta
+        return Job(self.parameters.values(base), MatrixAnalysis())
+
+    def _matrices(self, job: Job) -> MatrixResult:
+        result = self.engine.result(job)
+        assert isinstance(result, MatrixResult)
+        return result
+
+    def derivatives(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
+        """Derivatives of the paired modes by column.
+
+        They cost an eigensolution and a factorisation a mode, so the store keeps them beside the
+        jobs' results. Raises UnlikeMatrices.
+        """
+        at_theta = Job(self.parameters.values(point.theta), self.modal)
+        used = [self.base_job(point.theta), at_theta]
+        for column in columns:
+            used += self.jobs(point.theta, column)
+        asked: Json = {
+            "derivatives": DERIVATIVES_VERSION,
+            "jobs": [self.engine.key(job) for job in used],
+            "theta": point.theta.tolist(),
+            "step": self.step,
+            "pairs": point.pairing.computed.tolist(),
+            "shapes": self.with_shapes,
+        }
+        stacked = self.engine.derived(asked, lambda: stack_derivatives(
+            list(self._from_matrices(point, columns).values())
+        ))  # fmt: skip
+        return {
+            column: ModeDerivatives(
+                stacked.eigenvalues[:, [place]], stacked.mode_shapes[:, :, [place]]
+            )
+            for place, column in enumerate(columns)
+        }
+
+    def _from_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
+        base = self._matrices(self.base_job(point.theta))
+        changes = {column: self._change(point.theta, column, base) for column in columns}
+        stiffness, mass = base.stiffness, base.mass
+        if self.constant:
+            # K and M at theta follow from the reference model's, so no further job is needed.
+            for column, parameter in enumerate(self.parameters.parameters):
+                move = float(point.theta[column] - parameter.initial)
+                if move == 0.0:
+                    continue
+                dk, dm = changes.get(column) or self._change(point.theta, column, base)
+                stiffness, mass = stiffness + move * dk, mass + move * dm
+        base = MatrixResult(
+            sparse.csr_array(stiffness), sparse.csr_array(mass), base.nodes, base.components
+        )
+        return self._of_modes(point, base, changes)
+
+    def _change(
+        self, theta: Floats, column: int, base: MatrixResult
+    ) -> tuple[sparse.csr_array, sparse.csr_array]:
+        """dK/dp and dM/dp by differences of stored matrices; exact where they are linear in p."""
+        ends = [self._matrices(job) for job in self.jobs(theta, column)]
+        low = base if len(ends) == 1 else ends[1]
+        reference = self.parameters.initial if self.constant else theta
+        factors = (*self._factors(column), 1.0)[:2]
+        width = (factors[0] - factors[1]) * float(reference[column])
+        return (
+            sparse.csr_array((ends[0].stiffness - low.stiffness) / width),
+            sparse.csr_array((ends[0].mass - low.mass) / width),
+        )
+
+    def _of_modes(
+        self,
+        point: Point,
+        base: MatrixResult,
+        changes: Mapping[int, tuple[sparse.csr_array, sparse.csr_array]],
+    ) -> dict[int, ModeDerivatives]:
+        elastic, paired = point.modal.elastic, point.pairing.computed
+        n_modes = point.modal.modes.n_modes
+        eigenvalues, shapes = solve_modes(
+            base.stiffness, base.mass, n_modes, shift=-0.1 * float(elastic.eigenvalues[0])
+        )
+        modes = paired + point.modal.n_rigid
+        apart = np.abs(eigenvalues[modes] / elastic.eigenvalues[paired] - 1.0)
+        if (apart > EIGENVALUE_TOLERANCE).any():
+            raise UnlikeMatrices(
+                f"the stored matrices have other eigenvalues than the modal run (they differ by "
+                f"{apart.max():.2g}): the model has parts that matrices do not hold; use "
+                "finite_difference"
+            )
+        if not self.with_shapes:
+            return {
+                column: ModeDerivatives(
+                    fox_kapoor(eigenvalues[modes], shapes[:, modes], *change)[:, None],
+                    np.zeros((0, modes.size, 1)),
+                )
+                for column, change in changes.items()
+            }
+        rows, held = _sensor_rows(base, elastic.nodes, elastic.components)
+        found = nelson(base.stiffness, base.mass, eigenvalues, shapes, list(changes.values()),
+                       modes.tolist(), rows)  # fmt: skip
+        at_sensors = shapes[rows][:, modes]
+        signs = np.where(
+            np.sum(at_sensors * elastic.mode_shapes[~held][:, paired], axis=0) < 0.0, -1.0, 1.0
+        )
+        full = np.zeros((elastic.n_dof, modes.size, len(changes)))
+        full[~held] = found.mode_shapes * signs[None, :, None]
+        return {
+            column: ModeDerivatives(found.eigenvalues[:, [place]], full[:, :, [place]])
+            for place, column in enumerate(changes)
+        }
+
+
+def scaled(theta: Floats, column: int, factor: float) -> Floats:
+    """Parameter values with one of them multiplied."""
+    moved = theta.copy()
+    moved[column] *= factor
+    return moved
+
+
+def _sensor_rows(
+    base: MatrixResult, nodes: Integers, components: Integers
+) -> tuple[Integers, NDArray[np.bool_]]:
+    """Equation of each sensor degree of freedom that has one, and which are held in place."""
+    equation: dict[tuple[int, int], int] = {}
+    names = zip(base.nodes.tolist(), base.components.tolist(), strict=True)
+    for row, name in enumerate(names):
+        equation.setdefault(name, row)
+    wanted = zip(nodes.tolist(), components.tolist(), strict=True)
+    rows = np.array([equation.get(dof, -1) for dof in wanted], dtype=np.int64)
+    return rows[rows >= 0], rows < 0
