@@ -7,7 +7,7 @@ and the largest memory the process has held is given. Nelson's derivatives are t
 order. Sparse direct solution of boxes goes with
 p = 2 at best in the limit (George 1973); below 10^5 the products with 300 masters weigh more.
 
-    python benchmarks/core_scaling.py [--sizes 1000 10000 100000] [--masters 300]
+    python benchmarks/core_scaling.py [--sizes 1000 100000] [--masters 300] [--cases guyan irs]
 
 To time something else, write a function (Box) -> None and add it to CASES.
 """
@@ -26,10 +26,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
+from modetune.core.expansion import kidder_expansion
 from modetune.core.factorisation import factorise
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.core.pairing import pair_by_shape
-from modetune.core.reduction import guyan, irs, serep
+from modetune.core.reduction import dynamic, guyan, irs, iterated_irs, serep
 from modetune.core.sensitivity import nelson
 
 N_MODES = 20
@@ -116,6 +117,19 @@ def run_serep(model: Box) -> None:
     serep(model.stiffness, model.mass, model.masters, model.mode_shapes)
 
 
+def run_dynamic(model: Box) -> None:
+    dynamic(model.stiffness, model.mass, model.masters, float(model.frequencies_hz[0]))
+
+
+def run_iterated_irs(model: Box) -> None:
+    iterated_irs(model.stiffness, model.mass, model.masters, n_modes=3, tolerance=1e-6)
+
+
+def run_kidder(model: Box) -> None:
+    shapes = model.mode_shapes[model.masters][:, :3]
+    kidder_expansion(model.stiffness, model.mass, model.frequencies_hz[:3], shapes, model.masters)
+
+
 def run_nelson(model: Box) -> None:
     eigenvalues = (2.0 * np.pi * model.frequencies_hz) ** 2
     nelson(
@@ -131,7 +145,10 @@ def run_pairing(model: Box) -> None:
 CASES: tuple[Callable[[Box], None], ...] = (
     run_guyan,
     run_irs,
+    run_dynamic,
+    run_iterated_irs,
     run_serep,
+    run_kidder,
     run_nelson,
     run_pairing,
 )
@@ -146,12 +163,14 @@ def main() -> None:
     options = argparse.ArgumentParser(description="Growth of core's run time with model size")
     options.add_argument("--sizes", type=int, nargs="+", default=[1000, 3000, 10000, 30000, 100000])
     options.add_argument("--masters", type=int, default=300)
+    names = [case.__name__.removeprefix("run_") for case in CASES]
+    options.add_argument("--cases", nargs="+", choices=names, default=names)
     chosen = options.parse_args()
     models = [box(size, chosen.masters) for size in chosen.sizes]
     sizes = [model.stiffness.shape[0] for model in models]
     out = sys.stdout.write
     out(f"{'unknowns':<14}" + "".join(f"{size:>12}" for size in sizes) + f"{'exponent':>12}\n")
-    for case in CASES:
+    for case in [case for case in CASES if case.__name__[4:] in chosen.cases]:
         seconds = []
         for model in models:
             start = time.perf_counter()
