@@ -30,7 +30,6 @@ from modetune.flows.evaluation import Point
 #: Eigenvalues of the stored matrices and of the solver's own run agree to its seven digits.
 EIGENVALUE_TOLERANCE = 1e-4
 
-
 #: Raised by hand when the same matrices give other derivatives.
 DERIVATIVES_VERSION = 1
 
