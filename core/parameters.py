@@ -16,9 +16,30 @@ import numpy as np
 from modetune.core.modes import Floats
 
 Quantity = Literal[
-    "youngs_modulus", "poissons_ratio", "density", "thickness", "spring_stiffness", "mass",
+    "youngs_modulus", "shear_modulus", "poissons_ratio", "density", "thickness", "area",
+    "inertia_1", "inertia_2", "torsion_constant", "dimension", "spring_stiffness", "mass",
     "matrix_factor",
 ]  # fmt: skip
+
+#: What the targets of a parameter name.
+TargetKind = Literal["material", "elset", "property", "element", "part"]
+
+#: What may name the owner of each quantity; the first is what CalculiX decks use.
+TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
+    "youngs_modulus": ("material",),
+    "shear_modulus": ("material",),
+    "poissons_ratio": ("material",),
+    "density": ("material",),
+    "thickness": ("elset", "property", "element"),
+    "area": ("property", "element"),
+    "inertia_1": ("property", "element"),
+    "inertia_2": ("property", "element"),
+    "torsion_constant": ("property", "element"),
+    "dimension": ("property", "element"),
+    "spring_stiffness": ("elset", "property", "element"),
+    "mass": ("elset", "element"),
+    "matrix_factor": ("part",),
+}
 
 #: The stiffness of their elements is proportional to these, and the mass does not know them. Of a
 #: matrix factor that is so where it scales no mass matrix: the solver then names an energy set.
@@ -34,15 +55,22 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One updating parameter: a quantity of one or several materials, sections or element sets."""
+    """One updating parameter: a quantity of one or several materials, sections or element sets.
+
+    by: what the targets name. item: which one of a card's numbers of that quantity is meant (a
+    ply, a dimension of a cross-section, a direction of a spring or of an orthotropic material);
+    0 where there is one, or where all are.
+    """
 
     name: str
     quantity: Quantity
+    by: TargetKind
     targets: tuple[str, ...]
     lower: float
     upper: float
     standard_deviation: float
     initial: float = 1.0
+    item: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -165,7 +165,14 @@ def _parameters(file: CampaignFile) -> ParameterSet:
     return ParameterSet(
         tuple(
             Parameter(
-                item.name, item.quantity, item.targets, *item.bounds, item.deviation, item.initial
+                item.name,
+                item.quantity,
+                item.by(),
+                item.targets(),
+                *item.bounds,
+                item.deviation,
+                item.initial,
+                item.item,
             )
             for item in file.parameters
         )

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from modetune.core.estimation import StepForm
-from modetune.core.parameters import Quantity
+from modetune.core.parameters import TARGETS, Quantity, TargetKind
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -20,11 +20,10 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
 SolverName = Literal["calculix", "matrices"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "finite_difference"]
-#: The key that names what a parameter's quantity belongs to.
-TARGETS: dict[Quantity, Literal["material", "elset", "part"]] = {
-    "youngs_modulus": "material", "poissons_ratio": "material", "density": "material",
-    "thickness": "elset", "spring_stiffness": "elset", "mass": "elset", "matrix_factor": "part",
-}  # fmt: skip
+#: Keys that name what a parameter's quantity belongs to.
+TARGET_KEYS: tuple[TargetKind, ...] = ("material", "elset", "property", "element", "part")
+#: Names in upper or lower case, or the numbers that Nastran decks use.
+Targets = str | int | tuple[str | int, ...]
 
 
 class _Section(BaseModel):
@@ -75,21 +74,24 @@ class ParameterSection(_Section):
 
     name: Name
     quantity: Quantity
-    material: str | tuple[str, ...] | None = None
-    elset: str | tuple[str, ...] | None = None
-    part: str | tuple[str, ...] | None = None
+    item: Annotated[int, Field(ge=0)] = 0
+    material: Targets | None = None
+    elset: Targets | None = None
+    property: Targets | None = None
+    element: Targets | None = None
+    part: Targets | None = None
     bounds: tuple[Positive, Positive] = (0.5, 2.0)
     deviation: Positive = 0.2
     initial: Positive = 1.0
 
     @model_validator(mode="after")
     def _sound(self) -> ParameterSection:
+        given = [key for key in TARGET_KEYS if getattr(self, key) is not None]
         wanted = TARGETS[self.quantity]
-        others = [key for key in ("material", "elset", "part") if key != wanted]
-        if getattr(self, wanted) is None or any(getattr(self, key) is not None for key in others):
-            raise ValueError(
-                f"{self.quantity} needs `{wanted}` (and not `{others[0]}` or `{others[1]}`)"
-            )
+        if len(given) != 1 or given[0] not in wanted:
+            keys = " or ".join(f"`{key}`" for key in wanted)
+            found = f"not {' and '.join(f'`{key}`' for key in given)}" if given else "it has none"
+            raise ValueError(f"{self.quantity} needs {keys}; {found}")
         lower, upper = self.bounds
         if lower >= upper:
             raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
@@ -97,10 +99,14 @@ class ParameterSection(_Section):
             raise ValueError(f"initial value {self.initial:g} is outside the bounds")
         return self
 
-    @property
+    def by(self) -> TargetKind:
+        """What the targets name."""
+        return next(key for key in TARGET_KEYS if getattr(self, key) is not None)
+
     def targets(self) -> tuple[str, ...]:
-        chosen = getattr(self, TARGETS[self.quantity])
-        return (chosen,) if isinstance(chosen, str) else tuple(chosen or ())
+        """The targets' names."""
+        chosen = getattr(self, self.by())
+        return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
 
 
 class ResidualSection(_Section):

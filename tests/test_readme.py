@@ -19,7 +19,7 @@ def test_the_campaign_of_the_readme_is_a_campaign() -> None:
     text = re.search(r"```yaml\n(.*?)```", README, re.DOTALL)
     assert text is not None
     campaign = CampaignFile.model_validate(yaml.safe_load(text.group(1)))
-    assert campaign.parameters[1].targets == ("FIN",)
+    assert campaign.parameters[1].targets() == ("FIN",)
 
 
 def test_every_command_of_the_readme_is_there() -> None:

@@ -94,6 +94,10 @@ class CalculixModel:
 
     def fields(self, parameter: Parameter) -> list[Field]:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
+        if parameter.quantity not in _FINDERS or parameter.by not in ("material", "elset"):
+            raise ModelError(
+                f"a CalculiX deck has no {parameter.quantity} by {parameter.by} to update"
+            )
         found: list[Field] = []
         for target in parameter.targets:
             found += _FINDERS[parameter.quantity](self, canonical_name(target))

@@ -46,7 +46,9 @@ SENSORS: tuple[tuple[float, float, float], ...] = (
 
 def truth_modes() -> ModeSet:
     """The first elastic modes of the aircraft with the true moduli, by CalculiX."""
-    parameters = tuple(Parameter(g, "youngs_modulus", (g,), 0.5, 2.0, 0.2) for g in GROUPS)
+    parameters = tuple(
+        Parameter(g, "youngs_modulus", "material", (g,), 0.5, 2.0, 0.2) for g in GROUPS
+    )
     nodes = tuple(sorted(set(node_at(aircraft(COARSE), SENSORS))))
     analysis = ModalAnalysis(6 + N_MEASURED + 2, nodes)
     with tempfile.TemporaryDirectory(prefix="modetune-") as name:

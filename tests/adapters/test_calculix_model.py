@@ -11,7 +11,7 @@ from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.model import CalculixModel, read_number, understand
 from modetune.adapters.calculix.solver import CalculixSolver
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Parameter, Quantity
+from modetune.core.parameters import TARGETS, Parameter, Quantity
 
 # A block of two hexahedra, a shell beside it, a spring to ground and a mass.
 DECK = """\
@@ -79,7 +79,7 @@ def model_of(folder: Path, text: str = DECK) -> CalculixModel:
 
 
 def parameter(quantity: Quantity, *targets: str, name: str = "p") -> Parameter:
-    return Parameter(name, quantity, targets, 0.5, 2.0, 0.1)
+    return Parameter(name, quantity, TARGETS[quantity][0], targets, 0.5, 2.0, 0.1)
 
 
 def line_of(text: str, deck: str = DECK) -> int:

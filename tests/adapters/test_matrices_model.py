@@ -19,7 +19,7 @@ from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.keys import canonical_json
-from modetune.core.parameters import Parameter, Quantity
+from modetune.core.parameters import TARGETS, Parameter, Quantity
 
 SYSTEM = """\
 # two masses, written by hand
@@ -43,7 +43,7 @@ Reads = Callable[[str], Any]
 
 
 def parameter(name: str, quantity: Quantity, *targets: str) -> Parameter:
-    return Parameter(name, quantity, targets, 0.5, 2.0, 0.1)
+    return Parameter(name, quantity, TARGETS[quantity][0], targets, 0.5, 2.0, 0.1)
 
 
 @pytest.fixture

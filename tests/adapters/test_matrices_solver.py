@@ -51,8 +51,10 @@ def free_hz(mode: int, n: int = N) -> float:
     return float((K / M) ** 0.5 / np.pi * np.sin(mode * np.pi / (2 * n)))
 
 
-SPRINGS = Parameter("k", "spring_stiffness", tuple(f"k{i}" for i in range(1, N + 1)), 0.1, 9.0, 0.1)
-MASSES = Parameter("m", "mass", tuple(f"m{i}" for i in range(1, N + 1)), 0.1, 9.0, 0.1)
+SPRINGS = Parameter(
+    "k", "spring_stiffness", "elset", tuple(f"k{i}" for i in range(1, N + 1)), 0.1, 9.0, 0.1
+)
+MASSES = Parameter("m", "mass", "elset", tuple(f"m{i}" for i in range(1, N + 1)), 0.1, 9.0, 0.1)
 
 
 @pytest.fixture

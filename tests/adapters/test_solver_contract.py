@@ -28,7 +28,7 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.keys import canonical_json
-from modetune.core.parameters import Parameter, Quantity
+from modetune.core.parameters import TARGETS, Parameter, Quantity
 from modetune.core.results import MatrixResult, ModalResult, Result
 
 E, NU, RHO = 70_000.0, 0.3, 2.7e-9
@@ -58,7 +58,7 @@ class Case:
 
 
 def parameter(name: str, quantity: Quantity, *targets: str) -> Parameter:
-    return Parameter(name, quantity, targets, 0.5, 2.0, 0.1)
+    return Parameter(name, quantity, TARGETS[quantity][0], targets, 0.5, 2.0, 0.1)
 
 
 def beam_frequency(root: float) -> float:

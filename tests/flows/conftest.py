@@ -238,7 +238,7 @@ class Bench:
             solver=self.solver(energies),
             units="m-kg-s",
             parameters=ParameterSet(
-                tuple(Parameter(n, q, (n,), *bounds, 0.3) for n, q in names.items())
+                tuple(Parameter(n, q, "part", (n,), *bounds, 0.3) for n, q in names.items())
             ),
             test=MeasuredModes(modes, self.measured(truth, modes, shapes)),
             weighting=Weighting(0.002, 0.02, 1.0, 1.0 if shapes else 0.0),
