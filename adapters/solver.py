@@ -34,15 +34,31 @@ class MatrixAnalysis:
     """The assembled stiffness and mass matrices."""
 
 
-Analysis = ModalAnalysis | MatrixAnalysis
+@dataclass(frozen=True, slots=True)
+class SensitivityAnalysis:
+    """Derivatives of the lowest n_modes (rigid ones counted) by the solver itself.
+
+    parameters: names, in the order of the result's columns. nodes: where derivatives of shapes
+    are wanted, empty for eigenvalues alone; their degrees of freedom come in the order in which
+    a modal analysis at the same nodes has them.
+    """
+
+    n_modes: int
+    parameters: tuple[str, ...]
+    nodes: tuple[int, ...] = ()
+
+
+Analysis = ModalAnalysis | MatrixAnalysis | SensitivityAnalysis
 
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What a solver can give."""
+    """What a solver can give besides modes."""
 
     strain_energies: bool
     matrices: bool
+    frequency_sensitivities: bool = False
+    shape_sensitivities: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +115,10 @@ class Solver(Protocol):
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """Element sets whose strain energy is proportional to the parameter; empty if none."""
+        ...
+
+    def is_linear(self, parameter: Parameter) -> bool:
+        """Whether the stiffness and mass matrices are linear in the parameter."""
         ...
 
     def content(self, values: Values, analysis: Analysis) -> Json:

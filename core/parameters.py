@@ -41,14 +41,6 @@ TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
     "matrix_factor": ("part",),
 }
 
-#: The stiffness of their elements is proportional to these, and the mass does not know them. Of a
-#: matrix factor that is so where it scales no mass matrix: the solver then names an energy set.
-STIFFNESS_LINEAR: frozenset[Quantity] = frozenset(
-    {"youngs_modulus", "spring_stiffness", "matrix_factor"}
-)
-#: Stiffness and mass matrices are linear in these.
-LINEAR: frozenset[Quantity] = STIFFNESS_LINEAR | {"density", "mass"}
-
 #: Values of parameters by name, relative to the deck.
 Values = Mapping[str, float]
 

@@ -21,7 +21,7 @@ from modetune.core.eigen import solve_modes
 from modetune.core.errors import ModesError
 from modetune.core.keys import Json
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import LINEAR, ParameterSet
+from modetune.core.parameters import ParameterSet
 from modetune.core.results import MatrixResult, ModeDerivatives
 from modetune.core.sensitivity import fox_kapoor, nelson, stack_derivatives
 from modetune.flows.engine import Job, JobEngine
@@ -54,9 +54,13 @@ class SemiAnalytic:
 
         So where K and M are linear in each parameter and no two parameters scale the same thing.
         """
-        parameters = self.parameters.parameters
-        scaled = [(item.quantity, target.upper()) for item in parameters for target in item.targets]
-        return len(set(scaled)) == len(scaled) and all(p.quantity in LINEAR for p in parameters)
+        parameters, solver = self.parameters.parameters, self.engine.solver
+        scaled = [
+            (item.quantity, item.by, item.item, target.upper())
+            for item in parameters
+            for target in item.targets
+        ]
+        return len(set(scaled)) == len(scaled) and all(map(solver.is_linear, parameters))
 
     def _factors(self, column: int) -> tuple[float, ...]:
         """Factors on the parameter at which matrices are stored, besides the model's own.
@@ -67,7 +71,7 @@ class SemiAnalytic:
         the stiffness across the thickness, however small its step.
         """
         upper = 1.0 + self.step
-        linear = self.parameters.parameters[column].quantity in LINEAR
+        linear = self.engine.solver.is_linear(self.parameters.parameters[column])
         return (upper,) if linear else (upper, 1.0 / upper)
 
     def jobs(self, theta: Floats, column: int) -> tuple[Job, ...]:

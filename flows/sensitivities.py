@@ -24,7 +24,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.pairing import pair_by_tracking
-from modetune.core.parameters import STIFFNESS_LINEAR, Parameter, ParameterSet
+from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.results import ModalResult, ModeDerivatives
 from modetune.core.sensitivity import stack_derivatives, strain_energy_derivative
 from modetune.flows.engine import Job, JobEngine
@@ -70,11 +70,7 @@ class Sensitivities:
 
     def _has_energies(self, parameter: Parameter) -> bool:
         solver = self.engine.solver
-        return (
-            parameter.quantity in STIFFNESS_LINEAR
-            and solver.capabilities.strain_energies
-            and bool(solver.energy_sets(parameter))
-        )
+        return solver.capabilities.strain_energies and bool(solver.energy_sets(parameter))
 
     def methods(self) -> tuple[Exact, ...]:
         """The method of each column."""

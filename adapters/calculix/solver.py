@@ -37,12 +37,14 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.keys import Json
-from modetune.core.parameters import Parameter, Values
+from modetune.core.parameters import Parameter, Quantity, Values
 from modetune.core.results import Result
 
 JOB = "job"
 #: Names another program than `ccx` on PATH.
 PROGRAM_VARIABLE = "MODETUNE_CCX"
+#: Stiffness and mass matrices are linear in these.
+LINEAR: frozenset[Quantity] = frozenset({"youngs_modulus", "density", "spring_stiffness", "mass"})
 MISSING = (
     "the CalculiX program `{program}` is not on this machine; install it (Debian and Ubuntu: "
     "`apt-get install calculix-ccx`) or name it with " + PROGRAM_VARIABLE
@@ -106,6 +108,9 @@ class CalculixSolver:
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         return self.deck.energy_sets(parameter)
+
+    def is_linear(self, parameter: Parameter) -> bool:
+        return parameter.quantity in LINEAR
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         text = job_text(self.deck, self._changed(values), analysis)

@@ -76,6 +76,9 @@ class MatricesSolver:
         parts = self.deck.model.targets(parameter)
         return parameter.targets if all(part.mass is None for part in parts) else ()
 
+    def is_linear(self, parameter: Parameter) -> bool:
+        return True
+
     def content(self, values: Values, analysis: Analysis) -> Json:
         modal = analysis if isinstance(analysis, ModalAnalysis) else ModalAnalysis(0, ())
         factors = self._factors(values)

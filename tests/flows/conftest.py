@@ -110,6 +110,9 @@ class ScriptedSolver:
     def wave_speeds(self) -> dict[str, float]:
         return {}
 
+    def is_linear(self, parameter: Parameter) -> bool:
+        return True
+
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         return (parameter.name,) if parameter.quantity == "spring_stiffness" else ()
 
@@ -140,6 +143,7 @@ class ScriptedSolver:
                 sparse.csr_array(stiffness), sparse.csr_array(np.diag(m)),
                 np.arange(1, 7), np.ones(6, dtype=np.int64),
             )  # fmt: skip
+        assert isinstance(analysis, ModalAnalysis)
         eigenvalues, shapes = chain_modes(values)
         n = min(analysis.n_modes, 6)
         if (folder / "nan").exists():
