@@ -10,6 +10,7 @@
     │   ├── SolverMissing        install it
     │   ├── SolverRejected       it refused the input: fix the deck
     │   ├── SolverCrashed        it was stopped or broke off: may be tried again
+    │   ├── LicenceDenied        wait: no licence was free
     │   ├── SolverTimeout        raise the limit or make the model smaller
     │   └── SolverCancelled      the campaign itself was stopped
     ├── CampaignStopped          start it again: finished jobs are in the store
@@ -73,6 +74,10 @@ class SolverRejected(SolverError):
 
 class SolverCrashed(SolverError):
     """The solver was killed, broke off, or left something that is no result."""
+
+
+class LicenceDenied(SolverError):
+    """The licence server gave the solver no licence; nothing is wrong with the job."""
 
 
 class SolverTimeout(SolverError):
