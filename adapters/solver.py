@@ -3,7 +3,7 @@
 An adapter says how an analysis of a model is written, which command runs it and how its output
 is read. It never starts a process (`process.py` does) and never decides what to run (the flows
 do). To add a solver, write a folder with a class that meets `Solver` and name it in
-`flows/campaign.py`.
+`flows/solvers.py`.
 """
 
 from __future__ import annotations

@@ -6,44 +6,32 @@ All problems are collected and told at once, each with file and line, before any
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
 
-from modetune.adapters.calculix.solver import calculix_solver
-from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.modes_csv import read_modes_csv
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile, read_yaml
-from modetune.configs.garteur import aircraft
 from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import COMPONENTS, MeasuredModes
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.residual import Weighting
-from modetune.core.store import Store, writing
+from modetune.core.store import Store
 from modetune.flows.schema import (
+    STORE_VARIABLE,
     CampaignFile,
-    ModelSection,
     RunSection,
     SensitivitySection,
-    SolverName,
     Units,
     UpdateSection,
 )
 from modetune.flows.settings import override
+from modetune.flows.solvers import bind_solver, model_deck
 
-#: What binds each solver of a campaign to its model; raises ModelError.
-SOLVERS: dict[SolverName, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
-    "calculix": calculix_solver,
-    "matrices": matrices_solver,
-}
-#: Names the store's folder for all campaigns.
-STORE_VARIABLE = "MODETUNE_STORE"
-STORE_REMEDY = f"name another store with `store:` in the campaign or {STORE_VARIABLE}"
 #: Nodes whose shapes are kept where the test has no sensors, to track modes by.
 TRACKING_NODES = 500
 #: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
@@ -212,8 +200,8 @@ def _read_model(
     key = "deck" if file.model.deck is not None else "generator"
     where = source.where(("model", key))
     try:
-        factory = SOLVERS[file.model.solver]
-        solver = factory(_deck(source, file.model, store), parameters.parameters)
+        deck = model_deck(file.model, source.path.parent, store.folder.parent)
+        solver = bind_solver(file.model, deck, parameters.parameters)
     except ModelError as error:
         problems.append(f"{error} (named in {where})")
         return None
@@ -243,23 +231,6 @@ def _unit_problems(where: str, units: Units, solver: Solver) -> list[str]:
     return found
 
 
-def _deck(source: YamlFile, model: ModelSection, store: Store) -> Path:
-    """The deck's path; a generated one is written beside the store when it is not yet there."""
-    if model.deck is not None:
-        return source.path.parent / model.deck
-    assert model.generator is not None
-    text = aircraft.calculix_deck(aircraft.MESHES[model.generator.mesh])
-    path = store.folder.parent / "decks" / f"{model.generator.case}_{model.generator.mesh}.inp"
-    try:
-        if path.read_text() == text:
-            return path
-    except OSError:
-        pass  # not there yet
-    with writing(path, STORE_REMEDY) as part:
-        part.write_text(text)
-    return path
-
-
 def _disagreements(
     source: YamlFile, file: CampaignFile, test: MeasuredModes, solver: Solver
 ) -> list[str]:
@@ -280,23 +251,35 @@ def _disagreements(
             f"{', '.join(COMPONENTS[number - 1] for number in strange)}, but results of "
             f"{solver.name} have {has} (named in {source.where(('test', 'modes'))})"
         )
-    if file.sensitivity.method == "strain_energy":
-        place = source.where(("sensitivity", "method"))
-        if file.residuals.shape_weight > 0.0:
-            found.append(f"{place}: strain energies give no shape sensitivities; use `auto`")
-        found += [
-            f"{place}: the stiffness is not proportional to {item.name} ({item.quantity}); use "
-            "`auto`"
-            for item in _parameters(file).parameters
-            if not solver.problems((item,)) and not solver.energy_sets(item)
+    return found + _method_problems(source, file, solver)
+
+
+def _method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
+    """Why the campaign's sensitivity method cannot be had."""
+    method, has = file.sensitivity.method, solver.capabilities
+    shapes = file.residuals.shape_weight > 0.0
+    place = source.where(("sensitivity", "method"))
+    offered = {
+        "strain_energy": has.strain_energies,
+        "semi_analytic": has.matrices,
+        "solver": has.shape_sensitivities if shapes else has.frequency_sensitivities,
+    }
+    if not offered.get(method, True):
+        return [f"{place}: {solver.name} does not offer {method} here; use `auto`"]
+    if method == "semi_analytic" and shapes and not solver.model.solid_shapes:
+        return [
+            f"{place}: shape sensitivities from matrices need a model of solids without dependent "
+            "nodes; use `auto` or finite_difference"
         ]
-    if (file.sensitivity.method == "semi_analytic" and file.residuals.shape_weight > 0.0
-            and not solver.model.solid_shapes):  # fmt: skip
-        found.append(
-            f"{source.where(('sensitivity', 'method'))}: shape sensitivities from matrices need a "
-            "model of solids without dependent nodes; use `auto` or finite_difference"
-        )
-    return found
+    if method != "strain_energy":
+        return []
+    if shapes:
+        return [f"{place}: strain energies give no shape sensitivities; use `auto`"]
+    return [
+        f"{place}: the stiffness is not proportional to {item.name} ({item.quantity}); use `auto`"
+        for item in _parameters(file).parameters
+        if not solver.problems((item,)) and not solver.energy_sets(item)
+    ]
 
 
 def _result_nodes(test: MeasuredModes, solver: Solver) -> tuple[int, ...]:

@@ -19,6 +19,7 @@ from pathlib import Path
 from modetune.adapters.process import disk_full, run_process
 from modetune.adapters.solver import Analysis, Solver
 from modetune.core.errors import (
+    LicenceDenied,
     ModelError,
     SolverCancelled,
     SolverCrashed,
@@ -32,6 +33,9 @@ from modetune.core.results import ModeDerivatives, Result
 from modetune.core.store import Entry, Store, storage_errors
 
 logger = logging.getLogger(__name__)
+
+#: Pauses before asking again for a licence grow by this factor up to this length, seconds.
+PAUSE_GROWTH, LONGEST_PAUSE_S = 1.5, 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +63,8 @@ class JobEngine:
     store: Store
     timeout_s: float
     retries: int
+    licence_pause_s: float
+    licence_wait_s: float
     threads: int
     keep_jobs: bool
     cancelled: threading.Event
@@ -115,12 +121,33 @@ class JobEngine:
     def _with_retries(self, job: Job, key: str) -> Result:
         for attempt in range(self.retries + 1):
             try:
-                return self._run(job, key)
+                return self._with_licence(job, key)
             except (SolverCrashed, SolverTimeout) as error:
                 if attempt == self.retries:
                     raise
                 logger.warning("%s; trying again (%d of %d)", error, attempt + 1, self.retries)
         raise AssertionError("unreachable")
+
+    def _with_licence(self, job: Job, key: str) -> Result:
+        """Run the job; where no licence is free wait and ask again, which is no failure."""
+        waited, pause = 0.0, self.licence_pause_s
+        while True:
+            try:
+                return self._run(job, key)
+            except LicenceDenied as error:
+                if waited + pause > self.licence_wait_s:
+                    raise LicenceDenied(
+                        f"{error}\nno licence was free for {waited:.3g} s "
+                        "(`run: licence_wait_s` in the campaign)"
+                    ) from error
+                logger.warning("no %s licence is free; asking again in %.0f s",
+                               self.solver.name, pause)  # fmt: skip
+                if self.cancelled.wait(pause):
+                    raise SolverCancelled(
+                        "the campaign is ending while a job waits for a licence"
+                    ) from error
+                waited += pause
+                pause = min(PAUSE_GROWTH * pause, LONGEST_PAUSE_S)
 
     def _run(self, job: Job, key: str) -> Result:
         with self._job_folder(key) as folder:

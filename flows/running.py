@@ -11,10 +11,11 @@ from pathlib import Path
 from modetune.core.errors import CampaignError
 from modetune.core.record import CampaignRecord, write_record
 from modetune.core.store import check_writable, locked, storage_errors
-from modetune.flows.campaign import STORE_REMEDY, Campaign
+from modetune.flows.campaign import Campaign
 from modetune.flows.engine import JobEngine
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution import Execution, ThreadExecution
+from modetune.flows.schema import STORE_REMEDY
 from modetune.flows.server import SharedServer
 from modetune.flows.updating import Progress, Updating
 
@@ -35,6 +36,8 @@ def job_engine(campaign: Campaign) -> JobEngine:
         store=campaign.store,
         timeout_s=campaign.run.timeout_s,
         retries=campaign.run.retries,
+        licence_pause_s=campaign.run.licence_pause_s,
+        licence_wait_s=campaign.run.licence_wait_s,
         threads=campaign.threads,
         keep_jobs=campaign.run.keep_jobs,
         cancelled=threading.Event(),

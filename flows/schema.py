@@ -18,8 +18,12 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
-SolverName = Literal["calculix", "matrices"]
-Method = Literal["auto", "strain_energy", "semi_analytic", "finite_difference"]
+SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
+NastranDialect = Literal["msc", "nx"]
+Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
+#: Names the store's folder for all campaigns.
+STORE_VARIABLE = "MODETUNE_STORE"
+STORE_REMEDY = f"name another store with `store:` in the campaign or {STORE_VARIABLE}"
 #: Keys that name what a parameter's quantity belongs to.
 TARGET_KEYS: tuple[TargetKind, ...] = ("material", "elset", "property", "element", "part")
 #: Names in upper or lower case, or the numbers that Nastran decks use.
@@ -31,9 +35,9 @@ class _Section(BaseModel):
 
 
 class GeneratorSection(_Section):
-    """A model that modetune makes itself."""
+    """A model that modetune makes itself: garteur in solids, or garteur_shell, a Nastran deck."""
 
-    case: Literal["garteur"]
+    case: Literal["garteur", "garteur_shell"]
     mesh: Literal["coarse", "fine"] = "fine"
 
 
@@ -43,6 +47,7 @@ class ModelSection(_Section):
     deck: str | None = None
     generator: GeneratorSection | None = None
     solver: SolverName = "calculix"
+    dialect: NastranDialect = "msc"
     units: Units
 
     @model_validator(mode="after")
@@ -50,7 +55,9 @@ class ModelSection(_Section):
         if (self.deck is None) == (self.generator is None):
             raise ValueError("give either `deck` or `generator`")
         if self.generator is not None and self.solver != "calculix":
-            raise ValueError(f"the generator writes a deck for calculix, not for {self.solver}")
+            solid = self.generator.case == "garteur"
+            if solid or self.solver == "matrices":
+                raise ValueError(f"the generator writes no deck for {self.solver}")
         return self
 
 
@@ -152,6 +159,8 @@ class RunSection(_Section):
     threads: Annotated[int, Field(ge=0, le=1024)] = 0
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     timeout_s: Positive = 3600.0
+    licence_pause_s: Positive = 30.0
+    licence_wait_s: Positive = 86400.0
     keep_jobs: bool = False
 
 

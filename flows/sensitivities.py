@@ -9,7 +9,8 @@ cheapest method that is exact for what the residual compares:
    hourglass energy to themselves) the column goes to the next method.
 2. semi_analytic, one matrix job a parameter: frequencies, and shapes where the matrices' unknowns
    are found at the sensors.
-3. finite_difference, one modal job a parameter: anything.
+3. solver, one job for all columns: what the solver derives itself (Nastran's SOL 200).
+4. finite_difference, one modal job a parameter: anything.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from modetune.adapters.solver import ModalAnalysis
+from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.pairing import pair_by_tracking
@@ -32,7 +33,7 @@ from modetune.flows.evaluation import Point
 from modetune.flows.schema import SensitivitySection
 from modetune.flows.semi_analytic import SemiAnalytic, scaled
 
-Exact = Literal["strain_energy", "semi_analytic", "finite_difference"]
+Exact = Literal["strain_energy", "semi_analytic", "solver", "finite_difference"]
 
 #: Printed energies have seven digits; a balance worse than this is a missing energy.
 BALANCE_TOLERANCE = 1e-4
@@ -66,7 +67,12 @@ class Sensitivities:
         shapes_found = solver.model.solid_shapes or not self.with_shapes
         if solver.capabilities.matrices and shapes_found:
             return "semi_analytic"
-        return "finite_difference"
+        return "solver" if self._by_solver else "finite_difference"
+
+    @property
+    def _by_solver(self) -> bool:
+        has = self.engine.solver.capabilities
+        return has.shape_sensitivities if self.with_shapes else has.frequency_sensitivities
 
     def _has_energies(self, parameter: Parameter) -> bool:
         solver = self.engine.solver
@@ -78,18 +84,19 @@ class Sensitivities:
 
     def plan(self, theta: Floats, column: int, method: Exact) -> tuple[Job, ...]:
         """The jobs that a column needs beyond the modal run."""
-        if method == "strain_energy":
+        if method in ("strain_energy", "solver"):
             return ()
         if method == "semi_analytic":
             return self._by_matrices.jobs(theta, column)
         return tuple(Job(values, self.modal) for values in self._perturbed(theta, column))
 
     def shared(self, theta: Floats, methods: Sequence[Exact]) -> tuple[Job, ...]:
-        """Jobs that several columns need: the matrices of the unperturbed model."""
+        """Jobs that several columns need: the solver's sensitivities, the model's own matrices."""
+        jobs = [self._solver_job(theta, methods)] if "solver" in methods else []
         if "semi_analytic" not in methods:
-            return ()
+            return tuple(jobs)
         matrices = self._by_matrices
-        jobs = [matrices.base_job(theta)]
+        jobs.append(matrices.base_job(theta))
         if matrices.constant:  # K and M at theta are put together from all moved columns
             for column in np.flatnonzero(theta != self.parameters.initial).tolist():
                 if methods[column] != "semi_analytic":
@@ -105,10 +112,13 @@ class Sensitivities:
         """
         by_matrices = [c for c in columns if methods[c] == "semi_analytic"]
         matrices = self._by_matrices.derivatives(point, by_matrices) if by_matrices else {}
+        own = self._of_solver(point, methods) if "solver" in methods else {}
         derivatives = []
         for column in columns:
             if methods[column] == "semi_analytic":
                 derivatives.append(matrices[column])
+            elif methods[column] == "solver":
+                derivatives.append(own[column])
             elif methods[column] == "strain_energy":
                 derivatives.append(self._strain_energy(point, column))
             else:
@@ -136,6 +146,33 @@ class Sensitivities:
             energies[point.pairing.computed], float(point.theta[column])
         )
         return ModeDerivatives(values[:, None], np.zeros((0, values.size, 1)))
+
+    # the solver's own
+
+    def _solver_job(self, theta: Floats, methods: Sequence[Exact]) -> Job:
+        names = [
+            name
+            for name, method in zip(self.parameters.names, methods, strict=True)
+            if method == "solver"
+        ]
+        nodes = self.modal.nodes if self.with_shapes else ()
+        return Job(
+            self.parameters.values(theta),
+            SensitivityAnalysis(self.modal.n_modes, tuple(names), nodes),
+        )
+
+    def _of_solver(self, point: Point, methods: Sequence[Exact]) -> dict[int, ModeDerivatives]:
+        """Columns of the paired modes from the solver's derivatives of all modes."""
+        result = self.engine.result(self._solver_job(point.theta, methods))
+        assert isinstance(result, ModeDerivatives)
+        modes = point.pairing.computed + point.modal.n_rigid
+        columns = [column for column, method in enumerate(methods) if method == "solver"]
+        return {
+            column: ModeDerivatives(
+                result.eigenvalues[modes][:, [place]], result.mode_shapes[:, modes][:, :, [place]]
+            )
+            for place, column in enumerate(columns)
+        }
 
     # finite differences
 

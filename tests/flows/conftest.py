@@ -25,15 +25,16 @@ from modetune.adapters.solver import (
     MatrixAnalysis,
     ModalAnalysis,
     ModelSummary,
+    SensitivityAnalysis,
 )
 from modetune.core.criteria import Tolerances
-from modetune.core.errors import SolverCrashed, SolverRejected
+from modetune.core.errors import LicenceDenied, SolverCrashed, SolverRejected
 from modetune.core.keys import Json
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet, Quantity, Values
 from modetune.core.record import IterationRecord
 from modetune.core.residual import Weighting
-from modetune.core.results import MatrixResult, ModalResult, Result
+from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
 from modetune.core.store import Store
 from modetune.flows.campaign import Campaign
 from modetune.flows.engine import JobEngine
@@ -59,7 +60,8 @@ if behaviour == "killed":
     os.kill(os.getpid(), signal.SIGKILL)
 if behaviour == "hang":
     time.sleep(600)
-print({"rejected": "REJECTED", "short": "running"}.get(behaviour, "END OF JOB"))
+said = {"rejected": "REJECTED", "short": "running", "denied": "NO LICENCE"}
+print(said.get(behaviour, "END OF JOB"))
 if behaviour == "nan":
     pathlib.Path("nan").write_text("")
 """
@@ -81,6 +83,28 @@ def chain_modes(values: Values) -> tuple[Floats, Floats]:
     return eigenvalues, vectors / root[:, None]
 
 
+def chain_derivatives(values: Values, names: tuple[str, ...]) -> ModeDerivatives:
+    """Derivatives of all modes by the sum over all modes, which is exact for the whole basis."""
+    eigenvalues, shapes = chain_modes(values)
+    slopes, turns = [], []
+    for name in names:
+        up, down = (chain({**values, name: values.get(name, 1.0) + s}) for s in (0.5, -0.5))
+        change = up[0] - down[0], np.diag(up[1] - down[1])
+        k, m = (shapes.T @ matrix @ shapes for matrix in change)
+        gaps = eigenvalues[None, :] - eigenvalues[:, None] + np.eye(6)
+        share = (k - eigenvalues[None, :] * m) / gaps
+        np.fill_diagonal(share, -0.5 * np.diag(m))
+        slopes.append(np.diag(k) - eigenvalues * np.diag(m))
+        turns.append(shapes @ share)
+    return ModeDerivatives(np.stack(slopes, axis=1), np.stack(turns, axis=2))
+
+
+def kind_of(analysis: Analysis) -> str:
+    if isinstance(analysis, ModalAnalysis):
+        return "modal"
+    return "matrices" if isinstance(analysis, MatrixAnalysis) else "derivatives"
+
+
 @dataclass(frozen=True)
 class ScriptedSolver:
     """The chain behind the solver seam."""
@@ -91,7 +115,8 @@ class ScriptedSolver:
 
     @property
     def capabilities(self) -> Capabilities:
-        return Capabilities(strain_energies=self.energies, matrices=True)
+        return Capabilities(self.energies, matrices=True, frequency_sensitivities=True,
+                            shape_sensitivities=True)  # fmt: skip
 
     @property
     def model(self) -> ModelSummary:
@@ -117,12 +142,16 @@ class ScriptedSolver:
         return (parameter.name,) if parameter.quantity == "spring_stiffness" else ()
 
     def content(self, values: Values, analysis: Analysis) -> Json:
-        modal = analysis.n_modes if isinstance(analysis, ModalAnalysis) else 0
-        return {"values": dict(values), "modal": modal, "energies": self.energies}
+        asked: dict[str, Json] = {"kind": kind_of(analysis), "energies": self.energies}
+        if isinstance(analysis, ModalAnalysis):
+            asked["modes"] = analysis.n_modes
+        if isinstance(analysis, SensitivityAnalysis):
+            asked["columns"] = list(analysis.parameters)
+        return {"values": dict(values), **asked}
 
     def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
         job = {
-            "kind": "modal" if isinstance(analysis, ModalAnalysis) else "matrices",
+            "kind": kind_of(analysis),
             "log": str(self.folder / "runs.log"),
             "script": str(self.folder / "script.json"),
         }
@@ -135,6 +164,8 @@ class ScriptedSolver:
         log = (folder / "solver.log").read_text()
         if "REJECTED" in log:
             raise SolverRejected(f"the scripted solver refused its input in {folder}")
+        if "NO LICENCE" in log:
+            raise LicenceDenied(f"the scripted solver got no licence in {folder}")
         if "END OF JOB" not in log:
             raise SolverCrashed(f"the scripted solver broke off in {folder}")
         if isinstance(analysis, MatrixAnalysis):
@@ -143,7 +174,8 @@ class ScriptedSolver:
                 sparse.csr_array(stiffness), sparse.csr_array(np.diag(m)),
                 np.arange(1, 7), np.ones(6, dtype=np.int64),
             )  # fmt: skip
-        assert isinstance(analysis, ModalAnalysis)
+        if isinstance(analysis, SensitivityAnalysis):
+            return chain_derivatives(values, analysis.parameters)
         eigenvalues, shapes = chain_modes(values)
         n = min(analysis.n_modes, 6)
         if (folder / "nan").exists():
@@ -205,8 +237,12 @@ class Bench:
         return ScriptedSolver(self.folder, energies)
 
     def engine(self, campaign: Campaign) -> JobEngine:
-        return JobEngine(campaign.solver, campaign.store, 30.0, campaign.run.retries, 1, False,
-                         threading.Event())  # fmt: skip
+        return JobEngine(
+            solver=campaign.solver, store=campaign.store, timeout_s=30.0,
+            retries=campaign.run.retries, licence_pause_s=campaign.run.licence_pause_s,
+            licence_wait_s=campaign.run.licence_wait_s, threads=1,
+            keep_jobs=False, cancelled=threading.Event(),
+        )  # fmt: skip
 
     def measured(self, truth: Values, modes: tuple[int, ...], shapes: bool = True) -> ModeSet:
         """What a test of the true chain gives: modes (from 1), shapes at masses 1 to 6."""
@@ -228,6 +264,8 @@ class Bench:
         energies: bool = True,
         bounds: tuple[float, float] = (0.3, 3.0),
         retries: int = 0,
+        licence_pause_s: float = 0.01,
+        licence_wait_s: float = 60.0,
     ) -> Campaign:
         """A campaign from the nominal chain to a true one."""
         names = parameters or dict.fromkeys(truth, "spring_stiffness")
@@ -249,7 +287,12 @@ class Bench:
             tolerances=Tolerances(update.e1.frequency, update.e1.mac),
             update=update,
             sensitivity=sensitivity or SensitivitySection(),
-            run=RunSection(parallel=2, retries=retries),
+            run=RunSection(
+                parallel=2,
+                retries=retries,
+                licence_pause_s=licence_pause_s,
+                licence_wait_s=licence_wait_s,
+            ),
             store=Store(self.folder / "store"),
             nodes=(1, 2, 3, 4, 5, 6),
         )

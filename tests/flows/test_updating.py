@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 from modetune.adapters.solver import MatrixAnalysis
-from modetune.core.errors import CampaignError, SolverCancelled, SolverCrashed, SolverRejected
+from modetune.core.errors import (
+    CampaignError,
+    LicenceDenied,
+    SolverCancelled,
+    SolverCrashed,
+    SolverRejected,
+)
 from modetune.core.record import CampaignRecord
 from modetune.flows.engine import Job
 from modetune.flows.recording import summary
@@ -36,7 +42,9 @@ def run(bench: Any, watcher: Any, campaign: Any, name: str = "run") -> CampaignR
     return update_campaign(campaign, bench.folder / name, watcher).record
 
 
-@pytest.mark.parametrize("method", ["strain_energy", "semi_analytic", "finite_difference"])
+@pytest.mark.parametrize(
+    "method", ["strain_energy", "semi_analytic", "solver", "finite_difference"]
+)
 def test_every_method_recovers_the_true_springs(bench: Any, watcher: Any, method: Any) -> None:
     sensitivity = SensitivitySection(method=method, difference="central", step=0.01)
     record = run(bench, watcher, bench.campaign(TRUTH, sensitivity=sensitivity))
@@ -147,6 +155,37 @@ def test_a_crashed_solver_is_tried_again(bench: Any, watcher: Any) -> None:
     record = run(bench, watcher, bench.campaign(TRUTH, retries=1))
     assert record.status == "converged"
     assert bench.runs() == record.runs.modal + 2
+
+
+def test_a_licence_that_is_not_free_is_waited_for_and_is_no_failure(
+    bench: Any, watcher: Any
+) -> None:
+    bench.script({1: "denied", 2: "denied", 4: "denied"})
+    campaign = bench.campaign(TRUTH, retries=0)
+    record = run(bench, watcher, campaign)
+    assert record.status == "converged"
+    assert bench.runs() == record.runs.modal + 3
+
+
+def test_waiting_for_a_licence_has_an_end(bench: Any, watcher: Any) -> None:
+    bench.script(dict.fromkeys(range(1, 100), "denied"))
+    campaign = bench.campaign(TRUTH, licence_wait_s=0.05)
+    with pytest.raises(LicenceDenied, match="no licence was free for 0.0475 s"):
+        run(bench, watcher, campaign)
+    assert bench.runs() == 4  # after pauses of 0.01, 0.015 and 0.0225; another would be too long
+
+
+@pytest.mark.parametrize("shapes", [False, True])
+def test_the_solvers_own_sensitivities_are_one_job_an_iteration(
+    bench: Any, watcher: Any, shapes: bool
+) -> None:
+    solver = SensitivitySection(method="solver")
+    record = run(bench, watcher, bench.campaign(TRUTH, shapes=shapes, sensitivity=solver))
+    assert record.status == "converged"
+    assert bench.runs("derivatives") == record.runs.sensitivity == len(record.iterations) - 1
+    semi = SensitivitySection(method="semi_analytic")
+    again = run(bench, watcher, bench.campaign(TRUTH, shapes=shapes, sensitivity=semi), "again")
+    np.testing.assert_allclose(record.updated, again.updated, rtol=1e-6)
 
 
 def test_a_failed_trial_step_is_halved(bench: Any, watcher: Any) -> None:
