@@ -41,6 +41,10 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", help="KEY.KEY=VALUE over the campaign file; may be repeated."),
 ]
+At = Annotated[
+    list[str] | None,
+    typer.Option(help="NAME=VALUE of a parameter, relative to the deck; may be repeated."),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
 
 
@@ -80,10 +84,7 @@ def check(campaign_file: CampaignPath, settings: Settings = None, as_json: AsJso
 @app.command()
 def modes(
     campaign_file: CampaignPath,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(help="NAME=VALUE of a parameter, relative to the deck; may be repeated."),
-    ] = None,
+    at: At = None,
     settings: Settings = None,
     as_json: AsJson = False,
 ) -> None:
@@ -102,6 +103,32 @@ def modes(
         typer.echo(f"{number:4d} {frequency:14.6f} Hz{rigid}")
     mass = "not known" if told["mass_kg"] is None else f"{told['mass_kg']:.6g} kg"
     typer.echo(f"mass {mass}; {told['solver']} {told['solver_version']}")
+
+
+@app.command()
+def twin(
+    campaign_file: CampaignPath,
+    solvers: Annotated[
+        str, typer.Option(help="Solvers to compare, with commas; the first is the reference.")
+    ] = "nastran,calculix",
+    at: At = None,
+    settings: Settings = None,
+    as_json: AsJson = False,
+) -> None:
+    """Run the model's modal analysis on several solvers and show their modes side by side."""
+    from rich.console import Console
+
+    from modetune.flows.twin import run_twin, twin_summary
+
+    with _stoppable():
+        compared = run_twin(campaign_file, solvers.split(","), at or [], settings or [])
+    if as_json:
+        _tell(twin_summary(compared), True)
+    else:
+        from modetune.flows.display import show_twin
+
+        show_twin(Console(), compared)
+    raise typer.Exit(0 if len(compared.solvers) > 1 else 4)
 
 
 @app.command()

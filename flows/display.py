@@ -16,6 +16,7 @@ from rich.text import Text
 
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.running import CampaignRun
+from modetune.flows.twin import Twin
 
 HEADER = " it   worst    mean     MAC    slope   age  new runs        s"
 
@@ -72,8 +73,8 @@ class ConsoleProgress:
 def mode_table(record: CampaignRecord) -> Table:
     """Frequencies and MAC before and after."""
     table = Table(title="Modes", title_justify="left")
-    for heading in ("mode", "test Hz", "before Hz", "error %", "after Hz", "error %", "MAC before",
-                    "MAC after"):  # fmt: skip
+    for heading in ("test mode", "model's", "test Hz", "before Hz", "error %", "after Hz",
+                    "error %", "MAC before", "MAC after"):  # fmt: skip
         table.add_column(heading, justify="right")
     first, last = record.iterations[0], record.best
     for pair in range(len(record.test.numbers)):
@@ -82,6 +83,7 @@ def mode_table(record: CampaignRecord) -> Table:
         after = last.computed.frequencies_hz[last.pairing.computed[pair]]
         table.add_row(
             str(record.test.numbers[number]),
+            str(last.pairing.computed[pair] + 1),
             f"{record.test.modes.frequencies_hz[number]:.2f}",
             f"{before:.2f}",
             f"{100 * first.frequency_errors[pair]:+.2f}",
@@ -92,8 +94,21 @@ def mode_table(record: CampaignRecord) -> Table:
         )
     means = [100 * float(np.abs(item.frequency_errors).mean()) for item in (first, last)]
     table.add_section()
-    table.add_row("mean", "", "", f"{means[0]:.2f}", "", f"{means[1]:.2f}", "", "")
+    table.add_row("mean", "", "", "", f"{means[0]:.2f}", "", f"{means[1]:.2f}", "", "")
     return table
+
+
+def pairing_lines(record: CampaignRecord) -> list[str]:
+    """What pairing did that the order of frequencies does not tell, a line a mode."""
+    pairing = record.best.pairing
+    return [
+        f"test mode {record.test.numbers[measured]} is elastic mode {computed + 1} of the model: "
+        f"{reason}"
+        for measured, computed, reason in zip(
+            pairing.measured.tolist(), pairing.computed.tolist(), pairing.reasons, strict=True
+        )
+        if measured != computed or not reason.startswith(("highest MAC", "no shape", "continues"))
+    ]
 
 
 def parameter_table(record: CampaignRecord) -> Table:
@@ -120,6 +135,8 @@ def show_run(console: Console, run: CampaignRun) -> None:
     """The end of a campaign: tables, the reason it ended, its cost, and where the files are."""
     record = run.record
     console.print(mode_table(record))
+    for line in pairing_lines(record):
+        console.print(Text(line), soft_wrap=True)
     console.print(parameter_table(record))
     runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
     console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)
@@ -133,6 +150,38 @@ def show_run(console: Console, run: CampaignRun) -> None:
     )
     console.print(Text(f"record       {run.folder / 'campaign.h5'}"), soft_wrap=True)
     console.print(Text(f"updated deck {run.updated_deck}"), soft_wrap=True)
+
+
+def show_twin(console: Console, twin: Twin) -> None:
+    """Frequencies of all solvers side by side, differences and MAC from the first."""
+    table = Table(title=f"Elastic modes of {twin.name}", title_justify="left")
+    first, *others = twin.solvers
+    table.add_column("mode", justify="right")
+    table.add_column(f"{first.solver} Hz", justify="right")
+    for other in others:
+        for heading in (f"{other.solver} Hz", "mode", "differs %", "MAC"):
+            table.add_column(heading, justify="right")
+    for pair, frequency in enumerate(first.frequencies_hz.tolist()):
+        row = [str(pair + 1), f"{frequency:.4f}"]
+        for other in others:
+            row += [
+                f"{other.frequencies_hz[pair]:.4f}",
+                str(other.pairing.computed[pair] + 1),
+                f"{100 * twin.differences(other)[pair]:+.3f}",
+                f"{other.pairing.judged_mac[pair]:.4f}",
+            ]
+        table.add_row(*row)
+    console.print(table)
+    for item in twin.solvers:
+        console.print(
+            Text(
+                f"{item.solver} {item.version}: {item.result.n_rigid} rigid-body modes, mass "
+                f"{item.result.mass:.6g}, {item.wall_s:.1f} s"
+            ),
+            soft_wrap=True,
+        )
+    for solver, reason in twin.absent:
+        console.print(Text(f"{solver} did not run: {reason}"), soft_wrap=True)
 
 
 def _share(value: float) -> str:

@@ -1,0 +1,141 @@
+"""One model on several solvers: the Python API of `modetune twin`.
+
+The modal analysis of a campaign runs on each solver that is there, and the modes of each are
+paired with those of the first by shape. Frequencies side by side with MAC between the solvers'
+shapes tell how far, say, CI with CalculiX stands from Nastran.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+
+from modetune.core.errors import CampaignError, SolverMissing
+from modetune.core.modes import Floats, ModeSet
+from modetune.core.pairing import Pairing, pair_by_shape
+from modetune.core.results import ModalResult
+from modetune.flows.campaign import EXTRA_MODES, load_campaign
+from modetune.flows.modal_run import model_modes, parse_values
+
+
+@dataclass(frozen=True, slots=True)
+class SolverModes:
+    """The modes that one solver gives, and how they answer those of the first solver.
+
+    pairing: of the first solver's lowest elastic modes with this one's.
+    """
+
+    solver: str
+    version: str
+    wall_s: float
+    result: ModalResult
+    pairing: Pairing
+
+    @property
+    def frequencies_hz(self) -> Floats:
+        """Of the paired modes, (n_pairs,)."""
+        return self.result.elastic.frequencies_hz[self.pairing.computed]
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """A model's modes by several solvers; absent: solvers that could not run, and why."""
+
+    name: str
+    solvers: tuple[SolverModes, ...]
+    absent: tuple[tuple[str, str], ...]
+
+    def differences(self, solver: SolverModes) -> Floats:
+        """Relative frequency differences of a solver from the first one, (n_pairs,)."""
+        return solver.frequencies_hz / self.solvers[0].frequencies_hz - 1.0
+
+
+def run_twin(
+    campaign_file: Path, solvers: Sequence[str], at: list[str], settings: list[str]
+) -> Twin:
+    """Run a campaign's modal analysis on each of these solvers.
+
+    A solver that is not installed, or cannot take the model, is told as absent with the reason.
+    Raises CampaignError where none is left, SolverError, StoreError.
+    """
+    if len(set(solvers)) != len(solvers):
+        raise CampaignError(f"--solvers names one twice: {', '.join(solvers)}")
+    done: list[SolverModes] = []
+    absent: list[tuple[str, str]] = []
+    name = campaign_file.stem
+    for solver in solvers:
+        try:
+            campaign = load_campaign(campaign_file, [*settings, f"model.solver={solver}"])
+            version = campaign.solver.version()
+        except (CampaignError, SolverMissing) as error:
+            absent.append((solver, str(error)))
+            continue
+        name = campaign.name
+        started = time.monotonic()
+        result = model_modes(campaign, parse_values(campaign, at))
+        wall_s = time.monotonic() - started
+        first = done[0].result if done else result
+        pairing = _pairs(first.elastic, result.elastic)
+        done.append(SolverModes(solver, version, wall_s, result, pairing))
+    if not done:
+        raise CampaignError([f"{solver}: {reason}" for solver, reason in absent])
+    return Twin(name, tuple(done), tuple(absent))
+
+
+def _pairs(first: ModeSet, second: ModeSet) -> Pairing:
+    """Pairs of the first solver's modes with the second's; the highest are left to spare.
+
+    A mode at the end of the range may have its partner beyond it. No MAC is too low: a low one is
+    what a twin run is to show.
+    """
+    count = max(1, min(first.n_modes, second.n_modes) - EXTRA_MODES // 2)
+    return pair_by_shape(first.select(np.arange(count)), second, lost_mac=-1.0)
+
+
+class TwinSolver(TypedDict):
+    """One solver of the `--json` object of `modetune twin`."""
+
+    solver: str
+    solver_version: str
+    wall_s: float
+    rigid_modes: int
+    mass: float
+    frequencies_hz: list[float]
+    differences: list[float]
+    mac: list[float]
+    pairing: list[str]
+
+
+class TwinSummary(TypedDict):
+    """The `--json` object of `modetune twin`."""
+
+    name: str
+    solvers: list[TwinSolver]
+    absent: dict[str, str]
+
+
+def twin_summary(twin: Twin) -> TwinSummary:
+    """What `modetune twin --json` tells."""
+    return {
+        "name": twin.name,
+        "solvers": [
+            {
+                "solver": item.solver,
+                "solver_version": item.version,
+                "wall_s": item.wall_s,
+                "rigid_modes": item.result.n_rigid,
+                "mass": item.result.mass,
+                "frequencies_hz": item.frequencies_hz.tolist(),
+                "differences": twin.differences(item).tolist(),
+                "mac": item.pairing.judged_mac.tolist(),
+                "pairing": list(item.pairing.reasons),
+            }
+            for item in twin.solvers
+        ],
+        "absent": dict(twin.absent),
+    }
