@@ -86,5 +86,9 @@ class ModeDerivatives:
     eigenvalues: Floats
     mode_shapes: Floats
 
+    def column(self, place: int) -> ModeDerivatives:
+        """The derivatives with respect to one parameter."""
+        return ModeDerivatives(self.eigenvalues[:, [place]], self.mode_shapes[:, :, [place]])
+
 
 Result = ModalResult | MatrixResult | ModeDerivatives

@@ -6,13 +6,22 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.errors import ModetuneError
+from modetune.core.errors import (
+    LicenceDenied,
+    ModetuneError,
+    SolverCancelled,
+    SolverError,
+    SolverMissing,
+)
 from modetune.core.modes import Floats
 from modetune.core.pairing import LostMode
 from modetune.core.record import RunCounts
 from modetune.core.residual import residual_sensitivity
-from modetune.core.results import ModalResult
+from modetune.core.results import ModalResult, ModeDerivatives
+from modetune.core.sensitivity import stack_derivatives
 from modetune.flows.campaign import Campaign
 from modetune.flows.engine import Job, JobEngine, JobOutcome
 from modetune.flows.evaluation import Evaluation, compare
@@ -24,6 +33,8 @@ logger = logging.getLogger(__name__)
 
 #: How often the computed range is widened in search of a lost mode.
 WIDENINGS = 2
+#: Failures that are not of the one job that met them.
+CAMPAIGNS_OWN = (SolverMissing, SolverCancelled, LicenceDenied)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +42,23 @@ class Matrix:
     """A sensitivity matrix.
 
     values: (n_residuals, n_parameters); methods: how each column was computed; keys: of the jobs
-    behind it; age: iterations since.
+    behind it; age: iterations since; missing: positions of columns that could not be had, zero in
+    values.
     """
 
     values: Floats
     methods: tuple[Exact, ...]
     keys: tuple[str, ...]
     age: int
+    missing: tuple[int, ...] = ()
+
+    @property
+    def methods_had(self) -> tuple[str, ...]:
+        """How each column was computed, `missing` where it could not be."""
+        return tuple(
+            "missing" if column in self.missing else method
+            for column, method in enumerate(self.methods)
+        )
 
 
 def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
@@ -71,12 +92,13 @@ class Evaluator:
         Raises SolverError, ModesError, StoreError.
         """
         beside = [] if alone else self._works(theta, self.methods)
-        outcomes = self._run(number, [self._modal_work(theta), *beside])
+        modal_done, *columns = self._run(number, [self._modal_work(theta), *beside])
+        key = _unless_failed(modal_done)[0].key
         for widening in range(WIDENINGS + 1):
             modal = self.engine.result(Job(self._values(theta), self.analysis))
             assert isinstance(modal, ModalResult)
             try:
-                evaluation = compare(theta, outcomes[0][0].key, modal, self.campaign.test,
+                evaluation = compare(theta, key, modal, self.campaign.test,
                                      self.campaign.weighting, previous)  # fmt: skip
                 break
             except LostMode as error:
@@ -85,17 +107,17 @@ class Evaluator:
                 wider = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
                 logger.warning("%s; widening the range to %d modes", error, wider)
                 self.analysis = replace(self.analysis, n_modes=wider)
-                outcomes = self._run(number, [self._modal_work(theta)])
+                key = _unless_failed(self._run(number, [self._modal_work(theta)])[0])[0].key
         if alone:
             return evaluation, None
         if widening:  # the jobs beside asked for too few modes
             return evaluation, self.matrix(number, evaluation)
-        return evaluation, self._assemble(number, evaluation, outcomes[1:])
+        return evaluation, self._assemble(number, evaluation, columns)
 
     def matrix(self, number: int, evaluation: Evaluation) -> Matrix:
         """The sensitivity at an evaluated set."""
-        outcomes = self._run(number, self._works(evaluation.theta, self.methods))
-        return self._assemble(number, evaluation, outcomes)
+        done = self._run(number, self._works(evaluation.theta, self.methods))
+        return self._assemble(number, evaluation, done)
 
     def skip(self, number: int, slope: float) -> None:
         """Note that e2 makes this iteration do without a sensitivity of its own."""
@@ -103,27 +125,73 @@ class Evaluator:
         names = [f"sensitivity {name}" for name in self.campaign.parameters.names]
         self.execution.skip(f"iteration {number}", names, reason)
 
-    def _assemble(
-        self, number: int, evaluation: Evaluation, outcomes: Sequence[tuple[JobOutcome, ...]]
-    ) -> Matrix:
-        methods, columns = self._sensitivities(), range(len(self.methods))
+    def _assemble(self, number: int, evaluation: Evaluation, done: Sequence[Done]) -> Matrix:
+        """The matrix from the outcomes of `_works`.
+
+        A column that cannot be had is left out with a warning; raises where none is left.
+        """
+        reasons = self._failed_columns(done)
+        columns = [column for column in range(len(self.methods)) if column not in reasons]
         try:
-            derivatives = methods.assemble(evaluation.point, self.methods, columns)
+            derivatives = self._derivatives(evaluation, columns, reasons)
         except (UnbalancedEnergies, UnlikeMatrices) as error:
             if self.campaign.sensitivity.method != "auto":
                 raise
             energies = isinstance(error, UnbalancedEnergies)
             failed = "strain_energy" if energies else "semi_analytic"
-            instead = methods.without_energies() if energies else "finite_difference"
+            instead = self._sensitivities().without_energies() if energies else "finite_difference"
             logger.warning("%s: %s is used in its place", error, instead)
             self.methods = tuple(instead if method == failed else method for method in self.methods)
             return self.matrix(number, evaluation)
-        values = residual_sensitivity(
+        names = self.campaign.parameters.names
+        for column, reason in reasons.items():
+            logger.warning("the sensitivity of %s cannot be had, so it keeps its value in this "
+                           "iteration: %s", names[column], reason)  # fmt: skip
+        if len(reasons) == len(names):
+            raise next(iter(reasons.values()))
+        values = np.zeros((evaluation.residual.values.size, len(names)))
+        values[:, sorted(set(range(len(names))) - set(reasons))] = residual_sensitivity(
             self.campaign.test.modes, evaluation.modal.elastic, evaluation.pairing,
             self.campaign.weighting, derivatives,
         )  # fmt: skip
-        keys = tuple(outcome.key for column in outcomes for outcome in column)
-        return Matrix(values, self.methods, keys, 0)
+        keys = tuple(
+            outcome.key for item in done if not isinstance(item, ModetuneError) for outcome in item
+        )
+        return Matrix(values, self.methods, keys, 0, tuple(sorted(reasons)))
+
+    def _failed_columns(self, done: Sequence[Done]) -> dict[int, ModetuneError]:
+        """Why columns have no results, by position. Raises what is no column's own failure."""
+        shared = done[: len(done) - len(self.methods)]
+        found: dict[int, ModetuneError] = {}
+        for column, method in enumerate(self.methods):
+            own = done[len(shared) + column]
+            needs_shared = method in ("semi_analytic", "solver")
+            for item in (*(shared if needs_shared else ()), own):
+                if isinstance(item, ModetuneError):
+                    found.setdefault(column, item)
+        for error in found.values():
+            if not isinstance(error, SolverError) or isinstance(error, CAMPAIGNS_OWN):
+                raise error
+        return found
+
+    def _derivatives(
+        self, evaluation: Evaluation, columns: Sequence[int], reasons: dict[int, ModetuneError]
+    ) -> ModeDerivatives:
+        """Derivatives of these columns; those whose perturbed modes are lost go to reasons."""
+        methods = self._sensitivities()
+        parts = {}
+        together = [c for c in columns if self.methods[c] != "finite_difference"]
+        if together:
+            joint = methods.assemble(evaluation.point, self.methods, together)
+            parts = {column: joint.column(place) for place, column in enumerate(together)}
+        for column in sorted(set(columns) - set(together)):
+            try:
+                parts[column] = methods.assemble(evaluation.point, self.methods, [column])
+            except LostMode as error:
+                reasons[column] = error
+        if not parts:
+            raise next(iter(reasons.values()))
+        return stack_derivatives([parts[column] for column in sorted(parts)])
 
     def _works(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
         plans = self._sensitivities()
@@ -137,13 +205,13 @@ class Evaluator:
     def _modal_work(self, theta: Floats) -> Work:
         return Work("modal", (Job(self._values(theta), self.analysis),))
 
-    def _run(self, number: int, works: list[Work]) -> list[tuple[JobOutcome, ...]]:
-        """Outcomes in order; counts them. Raises the first error."""
+    def _run(self, number: int, works: list[Work]) -> list[Done]:
+        """What became of each piece, in order; counts the runs."""
         done = self.execution.run(f"iteration {number}", works)
         for work, outcomes in zip(works, done, strict=True):
             if not isinstance(outcomes, ModetuneError):
                 self.runs = self.runs.plus(outcomes_count(work.name, outcomes))
-        return [_unless_failed(outcomes) for outcomes in done]
+        return done
 
     def _values(self, theta: Floats) -> dict[str, float]:
         return self.campaign.parameters.values(theta)

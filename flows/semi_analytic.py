@@ -113,12 +113,7 @@ class SemiAnalytic:
         stacked = self.engine.derived(asked, lambda: stack_derivatives(
             list(self._from_matrices(point, columns).values())
         ))  # fmt: skip
-        return {
-            column: ModeDerivatives(
-                stacked.eigenvalues[:, [place]], stacked.mode_shapes[:, :, [place]]
-            )
-            for place, column in enumerate(columns)
-        }
+        return {column: stacked.column(place) for place, column in enumerate(columns)}
 
     def _from_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
         base = self._matrices(self.base_job(point.theta))

@@ -168,8 +168,8 @@ class Sensitivities:
         modes = point.pairing.computed + point.modal.n_rigid
         columns = [column for column, method in enumerate(methods) if method == "solver"]
         return {
-            column: ModeDerivatives(
-                result.eigenvalues[modes][:, [place]], result.mode_shapes[:, modes][:, :, [place]]
+            column: ModeDerivatives(result.eigenvalues[modes], result.mode_shapes[:, modes]).column(
+                place
             )
             for place, column in enumerate(columns)
         }

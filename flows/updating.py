@@ -190,7 +190,7 @@ class Updating:
         gain = self._gain(state.current, trial)
         promised = before - self._objective(state.current, trial.step.predicted, trial.step, 1.0)
         e2 = self.campaign.update.e2
-        skip = trial.slope if 0.0 < trial.slope <= e2 else None
+        skip = trial.slope if 0.0 < trial.slope <= e2 and not matrix.missing else None
         following = trial.matrix
         if state.skip is not None:
             following = self._older(matrix, state.current, trial)
@@ -215,7 +215,8 @@ class Updating:
     def _step(self, current: Evaluation, matrix: Matrix) -> Step:
         self.last_matrix = matrix
         parameters, settings = self.campaign.parameters, self.campaign.update
-        limit = settings.step_limit
+        limit = np.full(len(parameters), settings.step_limit)
+        limit[list(matrix.missing)] = 0.0  # nothing is known of what these would do
         problem = StepProblem(
             sensitivity=matrix.values,
             residual=current.residual.values,
@@ -280,7 +281,7 @@ class Updating:
             frequency_errors=evaluation.errors,
             residual=evaluation.residual,
             sensitivity=matrix.values if matrix else np.zeros((0, len(parameters))),
-            sensitivity_methods=matrix.methods if matrix else (),
+            sensitivity_methods=matrix.methods_had if matrix else (),
             sensitivity_keys=matrix.keys if matrix else (),
             sensitivity_age=matrix.age if matrix else 0,
             sensitivity_skipped=skipped,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from modetune.core.record import CampaignRecord
 from modetune.flows.engine import Job
 from modetune.flows.recording import summary
 from modetune.flows.running import update_campaign
-from modetune.flows.schema import E1Section, SensitivitySection, UpdateSection
+from modetune.flows.schema import E1Section, RunSection, SensitivitySection, UpdateSection
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1, "k4": 0.9}
 
@@ -170,7 +171,7 @@ def test_a_licence_that_is_not_free_is_waited_for_and_is_no_failure(
 def test_waiting_for_a_licence_has_an_end(bench: Any, watcher: Any) -> None:
     bench.script(dict.fromkeys(range(1, 100), "denied"))
     campaign = bench.campaign(TRUTH, licence_wait_s=0.05)
-    with pytest.raises(LicenceDenied, match="no licence was free for 0.0475 s"):
+    with pytest.raises(LicenceDenied, match=r"no licence was free for 0\.0475 s"):
         run(bench, watcher, campaign)
     assert bench.runs() == 4  # after pauses of 0.01, 0.015 and 0.0225; another would be too long
 
@@ -186,6 +187,32 @@ def test_the_solvers_own_sensitivities_are_one_job_an_iteration(
     semi = SensitivitySection(method="semi_analytic")
     again = run(bench, watcher, bench.campaign(TRUTH, shapes=shapes, sensitivity=semi), "again")
     np.testing.assert_allclose(record.updated, again.updated, rtol=1e-6)
+
+
+def test_a_column_that_cannot_be_had_is_left_out_and_its_parameter_kept(
+    bench: Any, watcher: Any, caplog: Any
+) -> None:
+    # Run 1 is of the model itself, 2 to 5 are of the columns; one job at a time.
+    bench.script({3: "rejected"})
+    sensitivity = SensitivitySection(method="finite_difference", step=0.01)
+    campaign = replace(bench.campaign(TRUTH, sensitivity=sensitivity), run=RunSection(parallel=1))
+    record = run(bench, watcher, campaign)
+    assert record.status == "converged"
+    first = record.iterations[1]
+    left_out = [name == "missing" for name in first.sensitivity_methods]
+    assert sum(left_out) == 1
+    assert (first.sensitivity[:, left_out] == 0.0).all()
+    assert (first.step[left_out] == 0.0).all()
+    assert (first.step != 0.0).sum() == len(TRUTH) - 1
+    assert "so it keeps its value in this iteration" in caplog.text
+    np.testing.assert_allclose(record.updated, list(TRUTH.values()), rtol=1e-5)
+
+
+def test_a_campaign_ends_where_no_column_can_be_had(bench: Any, watcher: Any) -> None:
+    bench.script(dict.fromkeys(range(2, 30), "rejected"))
+    sensitivity = SensitivitySection(method="finite_difference")
+    with pytest.raises(SolverRejected):
+        run(bench, watcher, bench.campaign(TRUTH, sensitivity=sensitivity))
 
 
 def test_a_failed_trial_step_is_halved(bench: Any, watcher: Any) -> None:
