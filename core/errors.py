@@ -10,6 +10,8 @@
     │   ├── SolverMissing        install it
     │   ├── SolverRejected       it refused the input: fix the deck
     │   ├── SolverCrashed        it was stopped or broke off: may be tried again
+    │   │   └── NoResult         it ended well and left what is no result: look at its folder
+    │   ├── SolverExhausted      give it more memory or disk
     │   ├── LicenceDenied        wait: no licence was free
     │   ├── SolverTimeout        raise the limit or make the model smaller
     │   └── SolverCancelled      the campaign itself was stopped
@@ -73,7 +75,15 @@ class SolverRejected(SolverError):
 
 
 class SolverCrashed(SolverError):
-    """The solver was killed, broke off, or left something that is no result."""
+    """The solver was killed or broke off."""
+
+
+class NoResult(SolverCrashed):
+    """The solver ended with good grace, but what it left is no result: cut short, empty, NaN."""
+
+
+class SolverExhausted(SolverError):
+    """The solver ran out of memory or disk; running it again would end the same."""
 
 
 class LicenceDenied(SolverError):

@@ -3,7 +3,7 @@
     /                     attributes: format, name, status, reason, solver, solver_version,
                           modetune_version, campaign (the file's text), settings (what --set
                           put over it, a line each), wall_s,
-                          runs_modal, runs_sensitivity, runs_reused
+                          runs_modal, runs_sensitivity, runs_reused, core_s, licence_s
     /parameters/          names, quantities, deck_values, initial, lower, upper, updated,
                           standard_errors                                    (n_parameters,)
                           correlation                                        (n_par, n_par)
@@ -12,7 +12,8 @@
     /iterations/000/...   one group an evaluated parameter set, in order:
         attributes        accepted, decision, slope (e2; NaN at first), sensitivity_skipped
                           (by e2, at this set), worst_error, misfit, modal_key (in the store),
-                          runs_modal, runs_sensitivity, runs_reused, wall_s
+                          runs_modal, runs_sensitivity, runs_reused, wall_s,
+                          core_s, licence_s (cores and licences times the time jobs held them)
         parameters        (n_parameters,), relative to the deck
         step              (n_parameters,), that led here, and of that step the attributes
                           sensitivity_methods, sensitivity_age (iterations since computed),
@@ -49,17 +50,24 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True)
 class RunCounts:
-    """Solver runs by kind: started for modes, started for sensitivities, answered by the store."""
+    """Solver runs by kind: started for modes, started for sensitivities, answered by the store.
+
+    core_s, licence_s: cores and licences times the time that jobs held them, failed ones too.
+    """
 
     modal: int = 0
     sensitivity: int = 0
     reused: int = 0
+    core_s: float = 0.0
+    licence_s: float = 0.0
 
     def plus(self, other: RunCounts) -> RunCounts:
         return RunCounts(
             self.modal + other.modal,
             self.sensitivity + other.sensitivity,
             self.reused + other.reused,
+            self.core_s + other.core_s,
+            self.licence_s + other.licence_s,
         )
 
     def since(self, earlier: RunCounts) -> RunCounts:
@@ -67,6 +75,8 @@ class RunCounts:
             self.modal - earlier.modal,
             self.sensitivity - earlier.sensitivity,
             self.reused - earlier.reused,
+            self.core_s - earlier.core_s,
+            self.licence_s - earlier.licence_s,
         )
 
 
@@ -145,6 +155,8 @@ def write_record(path: Path, record: CampaignRecord) -> None:
             runs_modal=record.runs.modal,
             runs_sensitivity=record.runs.sensitivity,
             runs_reused=record.runs.reused,
+            core_s=record.runs.core_s,
+            licence_s=record.runs.licence_s,
         )
         _write_parameters(file.create_group("parameters"), record)
         test = file.create_group("test")
@@ -194,6 +206,8 @@ def _write_iteration(group: h5py.Group, iteration: IterationRecord) -> None:
         runs_modal=iteration.runs.modal,
         runs_sensitivity=iteration.runs.sensitivity,
         runs_reused=iteration.runs.reused,
+        core_s=iteration.runs.core_s,
+        licence_s=iteration.runs.licence_s,
         wall_s=iteration.wall_s,
     )
     pairing = iteration.pairing

@@ -100,6 +100,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
     solver = _read_model(source, file, store, parameters, problems)
     if test is not None and solver is not None:
         problems += _disagreements(source, file, test, solver)
+    problems += _core_problems(source, file.run)
     if problems or test is None or solver is None:
         raise CampaignError(problems)
     shapes = file.residuals.shape_weight
@@ -139,6 +140,18 @@ def _problem(source: YamlFile, item: object) -> str:
     elif not isinstance(item["input"], dict | list):
         said = f"{said}; found {item['input']!r}"
     return f"{source.where(place)}: {key or 'campaign'}: {said}"
+
+
+def _core_problems(source: YamlFile, run: RunSection) -> list[str]:
+    """Jobs in parallel times threads of each must not be more than the machine's cores."""
+    wanted = max(run.parallel, 1) * max(run.threads, 1)
+    if wanted <= cores():
+        return []
+    return [
+        f"{source.where(('run',))}: run: {max(run.parallel, 1)} jobs of {max(run.threads, 1)} "
+        f"threads want {wanted} cores, this machine has {cores()}; lower `parallel` or `threads`, "
+        "or leave them out"
+    ]
 
 
 def _store_folder(source: YamlFile, file: CampaignFile) -> Path:

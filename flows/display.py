@@ -144,7 +144,9 @@ def show_run(console: Console, run: CampaignRun) -> None:
         Text(
             f"iterations: {record.iterations[-1].number}; solver runs: {runs.modal} modal, "
             f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store; sensitivity "
-            f"skipped by e2 in {skipped}; {record.wall_s:.1f} s"
+            f"skipped by e2 in {skipped}; {record.wall_s:.1f} s, "
+            f"{runs.core_s / 60.0:.1f} core-minutes"
+            + (f", {runs.licence_s / 60.0:.1f} licence-minutes" if runs.licence_s else "")
         ),
         soft_wrap=True,
     )

@@ -11,6 +11,7 @@ import logging
 import shutil
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from modetune.adapters.solver import Analysis, Solver
 from modetune.core.errors import (
     LicenceDenied,
     ModelError,
+    NoResult,
     SolverCancelled,
     SolverCrashed,
     SolverError,
@@ -31,6 +33,7 @@ from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.parameters import Values
 from modetune.core.results import ModeDerivatives, Result
 from modetune.core.store import Entry, Store, storage_errors
+from modetune.flows.limits import CORES, Limit, MachineLimits
 
 logger = logging.getLogger(__name__)
 
@@ -48,11 +51,57 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class JobOutcome:
-    """Where a job's result is, whether the store had it, and what it cost."""
+    """Where a job's result is, whether the store had it, and the time from first try to result."""
 
     key: str
     reused: bool
     wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """What follows from a failed job.
+
+    stopped, timeout, no_result: how often it is tried again when it was killed or broke off, ran
+    out of time, or left what is no result. What the solver rejected, and what was too large for
+    the machine, is never tried again.
+    """
+
+    timeout_s: float
+    stopped: int
+    timeout: int
+    no_result: int
+    licence_pause_s: float
+    licence_wait_s: float
+
+    def chances(self, error: SolverError) -> int:
+        """How often a job that ended so may be tried again."""
+        if isinstance(error, NoResult):
+            return self.no_result
+        if isinstance(error, SolverTimeout):
+            return self.timeout
+        return self.stopped if isinstance(error, SolverCrashed) else 0
+
+
+class Ledger:
+    """What a campaign's solver runs cost so far, failed ones included; safe from many threads.
+
+    core_s: cores times the time that jobs held them; licence_s: licences times that time.
+    """
+
+    def __init__(self) -> None:
+        self.core_s = 0.0
+        self.licence_s = 0.0
+        self._lock = threading.Lock()
+
+    def add(self, seconds: float, limits: tuple[Limit, ...]) -> None:
+        """Count a run that held these limits."""
+        with self._lock:
+            for limit in limits:
+                if limit.name == CORES:
+                    self.core_s += limit.taken * seconds
+                else:
+                    self.licence_s += limit.taken * seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +110,13 @@ class JobEngine:
 
     solver: Solver
     store: Store
-    timeout_s: float
-    retries: int
-    licence_pause_s: float
-    licence_wait_s: float
+    policy: Policy
     threads: int
     keep_jobs: bool
     cancelled: threading.Event
+    machine: MachineLimits
+    limits: tuple[Limit, ...]
+    ledger: Ledger
 
     def solve(self, job: Job) -> JobOutcome:
         """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
@@ -119,23 +168,25 @@ class JobEngine:
         return result
 
     def _with_retries(self, job: Job, key: str) -> Result:
-        for attempt in range(self.retries + 1):
+        failures: Counter[type[SolverError]] = Counter()
+        while True:
             try:
                 return self._with_licence(job, key)
-            except (SolverCrashed, SolverTimeout) as error:
-                if attempt == self.retries:
+            except SolverError as error:
+                chances = self.policy.chances(error)
+                failures[type(error)] += 1
+                if failures[type(error)] > chances:
                     raise
-                logger.warning("%s; trying again (%d of %d)", error, attempt + 1, self.retries)
-        raise AssertionError("unreachable")
+                logger.warning("%s; trying again (%d of %d)", error, failures[type(error)], chances)
 
     def _with_licence(self, job: Job, key: str) -> Result:
         """Run the job; where no licence is free wait and ask again, which is no failure."""
-        waited, pause = 0.0, self.licence_pause_s
+        waited, pause = 0.0, self.policy.licence_pause_s
         while True:
             try:
                 return self._run(job, key)
             except LicenceDenied as error:
-                if waited + pause > self.licence_wait_s:
+                if waited + pause > self.policy.licence_wait_s:
                     raise LicenceDenied(
                         f"{error}\nno licence was free for {waited:.3g} s "
                         "(`run: licence_wait_s` in the campaign)"
@@ -149,12 +200,22 @@ class JobEngine:
                 waited += pause
                 pause = min(PAUSE_GROWTH * pause, LONGEST_PAUSE_S)
 
+    def _wait_for_slot(self, name: str) -> None:
+        if self.cancelled.wait(0.05):
+            raise SolverCancelled(f"the campaign is ending while a job waits for {name}")
+
     def _run(self, job: Job, key: str) -> Result:
         with self._job_folder(key) as folder:
             self.solver.write(job.values, job.analysis, folder)
-            finished = run_process(
-                self.solver.command(self.threads), folder, self.timeout_s, self.cancelled
-            )
+            with self.machine.held(self.limits, self._wait_for_slot):
+                started = time.monotonic()
+                try:
+                    finished = run_process(
+                        self.solver.command(self.threads), folder, self.policy.timeout_s,
+                        self.cancelled,
+                    )  # fmt: skip
+                finally:
+                    self.ledger.add(time.monotonic() - started, self.limits)
             return self.solver.read(job.values, job.analysis, folder, finished.return_code)
 
     @contextmanager

@@ -79,9 +79,15 @@ class Evaluator:
         self.campaign = campaign
         self.engine = engine
         self.execution = execution
-        self.runs = RunCounts()
+        self._runs = RunCounts()
         self.analysis = campaign_analysis(campaign)
         self.methods = self._sensitivities().methods()
+
+    @property
+    def runs(self) -> RunCounts:
+        """Solver runs so far, and what they cost."""
+        ledger = self.engine.ledger
+        return replace(self._runs, core_s=ledger.core_s, licence_s=ledger.licence_s)
 
     def evaluate(
         self, number: int, theta: Floats, previous: Evaluation | None, alone: bool
@@ -170,7 +176,8 @@ class Evaluator:
                 if isinstance(item, ModetuneError):
                     found.setdefault(column, item)
         for error in found.values():
-            if not isinstance(error, SolverError) or isinstance(error, CAMPAIGNS_OWN):
+            stop = self.campaign.run.failed_column == "stop"
+            if stop or not isinstance(error, SolverError) or isinstance(error, CAMPAIGNS_OWN):
                 raise error
         return found
 
@@ -210,7 +217,7 @@ class Evaluator:
         done = self.execution.run(f"iteration {number}", works)
         for work, outcomes in zip(works, done, strict=True):
             if not isinstance(outcomes, ModetuneError):
-                self.runs = self.runs.plus(outcomes_count(work.name, outcomes))
+                self._runs = self._runs.plus(outcomes_count(work.name, outcomes))
         return done
 
     def _values(self, theta: Floats) -> dict[str, float]:

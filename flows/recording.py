@@ -100,6 +100,8 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         "mean_error_updated": _number(np.abs(last.frequency_errors).mean()),
         "sensitivity_skipped": sum(item.sensitivity_skipped for item in record.iterations),
         "wall_s": round(record.wall_s, 3),
+        "core_minutes": round(record.runs.core_s / 60.0, 4),
+        "licence_minutes": round(record.runs.licence_s / 60.0, 4),
         "run_dir": str(run_dir),
         "solver": record.solver,
         "solver_version": record.solver_version,

@@ -11,12 +11,13 @@ from pathlib import Path
 from modetune.core.errors import CampaignError
 from modetune.core.record import CampaignRecord, write_record
 from modetune.core.store import check_writable, locked, storage_errors
-from modetune.flows.campaign import Campaign
-from modetune.flows.engine import JobEngine
+from modetune.flows.campaign import Campaign, cores
+from modetune.flows.engine import JobEngine, Ledger, Policy
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution import Execution, ThreadExecution
+from modetune.flows.limits import CORES, Limit, MachineLimits
 from modetune.flows.schema import STORE_REMEDY
-from modetune.flows.server import SharedServer
+from modetune.flows.server import SharedServer, server_home
 from modetune.flows.updating import Progress, Updating
 
 
@@ -31,16 +32,27 @@ class CampaignRun:
 
 def job_engine(campaign: Campaign) -> JobEngine:
     """The engine that solves a campaign's jobs."""
+    run, name = campaign.run, campaign.solver.name
+    limits = [Limit(CORES, cores(), campaign.threads)]
+    if name in run.licences:
+        limits.append(Limit(name, run.licences[name], 1))
     return JobEngine(
         solver=campaign.solver,
         store=campaign.store,
-        timeout_s=campaign.run.timeout_s,
-        retries=campaign.run.retries,
-        licence_pause_s=campaign.run.licence_pause_s,
-        licence_wait_s=campaign.run.licence_wait_s,
+        policy=Policy(
+            timeout_s=run.timeout_s,
+            stopped=run.retries.stopped,
+            timeout=run.retries.timeout,
+            no_result=run.retries.no_result,
+            licence_pause_s=run.licence_pause_s,
+            licence_wait_s=run.licence_wait_s,
+        ),
         threads=campaign.threads,
-        keep_jobs=campaign.run.keep_jobs,
+        keep_jobs=run.keep_jobs,
         cancelled=threading.Event(),
+        machine=MachineLimits(server_home() / "limits"),
+        limits=tuple(limits),
+        ledger=Ledger(),
     )
 
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from modetune.core.estimation import StepForm
 from modetune.core.parameters import TARGETS, Quantity, TargetKind
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Retries = Annotated[int, Field(ge=0, le=10)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
@@ -152,16 +153,37 @@ class SensitivitySection(_Section):
     step: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02
 
 
+class RetriesSection(_Section):
+    """How often a job is tried again, by what became of it; a plain number goes for all."""
+
+    stopped: Retries = 2
+    timeout: Retries = 1
+    no_result: Retries = 1
+
+
 class RunSection(_Section):
-    """How jobs run. parallel 0: as many as there are cores; threads 0: the cores, shared out."""
+    """How jobs run. parallel 0: as many as there are cores; threads 0: the cores, shared out.
+
+    licences: jobs that may run at the same time on each solver, or on any name of `licence`, over
+    all campaigns of the machine.
+    """
 
     parallel: Annotated[int, Field(ge=0, le=1024)] = 0
     threads: Annotated[int, Field(ge=0, le=1024)] = 0
-    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    licences: dict[Name, Annotated[int, Field(ge=1, le=10_000)]] = {}
+    retries: RetriesSection = RetriesSection()
+    failed_column: Literal["leave_out", "stop"] = "leave_out"
     timeout_s: Positive = 3600.0
     licence_pause_s: Positive = 30.0
     licence_wait_s: Positive = 86400.0
     keep_jobs: bool = False
+
+    @field_validator("retries", mode="before")
+    @classmethod
+    def _one_number_for_all(cls, given: object) -> object:
+        if isinstance(given, int) and not isinstance(given, bool):
+            return dict.fromkeys(("stopped", "timeout", "no_result"), given)
+        return given
 
 
 class CampaignFile(_Section):

@@ -18,7 +18,7 @@ from scipy import sparse
 
 from modetune.adapters.calculix.job import ALL
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.errors import ModesError, SolverCrashed
+from modetune.core.errors import ModesError, NoResult
 from modetune.core.modes import Floats, Integers, mode_set
 from modetune.core.results import MatrixResult, ModalResult
 from modetune.core.store import symmetric
@@ -66,24 +66,24 @@ def read_messages(log: str) -> list[SolverMessage]:
 
 
 def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalResult:
-    """The modes of a .dat file. Raises SolverCrashed where it is not whole."""
+    """The modes of a .dat file. Raises NoResult where it is not whole."""
     try:
         text = dat.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise SolverCrashed(f"{dat} cannot be read: {error}") from error
+        raise NoResult(f"{dat} cannot be read: {error}") from error
     head, *modes = text.split(MODE_HEADING)
     eigenvalues = _eigenvalues(head)
     if not text.endswith("\n"):
-        raise SolverCrashed(f"{dat} ends within a line: the run broke off")
+        raise NoResult(f"{dat} ends within a line: the run broke off")
     if eigenvalues.size < analysis.n_modes or len(modes) < analysis.n_modes:
-        raise SolverCrashed(
+        raise NoResult(
             f"{dat} holds {eigenvalues.size} eigenvalues and {len(modes)} modes of "
             f"{analysis.n_modes}: the run broke off, or the model has fewer unknowns"
         )
     try:
         return _modal_result(eigenvalues, modes, analysis, point_mass)
     except (ValueError, IndexError, ModesError) as error:
-        raise SolverCrashed(f"{dat} holds no whole result: {error}") from error
+        raise NoResult(f"{dat} holds no whole result: {error}") from error
 
 
 def _modal_result(
@@ -160,14 +160,14 @@ def _number(text: str) -> float:
 
 
 def read_matrices(folder: Path, job: str) -> MatrixResult:
-    """The matrices of a MATRIXSTORAGE job. Raises SolverCrashed where they are not whole."""
+    """The matrices of a MATRIXSTORAGE job. Raises NoResult where they are not whole."""
     try:
         names = _read_names(folder / f"{job}.dof")
         size = names.height
         stiffness = _read_triangle(folder / f"{job}.sti", size)
         mass = _read_triangle(folder / f"{job}.mas", size)
     except (OSError, pl.exceptions.PolarsError, ValueError) as error:
-        raise SolverCrashed(f"{folder}: the stored matrices cannot be read: {error}") from error
+        raise NoResult(f"{folder}: the stored matrices cannot be read: {error}") from error
     return MatrixResult(stiffness, mass, names["node"].to_numpy(), names["component"].to_numpy())
 
 

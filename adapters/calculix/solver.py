@@ -33,6 +33,7 @@ from modetune.adapters.solver import (
 from modetune.core.errors import (
     ModelError,
     SolverCrashed,
+    SolverExhausted,
     SolverMissing,
     SolverRejected,
 )
@@ -143,7 +144,7 @@ class CalculixSolver:
             said = wrap_message("\n".join(message.text for message in messages))
             place = self._place(messages, self._changed(values))
             if "memory" in said.lower():
-                raise SolverCrashed(f"CalculiX ran out of memory in {folder}:\n{said}")
+                raise SolverExhausted(f"CalculiX ran out of memory in {folder}:\n{said}")
             if "aupd" in said and isinstance(analysis, ModalAnalysis):  # ARPACK refused its sizes
                 said += f"\n  {analysis.n_modes} modes want some more unknowns than the model has"
             raise SolverRejected(f"CalculiX refused the deck {place} (job in {folder}):\n{said}")

@@ -12,7 +12,7 @@ from modetune.adapters.matrices.job import CLOSING_MARK, FAULT, RESULT
 from modetune.adapters.matrices.model import Factors, MatrixModel
 from modetune.adapters.process import LOG, log_tail
 from modetune.adapters.solver import Analysis, ModalAnalysis
-from modetune.core.errors import ModesError, SolverCrashed, SolverRejected
+from modetune.core.errors import ModesError, NoResult, SolverCrashed, SolverRejected
 from modetune.core.modes import Floats, mode_set
 from modetune.core.results import MatrixResult, ModalResult, Result
 
@@ -42,7 +42,7 @@ def read_result(
             return _modal(model, factors, analysis, arrays)
         return _matrices(model, arrays)
     except (ModesError, ValueError) as error:
-        raise SolverCrashed(f"{folder / RESULT} is no result of this job: {error}") from error
+        raise NoResult(f"{folder / RESULT} is no result of this job: {error}") from error
 
 
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Floats]:
@@ -51,7 +51,7 @@ def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Floats]:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in names}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise SolverCrashed(f"the result {path} is missing, cut or damaged: {error}") from error
+        raise NoResult(f"the result {path} is missing, cut or damaged: {error}") from error
 
 
 def _modal(

@@ -24,6 +24,7 @@ from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, So
 from modetune.core.errors import (
     ModelError,
     SolverCrashed,
+    SolverExhausted,
     SolverMissing,
     SolverRejected,
 )
@@ -443,7 +444,7 @@ def test_a_run_without_its_closing_line_is_no_result(tmp_path: Path) -> None:
         with pytest.raises(SolverCrashed, match=f"with code {code} and without its closing line"):
             solver.read({}, modal(FREE_BAR), tmp_path, code)
     (tmp_path / "solver.log").write_text(" *ERROR in u_calloc: error allocating memory\n")
-    with pytest.raises(SolverCrashed, match="ran out of memory"):
+    with pytest.raises(SolverExhausted, match="ran out of memory"):
         solver.read({}, modal(FREE_BAR), tmp_path, 201)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,8 +37,10 @@ from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Re
 from modetune.core.store import Store
 from modetune.flows.campaign import Campaign
 from modetune.flows.engine import JobEngine
+from modetune.flows.running import job_engine
 from modetune.flows.schema import (
     E1Section,
+    RetriesSection,
     RunSection,
     SensitivitySection,
     UpdateSection,
@@ -237,12 +238,7 @@ class Bench:
         return ScriptedSolver(self.folder, energies)
 
     def engine(self, campaign: Campaign) -> JobEngine:
-        return JobEngine(
-            solver=campaign.solver, store=campaign.store, timeout_s=30.0,
-            retries=campaign.run.retries, licence_pause_s=campaign.run.licence_pause_s,
-            licence_wait_s=campaign.run.licence_wait_s, threads=1,
-            keep_jobs=False, cancelled=threading.Event(),
-        )  # fmt: skip
+        return job_engine(campaign)
 
     def measured(self, truth: Values, modes: tuple[int, ...], shapes: bool = True) -> ModeSet:
         """What a test of the true chain gives: modes (from 1), shapes at masses 1 to 6."""
@@ -289,7 +285,7 @@ class Bench:
             sensitivity=sensitivity or SensitivitySection(),
             run=RunSection(
                 parallel=2,
-                retries=retries,
+                retries=RetriesSection(stopped=retries, timeout=retries, no_result=retries),
                 licence_pause_s=licence_pause_s,
                 licence_wait_s=licence_wait_s,
             ),
@@ -299,7 +295,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Bench:
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))  # limits of this test alone
     bench = Bench(tmp_path)
     bench.script({})
     return bench

@@ -215,6 +215,19 @@ def test_a_campaign_ends_where_no_column_can_be_had(bench: Any, watcher: Any) ->
         run(bench, watcher, bench.campaign(TRUTH, sensitivity=sensitivity))
 
 
+def test_what_jobs_cost_is_in_the_record(bench: Any, watcher: Any) -> None:
+    bench.script({1: "killed"})
+    campaign = replace(bench.campaign(TRUTH), run=RunSection(parallel=2, licences={"scripted": 1}))
+    record = run(bench, watcher, campaign)
+    # Each job holds one core and one licence while it runs, the one that was killed too.
+    assert record.runs.core_s == pytest.approx(record.runs.licence_s)
+    assert 0.0 < record.runs.core_s < record.wall_s
+    each = sum(iteration.runs.core_s for iteration in record.iterations)
+    assert each == pytest.approx(record.runs.core_s)
+    again = run(bench, watcher, campaign, "again")
+    assert again.runs.core_s == again.runs.licence_s == 0.0
+
+
 def test_a_failed_trial_step_is_halved(bench: Any, watcher: Any) -> None:
     bench.script({2: "short"})
     record = run(bench, watcher, bench.campaign(TRUTH))
