@@ -9,34 +9,19 @@ kept.
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from modetune.adapters import deck_files
+from modetune.adapters.deck_files import Include, Line, read_text
 from modetune.core.errors import ModelError
-from modetune.core.store import writing
 
 #: ccx reads at most this many characters of a number.
 FIELD_WIDTH = 20
-#: Where an updated deck keeps the includes whose own place ccx would not find from beside it.
-INCLUDES = "includes"
 INCLUDE = re.compile(r"\s*\*\s*INCLUDE", re.IGNORECASE)
 INCLUDED = re.compile(r"INPUT\s*=\s*(\"[^\"]*\"|[^,]+)", re.IGNORECASE)
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One line of a deck without its line end, and where it stands."""
-
-    text: str
-    file: Path
-    number: int
-
-    @property
-    def where(self) -> str:
-        return f"{self.file}, line {self.number}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,19 +42,6 @@ class Card:
 
     def is_one_of(self, *keywords: str) -> bool:
         return any(self.keyword == canonical_name(keyword) for keyword in keywords)
-
-
-@dataclass(frozen=True, slots=True)
-class Include:
-    """An *INCLUDE line and the file it brings in.
-
-    keeps_place: whether the same line finds the file from an updated deck that keeps the file's
-    place: it is named relative to the main deck's folder and stands below it.
-    """
-
-    line: Line
-    target: Path
-    keeps_place: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,16 +79,10 @@ def read_deck(path: Path) -> Deck:
     return Deck(path, tuple(lines), cards, tuple(includes))
 
 
-def read_text(path: Path) -> str:
-    """The text of a deck file, bytes that are no UTF-8 kept. Raises ModelError."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{path} cannot be read: {error.strerror}") from error
-    if b"\0" in data:
-        number = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise ModelError(f"{path}, line {number}: not a text file, it holds zero bytes")
-    return data.decode("utf-8", "surrogateescape")
+def parse_deck(file: Path, text: str) -> Deck:
+    """A deck from its text, which includes nothing; `file` is what messages call it."""
+    lines = tuple(Line(line, file, number) for number, line in enumerate(text.split("\n"), start=1))
+    return Deck(file, lines, tuple(_cards(lines)), ())
 
 
 def _read_file(
@@ -150,11 +116,11 @@ def _include(line: Line, main: Path) -> Include:
     for folder in (main, line.file.parent):
         if (folder / written).is_file():
             keeps = folder is main and not written.is_absolute() and ".." not in written.parts
-            return Include(line, folder / written, keeps)
+            return Include((line,), folder / written, keeps)
     raise ModelError(f"{line.where}: the included file {main / written} is not there")
 
 
-def _cards(lines: list[Line]) -> Iterable[Card]:
+def _cards(lines: Sequence[Line]) -> Iterable[Card]:
     start, header, data = 0, "", list[int]()
     open_header = False
     for position, line in enumerate(lines):
@@ -211,48 +177,17 @@ def replace_field(text: str, place: int, value: str) -> str:
 def write_edited(deck: Deck, changed: Mapping[int, str], folder: Path) -> Path:
     """Write the deck and its includes with some lines changed; all else stays byte for byte.
 
-    changed: position of a line in the deck to its new text. Includes keep their places relative
-    to the main deck; one that ccx could not find there (an absolute path, a path with `..`) goes
-    into the folder `includes`, and its *INCLUDE line is the one other line that changes.
-    Returns the main file's path in `folder`. Raises ModelError, StorageUnavailable.
+    changed: position of a line in the deck to its new text. Returns the main file's path in
+    `folder`. Raises ModelError, StorageUnavailable.
     """
-    places = _places(deck)
-    edits: dict[Path, dict[int, str]] = {file: {} for file in places}
-    for include in deck.includes:
-        if not include.keeps_place:
-            text = _renamed(include.line.text, places[include.target].as_posix())
-            edits[include.line.file][include.line.number] = text
-    for position, text in changed.items():
-        line = deck.lines[position]
-        edits[line.file][line.number] = text
-    for file, lines in edits.items():
-        pieces = read_text(file).split("\n")
-        for number, text in lines.items():
-            pieces[number - 1] = text + ("\r" if pieces[number - 1].endswith("\r") else "")
-        with writing(folder / places[file]) as part:
-            part.write_bytes("\n".join(pieces).encode("utf-8", "surrogateescape"))
-    return folder / deck.file.name
+    return deck_files.write_edited(deck.file, deck.lines, deck.includes, changed, _renamed, folder)
 
 
-def _places(deck: Deck) -> dict[Path, Path]:
-    """Every file of the deck and where an updated deck has it, relative to the main file."""
-    places = {deck.file: Path(deck.file.name)}
-    for include in deck.includes:
-        if include.keeps_place:
-            relative = os.path.relpath(include.target, deck.file.parent)
-            places.setdefault(include.target, Path(relative))
-    for include in deck.includes:
-        place = Path(INCLUDES) / include.target.name
-        count = 1
-        while include.target not in places and place in places.values():
-            count += 1
-            place = Path(INCLUDES) / f"{include.target.stem}_{count}{include.target.suffix}"
-        places.setdefault(include.target, place)
-    return places
-
-
-def _renamed(text: str, place: str) -> str:
-    found = INCLUDED.search(text)
+def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
+    """An *INCLUDE line that names another file. ccx looks from beside the main deck, not holder."""
+    (line,) = lines
+    found = INCLUDED.search(line.text)
     assert found is not None
     quote = '"' if found.group(1).startswith('"') else ""
-    return f"{text[: found.start(1)]}{quote}{place}{quote}{text[found.end(1) :]}"
+    before, after = line.text[: found.start(1)], line.text[found.end(1) :]
+    return [f"{before}{quote}{place.as_posix()}{quote}{after}"]

@@ -1,0 +1,116 @@
+"""Decks as files: the lines of a main file and its includes, and writing them back edited.
+
+Every line keeps the file and line number it came from, so that messages name them and an updated
+deck differs from the user's in the changed lines only, includes kept. How a solver names an
+include and where it looks for it is the adapter's to say.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from modetune.core.errors import ModelError
+from modetune.core.store import writing
+
+#: Where an updated deck keeps the includes whose own place the solver would not find from beside
+#: it.
+INCLUDES = "includes"
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a deck without its line end, and where it stands."""
+
+    text: str
+    file: Path
+    number: int
+
+    @property
+    def where(self) -> str:
+        return f"{self.file}, line {self.number}"
+
+
+@dataclass(frozen=True, slots=True)
+class Include:
+    """The lines that bring in another file, and that file.
+
+    keeps_place: whether the same lines find the file from an updated deck that keeps the file's
+    place relative to the main deck's folder.
+    """
+
+    lines: tuple[Line, ...]
+    target: Path
+    keeps_place: bool
+
+
+#: New texts of an include's lines: the lines, then the target's and the including file's places in
+#: the updated deck, relative to its main file's folder.
+Renamed = Callable[[Sequence[Line], Path, Path], list[str]]
+
+
+def read_text(path: Path) -> str:
+    """The text of a deck file, bytes that are no UTF-8 kept. Raises ModelError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path} cannot be read: {error.strerror}") from error
+    if b"\0" in data:
+        number = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise ModelError(f"{path}, line {number}: not a text file, it holds zero bytes")
+    return data.decode("utf-8", "surrogateescape")
+
+
+def write_edited(
+    main: Path,
+    lines: Sequence[Line],
+    includes: Sequence[Include],
+    changed: Mapping[int, str],
+    renamed: Renamed,
+    folder: Path,
+) -> Path:
+    """Write a deck and its includes with some lines changed; all else stays byte for byte.
+
+    changed: index into lines to the new text. Includes keep their places relative to the main
+    file; one that the solver could not find there (an absolute path, a path that leads out of the
+    main file's folder) goes into the folder `includes`, and the lines that name it are the only
+    others that change. Returns the main file's path in `folder`. Raises ModelError,
+    StorageUnavailable.
+    """
+    places = _places(main, includes)
+    edits: dict[Path, dict[int, str]] = {file: {} for file in places}
+    for include in includes:
+        if not include.keeps_place:
+            holder = include.lines[0].file
+            texts = renamed(include.lines, places[include.target], places[holder])
+            numbers = [line.number for line in include.lines]
+            edits[holder].update(zip(numbers, texts, strict=True))
+    for position, text in changed.items():
+        line = lines[position]
+        edits[line.file][line.number] = text
+    for file, texts_by_number in edits.items():
+        pieces = read_text(file).split("\n")
+        for number, text in texts_by_number.items():
+            pieces[number - 1] = text + ("\r" if pieces[number - 1].endswith("\r") else "")
+        with writing(folder / places[file]) as part:
+            part.write_bytes("\n".join(pieces).encode("utf-8", "surrogateescape"))
+    return folder / main.name
+
+
+def _places(main: Path, includes: Sequence[Include]) -> dict[Path, Path]:
+    """Every file of a deck and where an updated deck has it, relative to the main file."""
+    places = {main: Path(main.name)}
+    for include in includes:
+        if include.keeps_place:
+            relative = os.path.relpath(include.target, main.parent)
+            places.setdefault(include.target, Path(relative))
+    for include in includes:
+        place = Path(INCLUDES) / include.target.name
+        count = 1
+        while include.target not in places and place in places.values():
+            count += 1
+            place = Path(INCLUDES) / f"{include.target.stem}_{count}{include.target.suffix}"
+        places.setdefault(include.target, place)
+    return places

@@ -1,0 +1,1 @@
+"""Nastran decks: their text, what their cards mean, and where parameters stand in them."""

@@ -1,0 +1,208 @@
+"""Nastran decks: reading with includes, and editing that changes only the lines that must change.
+
+A deck is file management and executive control up to CEND, case control up to BEGIN BULK, and
+bulk data up to ENDDATA; a file that has none of these is bulk data alone. `$` starts a comment.
+INCLUDE may stand anywhere; its file is looked for beside the file that names it, then beside the
+main deck.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from modetune.adapters import deck_files
+from modetune.adapters.deck_files import Include, Line, read_text
+from modetune.adapters.nastran.cards import Card as Card
+from modetune.adapters.nastran.cards import Field as Field
+from modetune.adapters.nastran.cards import changed_texts, read_cards
+from modetune.core.errors import ModelError
+
+INCLUDE = re.compile(r"\s*INCLUDE(?=[\s,='\"]|$)\s*[,=]?\s*(.*)", re.IGNORECASE)
+CONTROL = re.compile(r"\s*(SOL(?=[\s=,])|CEND\b|BEGIN\b)\s*[=,]?\s*([^$]*)", re.IGNORECASE)
+END = re.compile(r"\s*ENDDATA\b", re.IGNORECASE)
+#: Nastran itself nests includes ten deep at most; a deeper chain is an error of some script.
+DEEPEST = 100
+#: A quoted file name that has not ended after this many lines has lost its quote.
+LONGEST_NAME = 20
+#: Solution sequences by name, those that a model for modes comes with.
+SOLUTIONS = {
+    "SESTATIC": 101, "SESTATICS": 101, "STATICS": 101, "SEMODES": 103, "MODES": 103,
+    "SEBUCKL": 105, "SEDCEIG": 107, "SEDFREQ": 108, "SEDTRAN": 109, "SEMCEIG": 110,
+    "SEMFREQ": 111, "SEMTRAN": 112, "DESOPT": 200,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Deck:
+    """A deck with its includes in place: lines as they stand, and the cards of its bulk data.
+
+    executive, case_control, bulk: positions in lines; CEND belongs to executive, and begin_bulk
+    is the position of BEGIN BULK, None in a file of bulk data alone. sol: the solution sequence.
+    """
+
+    file: Path
+    lines: tuple[Line, ...]
+    includes: tuple[Include, ...]
+    cards: tuple[Card, ...]
+    executive: range
+    case_control: range
+    begin_bulk: int | None
+    bulk: range
+    sol: int | None
+
+    def named(self, *names: str) -> list[Card]:
+        """All cards of these names, in order."""
+        return [card for card in self.cards if card.name in names]
+
+    def where(self, card: Card) -> str:
+        return self.lines[card.lines[0]].where
+
+
+def read_deck(path: Path) -> Deck:
+    """Read a deck and its includes. Raises ModelError naming file and line."""
+    lines: list[Line] = []
+    includes: list[Include] = []
+    _read_file(path, path.parent, (path.resolve(),), lines, includes)
+    deck = _divide(path, tuple(lines), tuple(includes))
+    deck = replace(deck, cards=read_cards(deck.lines, deck.bulk))
+    if not deck.cards:
+        raise ModelError(f"{path}, line 1: the file holds no bulk data")
+    return deck
+
+
+def with_lines(deck: Deck, changed: Mapping[int, str]) -> Deck:
+    """The deck as it reads with some lines changed. Raises ModelError."""
+    lines = list(deck.lines)
+    for position, text in changed.items():
+        lines[position] = replace(lines[position], text=text)
+    return replace(deck, lines=tuple(lines), cards=read_cards(lines, deck.bulk))
+
+
+def changed_lines(deck: Deck, values: Mapping[Field, float]) -> dict[int, str]:
+    """New texts of the lines in which these fields get new numbers. Raises ModelError."""
+    return changed_texts(deck.lines, values)
+
+
+def write_edited(deck: Deck, changed: Mapping[int, str], folder: Path) -> Path:
+    """Write the deck and its includes with some lines changed; all else stays byte for byte.
+
+    changed: position of a line in the deck to its new text. Returns the main file's path in
+    `folder`. Raises ModelError, StorageUnavailable.
+    """
+    return deck_files.write_edited(deck.file, deck.lines, deck.includes, changed, _renamed, folder)
+
+
+def _read_file(
+    path: Path, main: Path, above: tuple[Path, ...], lines: list[Line], includes: list[Include]
+) -> bool:
+    """Add a file's lines and those of its includes; returns whether ENDDATA ended the deck."""
+    pieces = read_text(path).split("\n")
+    if not pieces[-1]:
+        pieces.pop()
+    numbered = (Line(text.rstrip("\r"), path, number) for number, text in enumerate(pieces, 1))
+    for line in numbered:
+        if END.match(line.text):
+            lines.append(line)
+            return True
+        if not INCLUDE.match(line.text):
+            lines.append(line)
+            continue
+        include = _include(line, numbered, main, includes)
+        resolved = include.target.resolve()
+        if resolved in above:
+            raise ModelError(f"{line.where}: {include.target} includes itself")
+        if len(above) > DEEPEST:
+            raise ModelError(f"{line.where}: files include each other more than {DEEPEST} deep")
+        includes.append(include)
+        if _read_file(include.target, main, (*above, resolved), lines, includes):
+            return True
+    return False
+
+
+def _include(
+    line: Line, following: Iterator[Line], main: Path, includes: Sequence[Include]
+) -> Include:
+    """What an INCLUDE names; a name in quotes may go on in the following lines."""
+    taken, written = _file_name(line, following)
+    holder = line.file
+    # Windows decks part folders by backslashes, which elsewhere are letters of a name.
+    for name in dict.fromkeys((written, written.replace("\\", "/"))):
+        for folder in (holder.parent, main):
+            target = Path(os.path.normpath(folder / name))
+            if not target.is_file():
+                continue
+            below = not os.path.relpath(target, main).startswith("..")
+            moved = any(other.target == holder and not other.keeps_place for other in includes)
+            keeps = below and not moved and not Path(name).is_absolute() and name == written
+            return Include(taken, target, keeps)
+    raise ModelError(f"{line.where}: the included file {holder.parent / written} is not there")
+
+
+def _file_name(line: Line, following: Iterator[Line]) -> tuple[tuple[Line, ...], str]:
+    """The lines of an INCLUDE and the file it names."""
+    found = INCLUDE.match(line.text)
+    rest = found.group(1) if found else ""
+    quote = rest[:1]
+    if quote not in ("'", '"'):
+        name = rest.partition("$")[0].strip()
+        if not name:
+            raise ModelError(f"{line.where}: INCLUDE needs the name of a file")
+        return (line,), name
+    taken, name, open_text = [line], "", rest[1:]
+    while quote not in open_text:
+        name += open_text.strip()
+        another = next(following, None)
+        if another is None or len(taken) >= LONGEST_NAME:
+            raise ModelError(
+                f"{line.where}: the quote round the included file's name is not closed"
+            )
+        taken.append(another)
+        open_text = another.text
+    return tuple(taken), name + open_text.partition(quote)[0].strip()
+
+
+def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
+    """An INCLUDE of another file, named from the one that holds it; its other lines are emptied."""
+    name = Path(os.path.relpath(place, holder.parent)).as_posix()
+    return [f"INCLUDE '{name}'", *("$" for _ in lines[1:])]
+
+
+def _divide(path: Path, lines: tuple[Line, ...], includes: tuple[Include, ...]) -> Deck:
+    """Find the sections of a deck. Raises ModelError where one has no end."""
+    cend, begin, sol = None, None, None
+    controls = ((position, CONTROL.match(line.text)) for position, line in enumerate(lines))
+    for position, found in controls:
+        if found is None:
+            continue
+        word, rest = found.group(1).upper(), found.group(2).strip().upper()
+        where = lines[position].where
+        if word == "BEGIN":
+            if rest != "BULK" or begin is not None:
+                raise ModelError(
+                    f"{where}: superelements and part models are not read: BEGIN {rest}"
+                )
+            begin = position
+        elif begin is not None:
+            raise ModelError(f"{where}: {word} after BEGIN BULK")
+        elif word == "CEND":
+            cend = position
+        elif cend is None:
+            sol = _solution(rest)
+    if begin is None and (cend is not None or sol is not None):
+        raise ModelError(f"{path}, line {len(lines)}: the deck ends without BEGIN BULK")
+    first_case = 0 if cend is None else cend + 1
+    first_bulk = 0 if begin is None else begin + 1
+    last = len(lines) - 1 if lines and END.match(lines[-1].text) else len(lines)
+    sections = range(first_case), range(first_case, first_bulk - 1), range(first_bulk, last)
+    return Deck(path, lines, includes, (), sections[0], sections[1], begin, sections[2], sol)
+
+
+def _solution(text: str) -> int | None:
+    """The number of a solution sequence given by number or name, None where it is not known."""
+    word = re.match(r"\w*", text)
+    name = word.group() if word else ""
+    return int(name) if name.isdecimal() else SOLUTIONS.get(name)

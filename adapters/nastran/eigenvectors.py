@@ -1,0 +1,93 @@
+"""Shapes and element energies as the files of Nastran list them, put together into arrays.
+
+OP2, F06 and punch files give one mode after the other. Every mode must list the same points; a
+scalar point has its first component only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.modes import Floats, Integers
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """One mode as listed: nodes and scalar (n_nodes,), values (n_nodes, 6)."""
+
+    mode: int
+    eigenvalue: float
+    nodes: Integers
+    scalar: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    values: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ElementEnergies:
+    """Strain energies of one element type in one mode; elements and energies are (n_el,).
+
+    total: of all elements of the problem, NaN where not told.
+    """
+
+    mode: int
+    element_type: str
+    total: float
+    elements: Integers
+    energies: Floats
+
+
+def shape_matrix(shapes: Sequence[Shape], n_modes: int) -> tuple[Integers, Integers, Floats]:
+    """Nodes (n_dof,), components (n_dof,) and mode shapes (n_dof, n_modes), sorted by node.
+
+    Raises ValueError where modes list different points, a point twice, or no finite number.
+    """
+    if not shapes:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, n_modes))
+    first = shapes[0]
+    order = np.argsort(first.nodes, kind="stable")
+    nodes, scalar = first.nodes[order], first.scalar[order]
+    if nodes.size == 0 or nodes[0] < 1 or (np.diff(nodes) == 0).any():
+        raise ValueError(f"mode {first.mode} lists no points, a point twice, or one below 1")
+    for shape in shapes:
+        if not (
+            np.array_equal(shape.nodes, first.nodes) and np.array_equal(shape.scalar, first.scalar)
+        ):
+            raise ValueError(f"modes {first.mode} and {shape.mode} list different points")
+    used = np.ones((nodes.size, 6), dtype=np.bool_)
+    used[scalar, 1:] = False
+    columns = [shape.values[order][used] for shape in shapes]
+    matrix = np.stack(columns, axis=1)
+    if not np.isfinite(matrix).all():
+        raise ValueError("a mode shape is not a finite number")
+    rows, columns_used = np.nonzero(used)
+    return nodes[rows], columns_used + 1, matrix
+
+
+def energy_table(
+    tables: Sequence[ElementEnergies], numbers: Sequence[int]
+) -> tuple[Integers, Floats, Floats]:
+    """Elements (n_el,), energies (n_el, n_modes) and totals (n_modes,) for these mode numbers.
+
+    NaN where a mode does not list an element. A table that comes twice for a mode and an element
+    type counts once; an element number that several types have (a plate and a concentrated mass,
+    say) gets the sum of both, for an energy cannot be asked of the one alone by number.
+    Raises ValueError for an energy or a total that is infinite or not a number.
+    """
+    place = {number: column for column, number in enumerate(numbers)}
+    kept = {(table.element_type, table.mode): table for table in tables if table.mode in place}
+    elements = np.unique(
+        np.concatenate([np.zeros(0, dtype=np.int64), *(t.elements for t in kept.values())])
+    )
+    energies = np.full((elements.size, len(numbers)), np.nan)
+    totals = np.full(len(numbers), np.nan)
+    for table in kept.values():
+        if not (np.isfinite(table.energies).all() and np.isfinite(table.total)):
+            raise ValueError(f"a strain energy of mode {table.mode} is not a finite number")
+        rows, column = np.searchsorted(elements, table.elements), place[table.mode]
+        # Within one type an element stands once; a second row repeats the first.
+        energies[rows, column] = np.nan_to_num(energies[rows, column]) + table.energies
+        totals[column] = table.total
+    return elements, energies, totals

@@ -1,0 +1,181 @@
+"""A Nastran deck understood: what a campaign can update in it, and what follows from an update."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from modetune.adapters.nastran.bulk import Bulk, read_bulk
+from modetune.adapters.nastran.deck import Card, Deck, Field, changed_lines, with_lines
+from modetune.adapters.nastran.number import read_number
+from modetune.adapters.nastran.places import Place as Place
+from modetune.adapters.nastran.places import find_places
+from modetune.adapters.nastran.structure import Structure
+from modetune.adapters.solver import ModelSummary
+from modetune.core.errors import ModelError
+from modetune.core.parameters import Parameter
+
+#: Quantities in which stiffness and mass matrices are linear whatever the card.
+LINEAR = ("density", "mass", "spring_stiffness", "torsion_constant")
+#: Case control may hold parameters too, in free field.
+WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
+#: K1 and K2, the shear stiffness factors of a PBAR.
+SHEAR_FACTORS = (17, 18)
+
+
+@dataclass(frozen=True)
+class NastranModel:
+    """A deck, its cards' meaning, and the cards pyNastran does not know."""
+
+    structure: Structure
+    unknown: tuple[Card, ...]
+
+    @property
+    def deck(self) -> Deck:
+        return self.structure.deck
+
+    @property
+    def bulk(self) -> Bulk:
+        """pyNastran's model of the deck, cross-referenced. It is shared: not to be changed."""
+        return self.structure.bulk
+
+    @property
+    def summary(self) -> ModelSummary:
+        return ModelSummary(
+            name=self.deck.file.stem,
+            node_ids=frozenset(self.bulk.nodes),
+            components=frozenset(range(1, 7)),
+            n_elements=len(self.bulk.elements) + len(self.bulk.masses),
+            solid_shapes=False,
+        )
+
+    @property
+    def wtmass(self) -> float:
+        """PARAM WTMASS, the factor on all mass; 1 where the deck has none. Raises ModelError."""
+        for position in self.deck.case_control:
+            line = self.deck.lines[position]
+            found = WTMASS.match(line.text)
+            if found:
+                try:
+                    return read_number(found.group(1))
+                except ValueError as error:
+                    raise ModelError(f"{line.where}: {error}") from None
+        for card in self.deck.named("PARAM"):
+            if card.text(1) == "WTMASS":
+                return self.structure.number(card, 2) or 1.0
+        return 1.0
+
+    def wave_speeds(self) -> dict[str, float]:
+        """Root of E over density of each isotropic material that has both, by `MAT1 30`."""
+        speeds = {}
+        for number, material in self.bulk.materials.items():
+            if material.type == "MAT1" and material.e and material.rho:
+                ratio = material.e / (material.rho * self.wtmass)
+                if ratio > 0.0:
+                    speeds[f"MAT1 {number}"] = float(ratio**0.5)
+        return speeds
+
+    def places(self, parameter: Parameter) -> list[Place]:
+        """Where the parameter stands. Raises ModelError with the first reason why it does not."""
+        return find_places(self.structure, parameter)
+
+    def edit(self, pairs: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
+        """New texts of the lines that these relative values change, by position in the deck.
+
+        A value of exactly 1 changes nothing. Raises ModelError.
+        """
+        values: dict[Field, float] = {}
+        for parameter, factor in pairs:
+            if factor == 1.0:
+                continue
+            for place in self.places(parameter):
+                field = place.card.fields[place.field]
+                assert field is not None  # a place holds a number
+                values[field] = place.value * factor
+        return changed_lines(self.deck, values)
+
+    def bulk_at(self, changed: dict[int, str]) -> Bulk:
+        """pyNastran's model of the deck with some lines changed. Raises ModelError."""
+        return read_bulk(with_lines(self.deck, changed))[0] if changed else self.bulk
+
+    def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
+        """Groups of elements whose strain energy is proportional to the parameter.
+
+        `P12` is all elements of property 12, `E7` element 7. Empty where the energy is not the
+        parameter's own: other materials share a property, or only some of its constants scale.
+        """
+        try:
+            places = self.places(parameter)
+        except ModelError:
+            return ()
+        if parameter.quantity == "youngs_modulus" and parameter.item == 0:
+            return self._users({place.ident for place in places})
+        if parameter.quantity != "spring_stiffness":
+            return ()
+        names: dict[str, None] = {}
+        for place in places:
+            if place.card.name == "PBUSH" and not self._whole_bush(place, places):
+                return ()
+            kind = "E" if place.card.name.startswith("CELAS") else "P"
+            names[f"{kind}{place.ident}"] = None
+        return tuple(names)
+
+    def _users(self, materials: set[int]) -> tuple[str, ...]:
+        """Groups that these materials alone make stiff, all that use them; else none."""
+        names = []
+        for number, used in sorted(self.structure.materials_of.items()):
+            if used & materials:
+                # Two of the parameter's own materials in one property still scale together.
+                if not used <= materials:
+                    return ()
+                names.append(f"P{number}")
+        for material in sorted(materials):
+            rods = self.structure.rods_of.get(material, frozenset())
+            names += [f"E{number}" for number in sorted(rods)]
+        return tuple(names)
+
+    def _whole_bush(self, place: Place, places: Iterable[Place]) -> bool:
+        """Whether all stiffness of a PBUSH scales: every K of it that is given and not zero."""
+        scaled = {other.field for other in places if other.card == place.card}
+        rows = (row for row in range(2, len(place.card.fields), 8) if place.card.text(row) == "K")
+        fields = {row + item for row in rows for item in range(1, 7)}
+        return {field for field in fields if self.structure.number(place.card, field)} == scaled
+
+    def set_elements(self, name: str) -> frozenset[int]:
+        """Elements of a group that energy_sets names."""
+        number = int(name[1:])
+        if name.startswith("E"):
+            return frozenset({number})
+        return self.structure.elements_of.get(number, frozenset())
+
+    def is_linear(self, parameter: Parameter) -> bool:
+        """Whether stiffness and mass matrices are linear in the parameter."""
+        if parameter.quantity in LINEAR:
+            return True
+        if parameter.quantity == "youngs_modulus":
+            # Single constants, and one of several materials of a laminate, act in series with
+            # others (Poisson coupling, transverse shear, condensed bubbles): not linear.
+            return bool(self.energy_sets(parameter))
+        if parameter.quantity not in ("area", "inertia_1", "inertia_2"):
+            return False
+        try:
+            return all(self._without_shear(place.card) for place in self.places(parameter))
+        except ModelError:
+            return False
+
+    def _without_shear(self, card: Card) -> bool:
+        """Whether a bar bends without shear, so that its stiffness is linear in A and I.
+
+        Shear acts in series with bending: K = 12 EI / (L^3 (1 + phi)), phi = 12 EI / (K1 A G L^2).
+        A PBEAM has it unless K1 and K2 are zero (blank is 1), a PBAR where K1 or K2 is given.
+        """
+        if card.name == "PBAR":
+            return not any(self.structure.number(card, field) for field in SHEAR_FACTORS)
+        return card.name in ("PROD", "CONROD")
+
+
+def understand(deck: Deck) -> NastranModel:
+    """What a deck's cards mean. Raises ModelError with file and line of those that mean nothing."""
+    bulk, owners, unknown = read_bulk(deck)
+    return NastranModel(Structure(deck, bulk, owners), unknown)

@@ -1,0 +1,254 @@
+"""The modes in an OP2 file: eigenvalues, shapes, strain energies and mass properties.
+
+Tables read, each record of results under an identification record (all positions 0-based words):
+
+======  =========================================  ==========================================
+table   identification                             data
+======  =========================================  ==========================================
+LAMA    -                                          mode, order, eigenvalue, radians, cycles,
+                                                   generalised mass and stiffness
+OUG*,   0 approach, 1 table, 3 subcase, 4 mode,    point, type and six components; word 0 of
+OPHIG   5 eigenvalue, 8 format, 9 row length       a row is 10 times the number plus a device
+ONRGY1  2 total energy, 5-6 element type           element, energy, percent, density
+OGPWG   -                                          M0, S, masses with centres, I(S), I(Q), Q
+======  =========================================  ==========================================
+
+The word after the eigenvalue is cycles in one program and radians in another, so no frequency is
+read: eigenvalues alone are. Shapes stand in the file's own frame, the displacement coordinate
+system (CD) of each point. Of several subcases the first that has modes is read.
+
+Source: the DMAP data block descriptions of the programs' programmers' guides; checked against
+files of MSC Nastran 2005, 2014 and 2018, Simcenter Nastran 2019 and MYSTRAN 17.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modetune.adapters.nastran.eigenvectors import (
+    ElementEnergies,
+    Shape,
+    energy_table,
+    shape_matrix,
+)
+from modetune.adapters.nastran.op2_records import Record, Table, read_tables
+from modetune.core.errors import SolverCrashed
+from modetune.core.modes import Floats, Integers
+
+#: Frames: OUG and OPHIG are in the points' own, the B tables in the basic frame (not read).
+EIGENVECTORS = ("OUGV1", "OUG1", "OUGV1PAT", "OUGV2", "OUG2", "OPHIG", "OUGPF1")
+EIGENVALUES = ("LAMA", "LAMAS")
+STRAIN_ENERGIES = ("ONRGY1", "ONRGY")
+MASS_PROPERTIES = ("OGPWG", "OGPWGM")
+REAL_MODES = 2
+GRID_TYPES = (1, 2)  # grid points and scalar points; harmonic and extra points are no nodes
+
+
+@dataclass(frozen=True, slots=True)
+class Op2Modes:
+    """What an OP2 file says of normal modes, all in the file's own units and normalisation.
+
+    eigenvalues: (n_modes,), (rad/s)^2. generalized_mass: (n_modes,), NaN without LAMA table.
+    nodes, components: (n_dof,), components 1..6; mode_shapes: (n_dof, n_modes), in each point's
+    output frame (CD); n_dof is 0 where no shapes were asked for.
+    elements: (n_el,), ascending; strain_energies: (n_el, n_modes), NaN where the file does not
+    list the element for the mode; total_strain_energy: (n_modes,), of the whole problem, NaN
+    where there are no energies.
+    mass, center_of_gravity (3,), inertia (3, 3): of the grid point weight generator, which takes
+    PARAM,WTMASS off again; inertia is I(S) about the centre of gravity, with the signs of the
+    file; NaN where there is none.
+    """
+
+    eigenvalues: Floats
+    nodes: Integers
+    components: Integers
+    mode_shapes: Floats
+    generalized_mass: Floats
+    elements: Integers
+    strain_energies: Floats
+    total_strain_energy: Floats
+    mass: float
+    center_of_gravity: Floats
+    inertia: Floats
+
+
+def read_op2(path: Path) -> Op2Modes:
+    """Read the modes of an OP2 file.
+
+    Raises SolverCrashed where the file is not whole, holds no real modes, or holds them sorted by
+    point (SORT2) or complex.
+    """
+    names = EIGENVECTORS + EIGENVALUES + STRAIN_ENERGIES + MASS_PROPERTIES
+    tables = read_tables(path, lambda name: name in names)
+    try:
+        return _modes(tables)
+    except (ValueError, IndexError, OverflowError) as error:
+        raise SolverCrashed(f"{path} holds no modes that can be used: {error}") from error
+
+
+def _modes(tables: list[Table]) -> Op2Modes:
+    shapes = _shapes([table for table in tables if table.name in EIGENVECTORS])
+    lama = next((table for table in tables if table.name in EIGENVALUES), None)
+    rows = np.zeros((0, 7)) if lama is None else _lama(lama)
+    if not shapes and not len(rows):
+        raise ValueError("it has neither a table of eigenvalues (LAMA) nor of real eigenvectors")
+    numbers = [shape.mode for shape in shapes] or rows[:, 0].astype(np.int64).tolist()
+    if not len(rows) and numbers != list(range(1, len(numbers) + 1)):
+        raise ValueError(f"its modes are numbered {numbers}: some are lost, or were not asked for")
+    own = {shape.mode: shape.eigenvalue for shape in shapes}
+    listed = {int(row[0]): row for row in rows}
+    _agree(own, listed)
+    eigenvalues = np.array([listed[n][2] if n in listed else own[n] for n in numbers])
+    if not np.isfinite(eigenvalues).all():
+        raise ValueError("an eigenvalue is not a finite number")
+    nodes, components, mode_shapes = shape_matrix(shapes, len(numbers))
+    energies = _energies([table for table in tables if table.name in STRAIN_ENERGIES])
+    elements, strain_energies, totals = energy_table(energies, numbers)
+    mass, center, inertia = _mass_properties(tables)
+    return Op2Modes(
+        eigenvalues=eigenvalues,
+        nodes=nodes,
+        components=components,
+        mode_shapes=mode_shapes,
+        generalized_mass=np.array([listed[n][5] if n in listed else np.nan for n in numbers]),
+        elements=elements,
+        strain_energies=strain_energies,
+        total_strain_energy=totals,
+        mass=mass,
+        center_of_gravity=center,
+        inertia=inertia,
+    )
+
+
+def _agree(own: dict[int, float], listed: dict[int, Floats]) -> None:
+    """Both places of an eigenvalue hold the same number; single precision has seven digits."""
+    largest = max((abs(row[2]) for row in listed.values()), default=0.0)
+    for mode, eigenvalue in own.items():
+        if mode in listed and not np.isclose(
+            listed[mode][2], eigenvalue, rtol=1e-5, atol=1e-9 * largest
+        ):
+            raise ValueError(
+                f"mode {mode} has the eigenvalue {listed[mode][2]:g} in LAMA and {eigenvalue:g} "
+                "beside its eigenvector"
+            )
+
+
+def _lama(table: Table) -> Floats:
+    """Rows of the table of real eigenvalues, (n_modes, 7)."""
+    if len(table.records) != 2:
+        raise ValueError(f"its table {table.name} has {len(table.records)} records, not 2")
+    record = table.records[1]
+    rows = record.floats()
+    if rows.size % 7 or not rows.size:
+        raise ValueError(f"its table {table.name} has {rows.size} words, 7 belong to a mode")
+    rows = rows.reshape(-1, 7)
+    rows[:, 0] = record.integers().reshape(-1, 7)[:, 0]
+    if not np.array_equal(rows[:, 0], np.arange(1, len(rows) + 1)):
+        raise ValueError(f"its table {table.name} does not number the modes 1 to {len(rows)}")
+    return rows
+
+
+def _results(tables: list[Table]) -> Iterator[tuple[Table, Record, Record]]:
+    """Identification and data records in pairs."""
+    for table in tables:
+        if len(table.records) % 2:
+            raise ValueError(f"its table {table.name} has a record without its data")
+        for first in range(0, len(table.records), 2):
+            if len(table.records[first].content) < 20 * table.records[first].word:
+                raise ValueError(f"its table {table.name} has a short identification record")
+            yield table, table.records[first], table.records[first + 1]
+
+
+def _shapes(tables: list[Table]) -> list[Shape]:
+    """One shape for each mode of the first subcase that has modes."""
+    found: dict[int, Shape] = {}
+    wanted: tuple[str, int] | None = None
+    for table, head, data in _results(tables):
+        words = head.integers()
+        if int(words[0]) // 10 != REAL_MODES:
+            if int(words[0]) // 10 == 9:
+                raise ValueError("its modes are complex; real normal modes (SOL 103) are needed")
+            continue
+        _check_layout(table.name, words)
+        # Several outputs of one subcase (print and plot frames) repeat the modes.
+        place = (table.name, int(words[3]))
+        wanted = wanted or place
+        if place == wanted:
+            shape = _shape(table.name, head, data)
+            if shape.mode in found:
+                raise ValueError(f"mode {shape.mode} stands twice in its table {table.name}")
+            found[shape.mode] = shape
+    return list(found.values())
+
+
+def _check_layout(name: str, words: Integers) -> None:
+    if int(words[1]) >= 1000:
+        raise ValueError(
+            f"its table {name} is sorted by point (SORT2), not by mode: ask for it with SORT1"
+        )
+    if words[8] not in (0, 1) or words[9] != 8:
+        raise ValueError(
+            f"its table {name} has rows of {words[9]} words and format {words[8]}: complex "
+            "numbers, or none of eigenvectors"
+        )
+
+
+def _shape(name: str, head: Record, data: Record) -> Shape:
+    numbers, values = data.integers(), data.floats()
+    if numbers.size % 8 or not numbers.size:
+        raise ValueError(f"its table {name} has {numbers.size} words, 8 belong to a point")
+    numbers, values = numbers.reshape(-1, 8), values.reshape(-1, 8)
+    points = np.isin(numbers[:, 1], GRID_TYPES)
+    return Shape(
+        mode=int(head.integers()[4]),
+        eigenvalue=float(head.floats()[5]),
+        nodes=numbers[points, 0] // 10,
+        scalar=numbers[points, 1] == 2,
+        values=values[points, 2:],
+    )
+
+
+def _energies(tables: list[Table]) -> list[ElementEnergies]:
+    """Tables of element strain energies; kinetic energies (ONRGY2) look the same, by name only."""
+    found = []
+    subcase: int | None = None
+    for table, head, data in _results(tables):
+        words = head.integers()
+        if int(words[0]) // 10 != REAL_MODES or int(words[1]) >= 1000 or words[9] != 4:
+            continue
+        subcase = int(words[3]) if subcase is None else subcase
+        if int(words[3]) != subcase:
+            continue
+        numbers, values = data.integers(), data.floats()
+        if numbers.size % 4:
+            raise ValueError(f"its table {table.name} has {numbers.size} words, 4 belong to a row")
+        elements = numbers.reshape(-1, 4)[:, 0] // 10
+        real = elements < 100_000_000  # this number stands for the sum of an element type
+        found.append(
+            ElementEnergies(
+                mode=int(words[4]),
+                element_type=head.text(5, 2),
+                total=float(head.floats()[2]),
+                elements=elements[real],
+                energies=values.reshape(-1, 4)[real, 1],
+            )
+        )
+    return found
+
+
+def _mass_properties(tables: list[Table]) -> tuple[float, Floats, Floats]:
+    table = next((table for table in tables if table.name in MASS_PROPERTIES), None)
+    if table is None or len(table.records) < 2:
+        return np.nan, np.full(3, np.nan), np.full((3, 3), np.nan)
+    numbers = table.records[1].floats()
+    if numbers.size < 78:
+        raise ValueError(f"its table {table.name} has {numbers.size} words, not 78")
+    # Each row is the mass along one axis of S and the centre of it; on its own axis the centre of
+    # a row is no centre of gravity but what couples to rotations, zero for a proper model.
+    axes = numbers[45:57].reshape(3, 4)
+    center = np.array([axes[1, 1], axes[0, 2], axes[0, 3]])
+    return float(axes[0, 0]), center, numbers[57:66].reshape(3, 3)

@@ -1,0 +1,216 @@
+"""Where a parameter stands in a Nastran deck: the fields of cards that hold its numbers.
+
+The tables give, for each quantity and card, the fields as the manuals number them. What no table
+can tell (a ply, a station of a tapered beam, a dimension of a cross-section, the K row of a bush)
+is found by the functions after them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from modetune.adapters.nastran.deck import Card
+from modetune.adapters.nastran.sections import Entry, section_entries
+from modetune.adapters.nastran.structure import Structure
+from modetune.core.errors import ModelError
+from modetune.core.parameters import Parameter
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One number of the deck that a parameter scales.
+
+    field: index in card.fields. ident: number of the material, property or element. symbol: its
+    name in DVMREL1, DVPREL1 or DVCREL1 cards.
+    """
+
+    card: Card
+    field: int
+    value: float
+    ident: int
+    symbol: str
+    scales: bool = True
+
+
+_MAT8_SHEAR = ((12, 5, "G12"), (13, 6, "G1Z"), (23, 7, "G2Z"))
+_MAT9 = ("11", "12", "13", "14", "15", "16", "22", "23", "24", "25", "26", "33", "34", "35",
+         "36", "44", "45", "46", "55", "56", "66")  # fmt: skip
+#: Numbers of materials by quantity and card.
+MATERIAL_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
+    # G goes along with E, so that Poisson's ratio stays and the stiffness is proportional.
+    ("youngs_modulus", "MAT1"): ((0, 2, "E"), (0, 3, "G")),
+    ("youngs_modulus", "MAT2"): (
+        (11, 2, "G11"), (12, 3, "G12"), (13, 4, "G13"), (22, 5, "G22"), (23, 6, "G23"),
+        (33, 7, "G33"),
+    ),
+    ("youngs_modulus", "MAT8"): (
+        (1, 2, "E1"), (2, 3, "E2"), (-1, 5, "G12"), (-1, 6, "G1Z"), (-1, 7, "G2Z"),
+    ),
+    ("youngs_modulus", "MAT9"): tuple(
+        (int(pair), field, f"G{pair}") for field, pair in enumerate(_MAT9, start=2)
+    ),
+    ("shear_modulus", "MAT1"): ((0, 3, "G"),),
+    ("shear_modulus", "MAT8"): _MAT8_SHEAR,
+    ("poissons_ratio", "MAT1"): ((0, 4, "NU"),),
+    ("poissons_ratio", "MAT8"): ((0, 4, "NU12"),),
+    ("density", "MAT1"): ((0, 5, "RHO"),),
+    ("density", "MAT2"): ((0, 8, "RHO"),),
+    ("density", "MAT3"): ((0, 8, "RHO"),),
+    ("density", "MAT8"): ((0, 8, "RHO"),),
+    ("density", "MAT9"): ((0, 23, "RHO"),),
+    ("density", "MAT10"): ((0, 3, "RHO"),),
+    ("density", "MAT11"): ((0, 11, "RHO"),),
+}  # fmt: skip
+#: Numbers that stand on the element itself, by quantity and card.
+ELEMENT_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
+    ("area", "CONROD"): ((0, 5, "A"),),
+    ("torsion_constant", "CONROD"): ((0, 6, "J"),),
+    ("spring_stiffness", "CELAS2"): ((0, 2, "K"),),
+    ("spring_stiffness", "CELAS4"): ((0, 2, "K"),),
+    ("mass", "CMASS2"): ((0, 2, "M"),),
+    ("mass", "CMASS4"): ((0, 2, "M"),),
+    # The inertia goes along with the mass: the body keeps its shape.
+    ("mass", "CONM2"): (
+        (0, 4, "M"), (0, 9, "I11"), (0, 10, "I21"), (0, 11, "I22"), (0, 12, "I31"),
+        (0, 13, "I32"), (0, 14, "I33"),
+    ),
+}  # fmt: skip
+#: Thicknesses that stand on an element beside its property's: first and last field, and the flag
+#: that makes them fractions of the property's (1) instead.
+OWN_THICKNESS = {
+    "CQUAD4": (11, 14, 10), "CQUADR": (11, 14, 10), "CQUAD8": (11, 14, 17),
+    "CTRIA3": (11, 13, 10), "CTRIAR": (11, 13, 10), "CTRIA6": (11, 13, 14),
+}  # fmt: skip
+REMEDY = {
+    "elset": "a Nastran deck has no element sets: name a property or elements instead",
+    "part": "a Nastran deck has no matrix parts: name a material, a property or elements instead",
+}
+
+
+def find_places(structure: Structure, parameter: Parameter) -> list[Place]:
+    """Where a parameter stands. Raises ModelError with the first reason why it does not."""
+    if parameter.by in REMEDY:
+        raise ModelError(REMEDY[parameter.by])
+    found: list[Place] = []
+    if parameter.by == "material":
+        for target in parameter.targets:
+            found += _of_material(structure, parameter, structure.material(target))
+    elif parameter.by == "property":
+        for target in parameter.targets:
+            card = structure.property_card(target)
+            found += _of_property(structure, parameter, card, int(target))
+    else:
+        found = _of_elements(structure, parameter)
+    if len({(place.card.lines, place.field) for place in found}) < len(found):
+        raise ModelError(f"{', '.join(parameter.targets)}: one of the targets is named twice")
+    return found
+
+
+def _of_material(structure: Structure, parameter: Parameter, card: Card) -> list[Place]:
+    where, quantity = structure.deck.where(card), parameter.quantity
+    ident = int(card.text(1))
+    entries = MATERIAL_ENTRIES.get((quantity, card.name))
+    if entries is None:
+        raise ModelError(f"{where}: {card.name} {ident} has no {quantity} that can be updated")
+    if card.name == "MAT1":
+        _check_isotropic(structure, card, where, quantity)
+    return select(structure, parameter, card, ident, entries)
+
+
+def _check_isotropic(structure: Structure, card: Card, where: str, quantity: str) -> None:
+    """Of E, G and NU two are free; the third follows, or is half ignored."""
+    young, shear, poisson = (structure.number(card, field) for field in (2, 3, 4))
+    number = card.text(1)
+    if quantity == "youngs_modulus" and young is None:
+        raise ModelError(
+            f"{where}: E of MAT1 {number} is blank: it follows from G and NU; update shear_modulus"
+        )
+    if quantity == "shear_modulus" and shear is None:
+        raise ModelError(
+            f"{where}: G of MAT1 {number} is blank: it follows from E and NU; update one of those"
+        )
+    if quantity == "poissons_ratio" and poisson is None:
+        raise ModelError(f"{where}: NU of MAT1 {number} is blank: it follows from E and G")
+    if quantity == "poissons_ratio" and young is not None and shear is not None:
+        raise ModelError(
+            f"{where}: MAT1 {number} gives E, G and NU; bars take G and ignore NU, so that NU is "
+            "no one quantity: leave G blank"
+        )
+
+
+def _of_property(structure: Structure, parameter: Parameter, card: Card, ident: int) -> list[Place]:
+    entries = section_entries(structure, parameter.quantity, card, ident)
+    if parameter.quantity == "dimension" and parameter.item == 0:
+        raise ModelError(
+            f"{structure.deck.where(card)}: {card.name} {ident} has several dimensions: give the "
+            "parameter an item"
+        )
+    if parameter.quantity == "thickness" and card.name == "PSHELL":
+        _check_own_thickness(structure, card, ident)
+    return select(structure, parameter, card, ident, entries)
+
+
+def _check_own_thickness(structure: Structure, card: Card, ident: int) -> None:
+    for number in sorted(structure.elements_of[ident]):
+        element = structure.owners.elements[number][0]
+        first, last, flag = OWN_THICKNESS.get(element.name, (0, -1, 0))
+        given = any(element.text(field) for field in range(first, last + 1))
+        if given and element.text(flag) != "1":
+            raise ModelError(
+                f"{structure.deck.where(element)}: {element.name} {number} gives its own "
+                f"thickness, which that of {card.name} {ident} does not change"
+            )
+
+
+def _of_elements(structure: Structure, parameter: Parameter) -> list[Place]:
+    quantity = parameter.quantity
+    owners = structure.owners
+    family = owners.masses if quantity == "mass" else owners.elements
+    numbers = structure.element_numbers(family, parameter.targets)
+    found: list[Place] = []
+    by_property: list[int] = []
+    for number in numbers:
+        card = structure.element(family, number)
+        entries = ELEMENT_ENTRIES.get((quantity, card.name))
+        if entries is not None:
+            found += select(structure, parameter, card, number, entries)
+        elif quantity == "mass":
+            raise ModelError(
+                f"{structure.deck.where(card)}: {card.name} {number} has no mass of its own to "
+                "update; CONM2, CMASS2 and CMASS4 have"
+            )
+        else:
+            by_property.append(number)
+    for ident in structure.properties_of(by_property):
+        card = structure.property_card(str(ident))
+        found += _of_property(structure, parameter, card, ident)
+    return found
+
+
+def select(
+    structure: Structure, parameter: Parameter, card: Card, ident: int, entries: Iterable[Entry]
+) -> list[Place]:
+    """The entries that a parameter's item picks and that hold a number. Raises ModelError."""
+    where = f"{structure.deck.where(card)}: {card.name} {ident}"
+    known = list(entries)
+    item = parameter.item
+    if item == 0:
+        picked = known
+    else:
+        picked = [entry for entry in known if entry[0] == item]
+        items = sorted({entry[0] for entry in known if entry[0] > 0})
+        if not picked:
+            choice = ", ".join(map(str, items)) or "one alone, so leave the item out"
+            raise ModelError(f"{where}: no item {item} of {parameter.quantity}; it has {choice}")
+    numbers = [(entry, structure.number(card, entry[1])) for entry in picked]
+    symbols = ", ".join(symbol for _, _, symbol in picked)
+    if all(value is None for _, value in numbers):
+        raise ModelError(f"{where}: {symbols} is blank, so there is no {parameter.quantity}")
+    # A factor does not change a zero.
+    places = [
+        Place(card, field, value, ident, symbol) for (_, field, symbol), value in numbers if value
+    ]
+    if not places:
+        raise ModelError(f"{where}: {symbols} is zero, which no factor changes")
+    return places
