@@ -80,6 +80,25 @@ class NastranModel:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
         return find_places(self.structure, parameter)
 
+    def problems(self, parameters: Iterable[Parameter]) -> list[str]:
+        """Why these parameters cannot be applied to the deck, a sentence each; empty if fine."""
+        found = []
+        owners: dict[tuple[int, int], str] = {}
+        for parameter in parameters:
+            try:
+                places = self.places(parameter)
+            except ModelError as error:
+                found.append(f"parameter {parameter.name}: {error}")
+                continue
+            for place in places:
+                field = place.card.fields[place.field]
+                assert field is not None  # a place holds a number
+                first = owners.setdefault((field.line, field.start), parameter.name)
+                if first != parameter.name:
+                    where = self.deck.lines[field.line].where
+                    found.append(f"{where}: both {first} and {parameter.name} change this number")
+        return found
+
     def edit(self, pairs: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
         """New texts of the lines that these relative values change, by position in the deck.
 

@@ -1,0 +1,235 @@
+"""What a job keeps of the user's executive and case control.
+
+Selections of the model's parts (constraints, temperatures, added matrices) can change the modes
+and stay as they are written; requests for output, titles and plots go. What cannot be carried into
+a job without another meaning is refused, each with file and line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from modetune.adapters.nastran.deck import Deck
+from modetune.core.errors import ModelError
+
+#: Case control commands that select parts of the model.
+SELECTIONS = frozenset({
+    "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "NSM", "MFLUID", "RIGID", "AUTOSPC",
+    "BC", "K2GG", "M2GG", "K42GG", "A2GG", "BGSET", "BOUTPUT", "ADAPT",
+})  # fmt: skip
+#: Commands whose meaning a plain modal job would lose, and why it is no modal job then.
+REFUSED = {
+    "STATSUB": "modes of a preloaded structure",
+    "SUPER": "superelements",
+    "SEALL": "superelements",
+    "SEMG": "superelements",
+    "AUXCASE": "auxiliary models",
+    "AUXMODEL": "auxiliary models",
+}
+#: Executive statements that change what is computed in ways a job does not carry.
+DMAP = frozenset({"COMPILE", "ALTER", "ENDALTER", "LINK", "MALTER", "RESTART", "RFALTER"})
+#: Files that an ASSIGN may bring in; the others are for output.
+INPUT_FILES = ("INPUTT2", "INPUTT4", "MASTER", "DBALL", "DBSET", "USRSOU", "MATPOOL")
+#: Executive statements that stay.
+SYSTEM = frozenset({"NASTRAN", "GEOMCHECK"})
+#: Plot requests reach from here to the bulk data.
+PLOTS = re.compile(r"OUTPUT\s*\(", re.IGNORECASE)
+#: Parameters of output that a job sets itself, or does without.
+OWN_PARAMETERS = frozenset({
+    "POST", "POSTEXT", "OGEOM", "GRDPNT", "TINY", "OPTEXIT", "OUGCORD", "PRTMAXIM", "NASPRT",
+    "IUNIT",
+})  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """One command with its continuation lines: name in upper case, text, and where it starts."""
+
+    name: str
+    text: str
+    where: str
+
+    @property
+    def value(self) -> str:
+        """What stands behind the equals sign (or, as some write it, behind the name)."""
+        _, equals, right = self.text.partition("=")
+        return (right if equals else self.text.split(None, 1)[-1]).strip()
+
+    @property
+    def parameter(self) -> str:
+        """The parameter that a PARAM command sets, empty for other commands."""
+        words = re.split(r"[\s,=]+", self.text.strip())
+        return words[1].upper() if self.name == "PARAM" and len(words) > 1 else ""
+
+
+@dataclass(frozen=True, slots=True)
+class CaseControl:
+    """What stays of a deck's case control: selections as written, and the METHOD's number."""
+
+    selections: tuple[str, ...]
+    method: int
+
+    def selected(self, name: str) -> int:
+        """The set that a selection names (SPC, MPC), 0 where there is none."""
+        for text in self.selections:
+            found = re.match(rf"{name}\s*=\s*(\d+)", text, re.IGNORECASE)
+            if found:
+                return int(found.group(1))
+        return 0
+
+
+def read_statements(deck: Deck, positions: Iterable[int]) -> Iterator[Statement]:
+    """Commands of the executive or case control; a comma at a line's end continues it."""
+    text, where = "", ""
+    for position in positions:
+        line = deck.lines[position]
+        part = line.text.split("$", 1)[0].rstrip()
+        if not part.strip():
+            continue
+        where = where if text else line.where
+        text = f"{text}\n{part}" if text else part.strip()
+        if not part.endswith(","):
+            yield _statement(text, where)
+            text = ""
+    if text:
+        yield _statement(text, where)
+
+
+def _statement(text: str, where: str) -> Statement:
+    name = re.match(r"[A-Za-z0-9]+", text)
+    return Statement(name.group().upper() if name else "", text, where)
+
+
+def system_statements(deck: Deck) -> list[str]:
+    """NASTRAN statements and their like. Raises ModelError for what a job cannot carry."""
+    kept, problems = [], []
+    for statement in read_statements(deck, deck.executive):
+        if statement.name in SYSTEM:
+            kept.append(statement.text)
+        elif statement.name in DMAP:
+            problems.append(
+                f"{statement.where}: {statement.name} changes the solution sequence, which jobs "
+                "do not carry; take it out"
+            )
+        elif statement.name == "ASSIGN" and _brings_in(statement.text):
+            problems.append(
+                f"{statement.where}: the model takes data from another file "
+                f"(`{statement.text.splitlines()[0]}`), which jobs do not carry"
+            )
+    if problems:
+        raise ModelError("\n".join(problems))
+    return kept
+
+
+def _brings_in(text: str) -> bool:
+    words = text.upper().replace("=", " ").split()
+    return len(words) > 1 and words[1].startswith(INPUT_FILES)
+
+
+def read_case_control(deck: Deck) -> CaseControl:
+    """Selections of the one subcase that counts, below those above all subcases.
+
+    Raises ModelError where several subcases select different things, or for preloads and
+    superelements.
+    """
+    above, subcases = _split(deck)
+    kept, problems = list(above), list[str]()
+    if subcases:
+        kept += _one(subcases)
+    for statement in kept:
+        if statement.name in REFUSED:
+            problems.append(
+                f"{statement.where}: {statement.name} asks for {REFUSED[statement.name]}, which "
+                "is not supported"
+            )
+    if problems:
+        raise ModelError("\n".join(problems))
+    latest: dict[tuple[str, str], Statement] = {}  # a subcase's word counts, not the one above
+    for statement in kept:
+        if _selects(statement):
+            latest[statement.name, statement.parameter or _describers(statement)] = statement
+    methods = [statement for statement in kept if statement.name == "METHOD"]
+    bulk_only = not deck.case_control and not deck.executive
+    return CaseControl(
+        tuple(statement.text for statement in latest.values())
+        + (_only_sets(deck) if bulk_only else ()),
+        _number(methods[-1]) if methods else 0,
+    )
+
+
+def _only_sets(deck: Deck) -> tuple[str, ...]:
+    """Selections for a file of bulk data alone: its one SPC and its one MPC set.
+
+    Raises ModelError where there are several and nothing says which one holds.
+    """
+    chosen = []
+    for name in ("SPC", "MPC"):
+        sums = deck.named(f"{name}ADD")
+        parts = {card.text(i) for card in sums for i in range(2, len(card.fields))}
+        cards = [*deck.named(name, f"{name}1"), *sums]
+        sets = sorted({card.text(1) for card in cards} - parts)
+        if len(sets) > 1:
+            raise ModelError(
+                f"{deck.file}: the file has no case control, and {name} sets {', '.join(sets)} "
+                f"stand side by side; say which one holds with case control (`{name} = "
+                f"{sets[0]}` between CEND and BEGIN BULK)"
+            )
+        chosen += [f"{name} = {number}" for number in sets]
+    return tuple(chosen)
+
+
+def _split(deck: Deck) -> tuple[list[Statement], list[list[Statement]]]:
+    above: list[Statement] = []
+    subcases: list[list[Statement]] = []
+    for statement in read_statements(deck, deck.case_control):
+        if PLOTS.match(statement.text) or statement.name == "BEGIN":
+            break
+        if statement.name in ("SUBCASE", "SUBCOM", "SYM", "SYMCOM", "REPCASE"):
+            subcases.append([statement])
+        elif subcases:
+            subcases[-1].append(statement)
+        else:
+            above.append(statement)
+    return above, subcases
+
+
+def _one(subcases: list[list[Statement]]) -> list[Statement]:
+    """The subcase that has METHOD or SPC, where it alone does or all say the same."""
+    meanings = {
+        tuple(" ".join(s.text.upper().split()) for s in subcase if _selects(s, "METHOD"))
+        for subcase in subcases
+    }
+    if len(meanings) == 1:
+        return subcases[0]
+    chosen = [subcase for subcase in subcases if any(s.name in ("METHOD", "SPC") for s in subcase)]
+    if len(chosen) == 1:
+        return chosen[0]
+    places = ", ".join(subcase[0].where.rsplit(", ", 1)[-1] for subcase in chosen or subcases)
+    raise ModelError(
+        f"{subcases[0][0].where}: {len(chosen)} of {len(subcases)} subcases have a METHOD or SPC "
+        f"({places}), and which modes are meant cannot be told; leave one"
+    )
+
+
+def _selects(statement: Statement, *more: str) -> bool:
+    parameter = statement.parameter
+    if parameter:
+        return parameter not in OWN_PARAMETERS
+    return statement.name in SELECTIONS or statement.name in more
+
+
+def _describers(statement: Statement) -> str:
+    """TEMPERATURE(INITIAL) and TEMPERATURE(LOAD) stand side by side."""
+    found = re.match(r"\w+\s*\(([^)]*)\)", statement.text)
+    return found.group(1).upper().replace(" ", "") if found else ""
+
+
+def _number(statement: Statement) -> int:
+    try:
+        return int(statement.value)
+    except ValueError:
+        raise ModelError(
+            f"{statement.where}: METHOD wants the number of an EIGRL card: `{statement.text}`"
+        ) from None

@@ -1,0 +1,144 @@
+"""Sensitivities by SOL 200: the cards that ask for them, and what its answer means.
+
+Every parameter becomes one design variable x with the value 1, and each number p of the deck that
+it scales a relation p = c x with c the number as it stands in the job's deck. So the design model
+says what the analysis model says, and for the parameter theta that the deck's own number p0 is
+multiplied with,
+
+    d lambda / d theta = (d lambda / d x) / theta,    for p = c x = (p0 theta) x.
+
+Responses are the eigenvalues (EIGN: unlike FREQ it has a derivative where the frequency is zero)
+and, one a node, component and mode, the mass-normalised shapes (DISP with the mode's number).
+Nastran leaves out responses that no constraint keeps; so all but the objective get a constraint
+with Nastran's own bounds of 1e20, and the screening lets every constraint through. The run ends
+after the sensitivities (DSAPRT with END=SENS), which go to the OP2 file as DSCM2, their columns
+named by DSCMCOL. (MSC and Simcenter Nastran, Quick Reference Guides: DSAPRT, DRESP1, DVMREL1.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from modetune.adapters.nastran.deck import Deck, with_lines
+from modetune.adapters.nastran.model import NastranModel, Place
+from modetune.adapters.nastran.number import format_number, read_number
+from modetune.adapters.solver import SensitivityAnalysis
+from modetune.core.errors import ModelError
+from modetune.core.parameters import Parameter
+
+#: The set of constraints that keep the responses.
+CONSTRAINTS = 1
+#: Bounds of the design variables, relative to where they stand; they only surround the 1.
+LOWER, UPPER = ".5", "2."
+#: A constraint is kept where it is above this, which all are.
+THRESHOLD = "-1.+10"
+#: Responses of one kind that are kept; more than any job asks for.
+KEPT = 9_999_999
+COMPONENTS = 6
+#: Characters of a field in large-field cards.
+WIDTH = 16
+
+
+def design_commands(analysis: SensitivityAnalysis, method: str) -> list[str]:
+    """Case control of a SOL 200 run that ends after its sensitivities.
+
+    They are printed too where only eigenvalues are asked for, and so few.
+    """
+    printed = "NOPRINT" if analysis.nodes else "FORMATTED"
+    return [
+        f"DESOBJ(MIN) = {analysis.n_modes}",
+        f"DSAPRT({printed},EXPORT,END=SENS)",
+        "SUBCASE 1",
+        "ANALYSIS = MODES",
+        f"DESSUB = {CONSTRAINTS}",
+        method,
+    ]
+
+
+def response_id(analysis: SensitivityAnalysis, mode: int, row: int = -1) -> int:
+    """Number of the DRESP1 card of a mode's eigenvalue, or of its shape at one row (from 0)."""
+    if row < 0:
+        return mode + 1
+    return analysis.n_modes + 1 + row * analysis.n_modes + mode
+
+
+def n_rows(analysis: SensitivityAnalysis) -> int:
+    """Degrees of freedom of the shapes asked for: six a node."""
+    return COMPONENTS * len(analysis.nodes)
+
+
+def design_cards(
+    model: NastranModel,
+    changed: Mapping[int, str],
+    analysis: SensitivityAnalysis,
+    parameters: Sequence[Parameter],
+) -> list[str]:
+    """Bulk data of the design model. Raises ModelError for a parameter it cannot hold."""
+    named = {parameter.name: parameter for parameter in parameters}
+    chosen = [named[name] for name in analysis.parameters]
+    lines = [
+        f"DESVAR,{number},P{number},1.,{LOWER},{UPPER}" for number in range(1, len(chosen) + 1)
+    ]
+    lines += _relations(model, with_lines(model.deck, changed), chosen)
+    lines += _responses(analysis)
+    kinds = ("EIGN", "DISP") if analysis.nodes else ("EIGN",)
+    return [*lines, *(f"DSCREEN,{kind},{THRESHOLD},{KEPT}" for kind in kinds)]
+
+
+def _relations(model: NastranModel, edited: Deck, parameters: Sequence[Parameter]) -> list[str]:
+    cards = {card.lines[0]: card for card in edited.cards}
+    lines: list[str] = []
+    number = 0
+    for variable, parameter in enumerate(parameters, start=1):
+        for place in model.places(parameter):
+            if not place.scales:
+                raise ModelError(
+                    f"{model.deck.where(place.card)}: {parameter.name} does not scale this number, "
+                    "and solver sensitivities are of scaled numbers only"
+                )
+            number += 1
+            card = cards[place.card.lines[0]]
+            lines += _relation(number, variable, place, _coefficient(card.text(place.field)))
+    return lines
+
+
+def _coefficient(text: str) -> str:
+    """A number as it stands in the deck, or as much of it as a large field holds."""
+    return text if len(text) <= WIDTH else format_number(read_number(text), WIDTH)
+
+
+def _relation(number: int, variable: int, place: Place, coefficient: str) -> list[str]:
+    """The card that ties one number of the model to a design variable."""
+    owner = place.card.name
+    kind = "DVPREL1"
+    if owner.startswith("MAT"):
+        kind = "DVMREL1"
+    elif owner.startswith("C"):
+        kind = "DVCREL1"
+    fields = (str(number), owner, str(place.ident), place.symbol, "", "", "", "")
+    return _large(kind, (*fields, str(variable), coefficient))
+
+
+def _large(name: str, fields: Sequence[str]) -> list[str]:
+    """A card in large field, four fields a line."""
+    rows = [fields[start : start + 4] for start in range(0, len(fields), 4)]
+    heads = [f"{name}*", *("*" for _ in rows[1:])]
+    return [
+        f"{head:<8}{''.join(f'{field:>{WIDTH}}' for field in row)}".rstrip()
+        for head, row in zip(heads, rows, strict=True)
+    ]
+
+
+def _responses(analysis: SensitivityAnalysis) -> Iterator[str]:
+    modes = range(analysis.n_modes)
+    for mode in modes:
+        number = response_id(analysis, mode)
+        yield f"DRESP1,{number},L{mode + 1},EIGN,,,{mode + 1}"
+        if number != analysis.n_modes:  # the last one is the objective
+            yield f"DCONSTR,{CONSTRAINTS},{number}"
+    for row in range(n_rows(analysis)):
+        node, component = analysis.nodes[row // COMPONENTS], row % COMPONENTS + 1
+        for mode in modes:
+            number = response_id(analysis, mode, row)
+            yield f"DRESP1,{number},S,DISP,,,{component},{mode + 1},{node}"
+            yield f"DCONSTR,{CONSTRAINTS},{number}"

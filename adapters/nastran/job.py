@@ -1,0 +1,145 @@
+"""The deck of one Nastran job: the user's model in one file, and our requests.
+
+Includes are merged and comments left out, so that the text is what can change the numbers and
+nothing else. Of the user's case control the selections stay; of the bulk data everything but the
+requests for modes, parameters of output, and cards of design optimisation. The requests are: the
+lowest n_modes, mass-normalised, shapes at the analysis' nodes in the OP2 file, strain energies of
+the groups' elements, the total mass, or the sensitivities of SOL 200.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from modetune.adapters.nastran.case_control import (
+    OWN_PARAMETERS,
+    CaseControl,
+    read_case_control,
+    system_statements,
+)
+from modetune.adapters.nastran.deck import Deck
+from modetune.adapters.nastran.design import design_cards, design_commands
+from modetune.adapters.nastran.dialect import Dialect
+from modetune.adapters.nastran.model import NastranModel
+from modetune.adapters.nastran.mystran import adapted_cards, first_shift
+from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, SensitivityAnalysis
+from modetune.core.errors import ModelError
+from modetune.core.parameters import Parameter
+
+#: SET numbers of the nodes and of the elements asked for; no user's SET stays beside them.
+NODES, ELEMENTS = 1, 2
+#: Columns of case control that Nastran reads.
+COLUMNS = 72
+#: Cards that ask for modes in the user's way, and cards of design optimisation.
+LEFT_OUT = frozenset({
+    "EIGR", "EIGRL", "EIGB", "EIGC", "EIGP",
+    "DESVAR", "DVPREL1", "DVPREL2", "DVMREL1", "DVMREL2", "DVCREL1", "DVCREL2", "DVGRID", "DVSHAP",
+    "DVBSHAP", "DRESP1", "DRESP2", "DRESP3", "DCONSTR", "DCONADD", "DSCREEN", "DOPTPRM", "DLINK",
+    "DDVAL", "DTABLE", "TOPVAR", "TOMVAR", "BEADVAR", "DSCONS", "DVSET", "DVAR",
+})  # fmt: skip
+
+
+def job_text(
+    model: NastranModel,
+    changed: Mapping[int, str],
+    analysis: Analysis,
+    dialect: Dialect,
+    parameters: tuple[Parameter, ...] = (),
+) -> str:
+    """The text of a job's deck.
+
+    changed: position of a line of the deck to its edited text. parameters: those that a
+    SensitivityAnalysis names. Raises ModelError with file and line for what no job can carry.
+    """
+    if isinstance(analysis, MatrixAnalysis):
+        raise ModelError("matrices are not read from Nastran runs")
+    if isinstance(analysis, SensitivityAnalysis) and dialect.name == "mystran":
+        raise ModelError("MYSTRAN gives no sensitivities")
+    case = read_case_control(model.deck)
+    modal = isinstance(analysis, ModalAnalysis)
+    lines = [
+        *system_statements(model.deck),
+        "SOL 103" if modal else "SOL 200",
+        "CEND",
+        "ECHO = NONE",
+        *case.selections,
+        *_requests(model, case, analysis, dialect),
+        "BEGIN BULK",
+        *_parameters(analysis),
+        _eigrl(model, case, analysis.n_modes, dialect),
+    ]
+    if isinstance(analysis, SensitivityAnalysis):
+        lines += design_cards(model, changed, analysis, parameters)
+    return "\n".join([*lines, *_bulk(model, changed, dialect), "ENDDATA"]) + "\n"
+
+
+def requested_elements(model: NastranModel, analysis: ModalAnalysis) -> list[int]:
+    """Elements whose strain energy is asked for, ascending."""
+    names = {name for _, sets in analysis.groups for name in sets}
+    return sorted({element for name in names for element in model.set_elements(name)})
+
+
+def wrapped_set(number: int, members: Iterable[int]) -> list[str]:
+    """A SET command within 72 columns a line."""
+    lines, line = [], f"SET {number} ="
+    for member in members:
+        if len(line) + len(f" {member},") > COLUMNS:
+            lines.append(line)
+            line = "  "
+        line += f" {member},"
+    return [*lines, line.rstrip(",")]
+
+
+def _requests(
+    model: NastranModel, case: CaseControl, analysis: Analysis, dialect: Dialect
+) -> list[str]:
+    method = f"METHOD = {_method(case)}"
+    if isinstance(analysis, SensitivityAnalysis):
+        return design_commands(analysis, method)
+    assert isinstance(analysis, ModalAnalysis)
+    sets, commands = list[str](), [method]
+    if analysis.nodes:
+        sets += wrapped_set(NODES, analysis.nodes)
+        commands.append(f"DISPLACEMENT({dialect.displays}) = {NODES}")
+    elements = requested_elements(model, analysis)
+    if elements:
+        sets += wrapped_set(ELEMENTS, elements)
+        commands.append(f"ESE(PLOT) = {ELEMENTS}")
+    return [*sets, *commands]
+
+
+def _parameters(analysis: Analysis) -> list[str]:
+    lines = ["PARAM,POST,-1", "PARAM,GRDPNT,0"]
+    if isinstance(analysis, ModalAnalysis) and analysis.groups:
+        lines.append("PARAM,TINY,0.")  # else energies below 0.001 % of the total are not given
+    if isinstance(analysis, SensitivityAnalysis):
+        lines.append("PARAM,POSTEXT,YES")  # the tables of design optimisation too
+    return lines
+
+
+def _method(case: CaseControl) -> int:
+    return case.method or 1
+
+
+def _eigrl(model: NastranModel, case: CaseControl, n_modes: int, dialect: Dialect) -> str:
+    shift = first_shift(model.deck, _method(case)) if dialect.name == "mystran" else ""
+    return f"EIGRL,{_method(case)},,,{n_modes},,,{shift},MASS"
+
+
+def _bulk(model: NastranModel, changed: Mapping[int, str], dialect: Dialect) -> list[str]:
+    """The user's cards in their order, edited, without comments."""
+    deck = model.deck
+    adapted = adapted_cards(deck) if dialect.name == "mystran" else {}
+    lines: dict[int, str] = {}
+    for card in deck.cards:
+        if card.name in LEFT_OUT or (card.name == "PARAM" and card.text(1) in OWN_PARAMETERS):
+            continue
+        if card.lines[0] in adapted:
+            lines[card.lines[0]] = adapted[card.lines[0]]
+        else:
+            lines.update((position, _text(deck, changed, position)) for position in card.lines)
+    return [text for _, text in sorted(lines.items())]
+
+
+def _text(deck: Deck, changed: Mapping[int, str], position: int) -> str:
+    return changed.get(position, deck.lines[position].text).split("$", 1)[0].rstrip()
