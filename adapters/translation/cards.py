@@ -1,0 +1,113 @@
+"""Which Nastran cards a translation takes, and which it may leave out without a change of modes.
+
+Whatever is on neither list is refused: a card that is dropped in silence is a wrong model. Real
+normal modes know no loads, no damping, no design variables and no requests for output.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+#: Translated, or looked at where they are used.
+TRANSLATED = frozenset(
+    "GRID CORD1R CORD1C CORD1S CORD2R CORD2C CORD2S "
+    "CHEXA CPENTA CTETRA CQUAD4 CQUAD8 CQUADR CTRIA3 CTRIA6 CTRIAR "
+    "CBAR CBEAM CROD CONROD CTUBE CELAS1 CELAS2 CELAS3 CELAS4 CBUSH CONM1 CONM2 "
+    "CMASS1 CMASS2 CMASS3 CMASS4 PMASS "
+    "PSHELL PCOMP PCOMPG PSOLID PLSOLID PBAR PBARL PBEAM PBEAML PBCOMP PROD PTUBE PELAS PBUSH "
+    "MAT1 MAT2 MAT3 MAT8 MAT9 MAT10 MAT11 RBE1 RBE2 RBE3 RBAR RROD RSPLINE RBAR1 "
+    "SPC SPC1 SPCADD SPCOFF SPCOFF1 MPC MPCADD PARAM".split()
+)
+#: Without effect on normal modes.
+HARMLESS = frozenset(
+    # beginnings and ends, methods, control
+    "ENDDATA BEGIN EIGRL EIGR EIGB EIGC EIGP ECHOON ECHOOFF INCLUDE "
+    # loads, temperatures and their tables
+    "LOAD FORCE FORCE1 FORCE2 MOMENT MOMENT1 MOMENT2 PLOAD PLOAD1 PLOAD2 PLOAD4 PLOADX1 GRAV "
+    "ACCEL ACCEL1 RFORCE SLOAD SPCD TEMP TEMPD TEMPP1 TEMPRB LSEQ LOADCYN DEFORM "
+    "DLOAD DAREA DPHASE DELAY RLOAD1 RLOAD2 TLOAD1 TLOAD2 RANDPS RANDT1 TIC NOLIN1 "
+    "FREQ FREQ1 FREQ2 FREQ3 FREQ4 FREQ5 TSTEP TSTEPNL NLPARM "
+    "TABLED1 TABLED2 TABLED3 TABLED4 TABLEM1 TABLEM2 TABLEM3 TABLEM4 TABLES1 TABLEST "
+    "TABRND1 TABRNDG TABDMP1 DTI "
+    # damping
+    "CDAMP1 CDAMP2 CDAMP3 CDAMP4 CDAMP5 PDAMP PDAMP5 PDAMPT CVISC PVISC "
+    # support of rigid bodies, which static solutions need
+    "SUPORT SUPORT1 "
+    # heat, and sets that only a matrix language program reads
+    "MAT4 MAT5 MATT4 MATT5 USET USET1 "
+    # drawing, sets and monitoring
+    "PLOTEL PLOTEL3 PLOTEL4 PLOTEL6 PLOTEL8 SET1 SET2 SET3 MONPNT1 MONPNT2 MONPNT3 "
+    "POINT GMCURV GMSURF CSSCHD "
+    # design
+    "DESVAR DVPREL1 DVPREL2 DVMREL1 DVMREL2 DVCREL1 DVCREL2 DRESP1 DRESP2 DRESP3 DCONSTR DCONADD "
+    "DEQATN DVGRID DVBSHAP DVSHAP DOPTPRM DSCREEN DLINK DDVAL DTABLE".split()
+)
+#: Parameters that change no frequency of a translated model, or are translated (WTMASS).
+PARAMETERS = frozenset(
+    "WTMASS AUTOSPC AUTOSPCR AUTOSPRT COUPMASS GRDPNT POST POSTEXT OGEOM OIBULK OMACHPR OUGCORD "
+    "K6ROT SNORM SNORMPRT PRGPST USETPRT USETSEL EST ECHO PRTMAXIM MAXRATIO BAILOUT EPZERO EPPRT "
+    "TINY G GFL W3 W4 W3FL W4FL LMODES LMODESFL LFREQ HFREQ LFREQFL HFREQFL RESVEC RESVINER DBALL "
+    "DBDICT NEWSEQ SEQOUT PRTRESLT PATVER PGRPST NOCOMPS NOELOF NOELOP NOGPF OELMSET OGRDSET "
+    "TABS CURV CURVPLOT BIGER NUMOUT S1 S1G MODACC DDRMM IRES INREL EXTOUT EXTRCV CHECKOUT XFLAG "
+    "OUNIT1 OUNIT2 OMID SRCOMPS STRFIT PVALINIT ALPHA1 ALPHA2 ASING ERROR RSPECTRA SCRSPEC SIGMA "
+    "MAXIT EIGFILT OPTEXIT DESPCH DESPCH1 NASPRT DSNOKD OPTION OP4FMT MODEL MECHFIX UNITSYS "
+    "SOLLIN GEOMU PRTPCOMP PRPA PRPJ PRTCSTM PRTEQXIN PRTGPDT PRTGPL PRTGPTT PRTBGPDT PRTMGG "
+    "RMS AUTOMSET RGBEAMA RGBEAME RGLCRIT RGSPRGK SPARSEDR".split()
+)
+#: Case control commands that add matrices or choose what is not translated.
+CASE_CONTROL = (
+    "K2GG", "M2GG", "K42GG", "K2PP", "M2PP", "B2GG", "STATSUB", "NSM", "P2G", "AXISYMMETRIC",
+    "DSYM", "SUPER", "FLSFSEL",
+)  # fmt: skip
+
+
+def refused_cards(bulk: Any) -> list[str]:
+    """A sentence for each kind of card that can be neither translated nor left out."""
+    counts = {name.upper(): count for name, count in bulk.card_count.items()}
+    found = [
+        f"{name}: {count} card{'s' if count > 1 else ''}{_numbers(bulk, name)} not translated"
+        for name, count in sorted(counts.items())
+        if name not in TRANSLATED and name not in HARMLESS and count
+    ]
+    for name in sorted(bulk.params):
+        if name not in PARAMETERS:
+            found.append(f"PARAM,{name}: not known to be without effect on normal modes")
+    return [*found, *_refused_commands(bulk)]
+
+
+def _numbers(bulk: Any, name: str) -> str:
+    try:
+        numbers = sorted(bulk.get_card_ids_by_card_types([name])[name])
+    except (KeyError, TypeError, RuntimeError):
+        return ""
+    return f" ({shortened(numbers)})" if numbers else ""
+
+
+def shortened(numbers: Iterable[Any]) -> str:
+    """The first few numbers of many."""
+    words = [str(number) for number in numbers]
+    return ", ".join(words[:5]) + (f", ... {words[-1]}" if len(words) > 5 else "")
+
+
+def summarised(problems: Iterable[str]) -> list[str]:
+    """One sentence for all cards of a kind that have the same problem."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for problem in dict.fromkeys(problems):
+        found = re.fullmatch(r"([A-Z]+\d?) (\d+)(\D.*)", problem, re.DOTALL)
+        kind, number, reason = found.groups() if found else ("", "", problem)
+        groups.setdefault((kind, reason), []).append(number)
+    sentences = []
+    for (kind, reason), numbers in groups.items():
+        many = f" ({len(numbers)} of them)" if len(numbers) > 1 else ""
+        sentences.append(f"{kind} {shortened(numbers)}{many}{reason}" if kind else reason)
+    return sentences
+
+
+def _refused_commands(bulk: Any) -> list[str]:
+    deck = bulk.case_control_deck
+    if deck is None:
+        return []
+    names = {name for subcase in deck.subcases.values() for name in subcase.params}
+    return [f"case control {name}: not translated" for name in CASE_CONTROL if name in names]

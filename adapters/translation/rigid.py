@@ -1,0 +1,170 @@
+"""Rigid elements RBE2, RBAR and the interpolation element RBE3 as linear equations.
+
+All are written as *EQUATION, not as *RIGID BODY or *COUPLING: equations take single components,
+output frames and rotations alike, and shell nodes that carry rotations become ccx's rigid knots.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total
+from modetune.adapters.translation.shells import Edges
+from modetune.core.modes import Floats
+
+
+def translate_rigid_elements(
+    bulk: Any, freedoms: Freedoms, edges: Edges, problems: list[str]
+) -> None:
+    """Add all rigid elements of the model."""
+    for element in bulk.rigid_elements.values():
+        nodes = (*element.independent_nodes, *element.dependent_nodes)
+        unknown = [node for node in nodes if node not in freedoms.builder.coordinates]
+        if unknown:
+            problems.append(f"{element.type} {element.eid}: {unknown[0]} is no GRID of the model")
+        elif element.type == "RBE2":
+            components = [int(digit) for digit in str(element.cm)]
+            _rigid(freedoms, edges, element.gn, element.Gmi, components, f"RBE2 {element.eid}")
+        elif element.type == "RBAR":
+            _bar(freedoms, edges, element, problems)
+        elif element.type == "RBE3":
+            _interpolation(freedoms, element, problems)
+        else:
+            problems.append(f"{element.type} {element.eid}: not translated")
+
+
+def _rigid(
+    freedoms: Freedoms,
+    edges: Edges,
+    leader: int,
+    followers: list[int],
+    components: list[int],
+    what: str,
+) -> None:
+    """Components (in the follower's output frame) of nodes that move with the leader's body."""
+    body = {leader, *followers} if set(components) >= {1, 2, 3} else set()
+    middles = [
+        middle
+        for edge, middle in edges.middles.items()
+        if middle in edges.made
+        and edge[0] in body
+        and edge[1] in body
+        and (len(components) == 6 or edges.is_side(edge))
+    ]
+    for node in (*followers, *middles):
+        place = freedoms.builder.coordinates[node]
+        frame = freedoms.frames.get(node, np.eye(3))
+        rows, turns = list[Form](), list[Form]()
+        for component in components:
+            axis = frame[(component - 1) % 3]
+            own = freedoms.form(node, component)
+            if node in (freedoms.structural if component <= 3 else freedoms.rotating):
+                arm = place - freedoms.builder.coordinates[leader]
+                lever = np.cross(arm, axis) if component <= 3 else freedoms.builder.size * axis
+                freedoms.hold(leader, lever)
+            if component <= 3:
+                rows.append(difference(own, freedoms.rigid_motion(leader, place, axis)))
+            elif own and freedoms.turns(leader):
+                turns.append(difference(own, freedoms.along(freedoms.rotations(leader), axis)))
+        freedoms.tie(rows, freedoms.translations(node), what)
+        if turns:
+            freedoms.tie(turns, freedoms.rotations(node), what)
+
+
+def leaders(bulk: Any) -> set[int]:
+    """The grid points whose motion rigid elements follow."""
+    found = set[int]()
+    for element in bulk.rigid_elements.values():
+        if element.type == "RBE2":
+            found.add(element.gn)
+        elif element.type == "RBAR":
+            found.add(element.ga if str(element.cna or "").strip("0") else element.gb)
+    return found
+
+
+def _bar(freedoms: Freedoms, edges: Edges, element: Any, problems: list[str]) -> None:
+    ends = [(element.ga, str(element.cna or "")), (element.gb, str(element.cnb or ""))]
+    dependent = [str(element.cma or ""), str(element.cmb or "")]
+    for first in (0, 1):
+        leader, follower = ends[first], ends[1 - first]
+        if sorted(leader[1]) == list("123456") and not follower[1].strip("0"):
+            chosen = dependent[1 - first].strip("0") or "123456"
+            components = [int(digit) for digit in chosen]
+            what = f"RBAR {element.eid}"
+            return _rigid(freedoms, edges, leader[0], [follower[0]], components, what)
+    problems.append(
+        f"RBAR {element.eid}: independent components {ends[0][1] or 'none'} at {ends[0][0]} and "
+        f"{ends[1][1] or 'none'} at {ends[1][0]} are not translated, only all six at one end"
+    )
+    return None
+
+
+def _interpolation(freedoms: Freedoms, element: Any, problems: list[str]) -> None:
+    """The reference point moves as the weighted rigid motion that fits the others best.
+
+    With G_i the motion of point i's components under a rigid motion of the reference point and w
+    the weights, u_ref = (sum G_i' w G_i)^-1 sum G_i' w u_i. Rotational components are weighted
+    with the square of the mean distance, which makes the units alike.
+    """
+    what = f"RBE3 {element.eid}"
+    if element.Gmi:
+        problems.append(f"{what}: dependent components elsewhere (UM) are not translated")
+        return
+    centre = freedoms.builder.coordinates[element.refgrid]
+    entries = [
+        (node, int(digit), weight)
+        for weight, digits, nodes in zip(element.weights, element.comps, element.Gijs, strict=True)
+        for node in nodes
+        for digit in str(digits)
+    ]
+    arms = [np.linalg.norm(freedoms.builder.coordinates[node] - centre) for node, _, _ in entries]
+    square = float(np.mean(arms)) ** 2 or 1.0
+    rows, weights, forms = [], [], []
+    for node, component, weight in entries:
+        own = freedoms.form(node, component)
+        if own:
+            axis = freedoms.frames.get(node, np.eye(3))[(component - 1) % 3]
+            arm = freedoms.builder.coordinates[node] - centre
+            turning = component > 3
+            rows.append(np.r_[np.zeros(3), axis] if turning else np.r_[axis, np.cross(arm, axis)])
+            weights.append(weight * (square if turning else 1.0))
+            forms.append(own)
+    _write_interpolation(freedoms, element, np.array(rows), np.array(weights), forms, problems)
+
+
+def _write_interpolation(
+    freedoms: Freedoms,
+    element: Any,
+    motion: Floats,
+    weights: Floats,
+    forms: list[Form],
+    problems: list[str],
+) -> None:
+    """motion: (n, 6), weights: (n,), of the n independent components that forms stand for."""
+    what = f"RBE3 {element.eid}"
+    weighted = motion.T * weights
+    normal = weighted @ motion
+    size = np.sqrt(np.diag(normal))
+    size[size == 0.0] = 1.0
+    if np.linalg.matrix_rank(normal / np.outer(size, size), tol=1e-9) < 6:
+        problems.append(f"{what}: its points do not determine all rotations of point "
+                        f"{element.refgrid}")  # fmt: skip
+        return
+    shares = np.linalg.solve(normal, weighted)
+    node, frame = element.refgrid, freedoms.frames.get(element.refgrid, np.eye(3))
+    for three, freedom in (((1, 2, 3), freedoms.translations), ((4, 5, 6), freedoms.rotations)):
+        ties = []
+        for component in (int(digit) for digit in str(element.refc)):
+            own = freedoms.form(node, component) if component in three else {}
+            if own:
+                axis = frame[(component - 1) % 3]
+                factors = axis @ shares[three[0] - 1 : three[0] + 2]
+                parts = [
+                    {f: factor * value for f, value in form.items()}
+                    for factor, form in zip(factors.tolist(), forms, strict=True)
+                ]
+                ties.append(difference(own, total(parts)))
+        if ties:
+            freedoms.tie(ties, freedom(node), what)

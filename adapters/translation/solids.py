@@ -1,0 +1,63 @@
+"""Nastran solids as CalculiX C3D elements.
+
+CHEXA with eight nodes becomes C3D8I, which bends as Nastran's does, and not C3D8, which locks.
+Both number the corners alike; the midside nodes of the upper face and of the uprights stand in
+another order.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from modetune.adapters.translation.calculix_text import CalculixText
+from modetune.adapters.translation.materials import solid_material
+from modetune.adapters.translation.shells import SetsOf
+
+#: ccx kind by Nastran's kind and number of nodes.
+KIND = {
+    ("CHEXA", 8): "C3D8I", ("CHEXA", 20): "C3D20", ("CPENTA", 6): "C3D6", ("CPENTA", 15): "C3D15",
+    ("CTETRA", 4): "C3D4", ("CTETRA", 10): "C3D10",
+}  # fmt: skip
+KINDS = ("CHEXA", "CPENTA", "CTETRA")
+CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4}
+#: Nastran goes lower face, uprights, upper face; ccx lower face, upper face, uprights.
+ORDER = {
+    "C3D20": (*range(12), 16, 17, 18, 19, 12, 13, 14, 15),
+    "C3D15": (*range(9), 12, 13, 14, 9, 10, 11),
+}
+
+
+def translate_solids(
+    bulk: Any, builder: CalculixText, problems: list[str], wtmass: float, sets_of: SetsOf
+) -> None:
+    """Add all solids of the model."""
+    names: dict[int, str] = {}
+    for element in bulk.elements.values():
+        if element.type not in KINDS:
+            continue
+        if element.pid not in names:
+            names[element.pid] = _material(element.pid_ref, builder, problems, wtmass)
+        nodes = list(element.node_ids)
+        while nodes and nodes[-1] is None:
+            nodes.pop()
+        kind = KIND.get((element.type, len(nodes)))
+        if kind is None or None in nodes:
+            problems.append(f"{element.type} {element.eid}: some of its midside nodes are missing")
+            continue
+        if names[element.pid]:
+            order = ORDER.get(kind, tuple(range(len(nodes))))
+            sets = (*sets_of(element), f"V{element.pid}")
+            builder.new_element(kind, [nodes[place] for place in order], sets)
+    for pid, material in names.items():
+        if material and f"V{pid}" in builder.sets:
+            builder.section([f"*SOLID SECTION, ELSET=V{pid}, MATERIAL={material}"])
+
+
+def _material(card: Any, builder: CalculixText, problems: list[str], wtmass: float) -> str:
+    if card.type != "PSOLID":
+        problems.append(f"{card.type} {card.pid}: solids are translated with PSOLID only")
+        return ""
+    if card.fctn not in (None, "SMECH"):
+        problems.append(f"PSOLID {card.pid}: FCTN={card.fctn} is no structural solid")
+        return ""
+    return solid_material(builder, card.mid_ref, wtmass, problems).name

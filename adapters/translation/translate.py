@@ -1,0 +1,159 @@
+"""Nastran bulk data as the model part of a CalculiX deck, or a refusal that names every obstacle.
+
+The grid points keep their numbers; what a card needs besides (midside nodes, rotations, the pieces
+of a rigid mass) gets nodes beyond them. Every property has an element set `P<pid>`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modetune.adapters.translation.beams import translate_beams
+from modetune.adapters.translation.calculix_masses import calculix_mass_properties
+from modetune.adapters.translation.calculix_text import CalculixText
+from modetune.adapters.translation.cards import refused_cards, summarised
+from modetune.adapters.translation.constraints import translate_mpcs, translate_spcs
+from modetune.adapters.translation.drilling import hold_drilling, hold_leaders
+from modetune.adapters.translation.freedoms import Freedoms
+from modetune.adapters.translation.mass_properties import MassProperties, check_masses
+from modetune.adapters.translation.masses import point_masses, translate_masses
+from modetune.adapters.translation.nastran_masses import nastran_mass_properties
+from modetune.adapters.translation.rigid import leaders, translate_rigid_elements
+from modetune.adapters.translation.shells import KINDS as SHELLS
+from modetune.adapters.translation.shells import translate_shells
+from modetune.adapters.translation.solids import KINDS as SOLIDS
+from modetune.adapters.translation.solids import translate_solids
+from modetune.adapters.translation.springs import translate_springs
+from modetune.core.errors import ModelError
+from modetune.core.modes import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Translation:
+    """A CalculiX model part and what is needed to read its results as the Nastran model's.
+
+    text: *NODE to *BOUNDARY, no step. frames: grid point to (3, 3), basic-to-CD rotation, of those
+    whose output frame is not the basic one. sets: names of all element sets of structural
+    elements. grids: the bulk data's grid points, ascending. mass: mass properties that the cards
+    say, WTMASS in them; mass_check: a sentence on how the translated ones agree.
+    """
+
+    text: str
+    frames: dict[int, Floats]
+    sets: tuple[str, ...]
+    grids: tuple[int, ...]
+    mass: MassProperties
+    mass_check: str
+
+
+def translate(
+    bulk: Any,
+    name: str,
+    single: frozenset[int] = frozenset(),
+    spc: int | None = None,
+    mpc: int | None = None,
+) -> Translation:
+    """Translate a cross-referenced pyNastran BDF.
+
+    name: of the deck, for messages. single: elements that get a set `E<eid>` of their own. spc,
+    mpc: constraint sets, taken from the case control where not given, 0 for none.
+    Raises ModelError with every card and feature that cannot be translated.
+    """
+    problems = refused_cards(bulk)
+    wtmass = _wtmass(bulk)
+    builder = _builder(bulk, wtmass)
+
+    def sets_of(element: Any) -> Sequence[str]:
+        names = [f"P{element.pid}"] if getattr(element, "pid", None) else []
+        return (*names, f"E{element.eid}") if element.eid in single else names
+
+    edges = translate_shells(bulk, builder, problems, wtmass, sets_of)
+    translate_solids(bulk, builder, problems, wtmass, sets_of)
+    held = _held_rotations(bulk)
+    freedoms = _freedoms(bulk, builder, held, problems)
+    translate_spcs(bulk, freedoms, edges, _chosen(bulk, "SPC", spc), problems)
+    translate_mpcs(bulk, freedoms, _chosen(bulk, "MPC", mpc), problems)
+    translate_rigid_elements(bulk, freedoms, edges, problems)
+    translate_beams(bulk, builder, freedoms, problems, wtmass, sets_of)
+    translate_springs(bulk, builder, freedoms, problems, wtmass, sets_of)
+    masses = point_masses(bulk, problems)
+    translate_masses(bulk, masses, builder, freedoms, wtmass, sets_of)
+    hold_drilling(bulk, freedoms, edges)
+    hold_leaders(freedoms, leaders(bulk) - held - freedoms.turning)
+    problems += [
+        f"GRID {number}: CalculiX has no rotations at nodes of laminated shells, which a beam, "
+        "rigid element, spring, support or mass there needs"
+        for number in sorted(builder.knots & edges.laminated)
+    ]
+    if problems:
+        found = "\n".join(f"- {problem}" for problem in summarised(problems))
+        raise ModelError(f"{name} cannot be translated to CalculiX:\n{found}")
+    text = builder.text()
+    expected = nastran_mass_properties(bulk, masses, freedoms, wtmass)
+    check = check_masses(expected, calculix_mass_properties(builder, text), builder.size)
+    frames = {number: frame for number, frame in freedoms.frames.items() if number in bulk.nodes}
+    sets = tuple(name for name in builder.sets if re.fullmatch(r"[PE]\d+", name))
+    return Translation(text, frames, sets, tuple(sorted(bulk.nodes)), expected, check)
+
+
+def _builder(bulk: Any, wtmass: float) -> CalculixText:
+    """A builder with all grid points, told what is stiff and dense in the model."""
+    stiff = [getattr(card, name, 0.0) or 0.0 for card in bulk.materials.values()
+             for name in ("e", "e11", "G11")]  # fmt: skip
+    dense = [getattr(card, "rho", 0.0) or 0.0 for card in bulk.materials.values()]
+    stiffness = max(stiff, default=0.0) or 1.0
+    builder = CalculixText(stiffness, max(dense, default=0.0) * wtmass or 1e-9 * stiffness)
+    for number in sorted(bulk.nodes):
+        builder.node(number, np.asarray(bulk.nodes[number].get_position(), dtype=np.float64))
+    return builder
+
+
+def _freedoms(bulk: Any, builder: CalculixText, held: set[int], problems: list[str]) -> Freedoms:
+    """held: grid points whose rotations beams and springs hold."""
+    solids, shells, structural = set[int](), set[int](), set[int]()
+    for element in bulk.elements.values():
+        nodes = {node for node in element.node_ids if node}
+        structural |= nodes
+        if element.type in SOLIDS:
+            solids |= nodes
+        elif element.type in SHELLS:
+            shells |= nodes
+    rotating = shells | held
+    # The midside nodes made so far are shells' as well.
+    shells |= {number for number in builder.coordinates if number not in bulk.nodes}
+    solids -= held | leaders(bulk)
+    sets = (frozenset(shells), frozenset(solids), frozenset(structural), frozenset(rotating))
+    return Freedoms(bulk, builder, *sets, problems)
+
+
+def _held_rotations(bulk: Any) -> set[int]:
+    """Grid points whose rotations beams and springs hold."""
+    held = set[int]()
+    for element in bulk.elements.values():
+        if element.type in ("CBAR", "CBEAM", "CBUSH"):
+            held.update(node for node in element.node_ids if node)
+        elif element.type in ("CELAS1", "CELAS2"):
+            ends = zip(element.node_ids, (element.c1, element.c2), strict=True)
+            held.update(node for node, component in ends if node and int(component or 0) > 3)
+    return held
+
+
+def _wtmass(bulk: Any) -> float:
+    card = bulk.params.get("WTMASS")
+    return 1.0 if card is None else float(card.values[0])
+
+
+def _chosen(bulk: Any, kind: str, given: int | None) -> int:
+    """A constraint set of the case control: of the first subcase, or above all."""
+    if given is not None or bulk.case_control_deck is None:
+        return given or 0
+    subcases = bulk.case_control_deck.subcases
+    for number in sorted(subcases, key=lambda key: (key == 0, key)):
+        if kind in subcases[number]:
+            return int(subcases[number].get_parameter(kind)[0])
+    return 0
