@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from modetune.core.record import CampaignRecord, IterationRecord
+from modetune.flows.forecast import Forecast, cost_text, forecast_text
 from modetune.flows.running import CampaignRun
 from modetune.flows.twin import Twin
 
@@ -51,6 +52,7 @@ class ConsoleProgress:
             console=console, transient=True, disable=not console.is_terminal,
         )  # fmt: skip
         self._task: TaskID | None = None
+        self._told, self._left = False, ""
 
     @contextlib.contextmanager
     def shown(self) -> Iterator[ConsoleProgress]:
@@ -61,7 +63,14 @@ class ConsoleProgress:
     def working(self, text: str) -> None:
         if self._task is not None:
             self._live.remove_task(self._task)
-        self._task = self._live.add_task(text, total=None)
+        self._task = self._live.add_task(f"{text}{self._left}", total=None)
+
+    def forecast(self, forecast: Forecast) -> None:
+        """A line as soon as all costs are known, then what is left, beside what is running."""
+        self._left = f" (left at most: {cost_text(forecast.most)})" if forecast.known else ""
+        if forecast.known and not self._told:
+            self._told = True
+            self.console.print(Text(forecast_text(forecast)), soft_wrap=True)
 
     def iteration(self, record: IterationRecord) -> None:
         if record.number == 0:
@@ -73,8 +82,8 @@ class ConsoleProgress:
 def mode_table(record: CampaignRecord) -> Table:
     """Frequencies and MAC before and after."""
     table = Table(title="Modes", title_justify="left")
-    for heading in ("test mode", "model's", "test Hz", "before Hz", "error %", "after Hz",
-                    "error %", "MAC before", "MAC after"):  # fmt: skip
+    for heading in ("test", "model", "test Hz", "before Hz", "error %", "after Hz", "error %",
+                    "MAC", "after"):  # fmt: skip
         table.add_column(heading, justify="right")
     first, last = record.iterations[0], record.best
     for pair in range(len(record.test.numbers)):

@@ -125,6 +125,10 @@ class Evaluator:
         done = self._run(number, self._works(evaluation.theta, self.methods))
         return self._assemble(number, evaluation, done)
 
+    def planned(self, theta: Floats) -> list[Work]:
+        """The work of an iteration at a set, with sensitivities."""
+        return [self._modal_work(theta), *self._works(theta, self.methods)]
+
     def skip(self, number: int, slope: float) -> None:
         """Note that e2 makes this iteration do without a sensitivity of its own."""
         reason = f"e2: the residual changed by {slope:.3g} a parameter in the iteration before"
@@ -143,11 +147,7 @@ class Evaluator:
         except (UnbalancedEnergies, UnlikeMatrices) as error:
             if self.campaign.sensitivity.method != "auto":
                 raise
-            energies = isinstance(error, UnbalancedEnergies)
-            failed = "strain_energy" if energies else "semi_analytic"
-            instead = self._sensitivities().without_energies() if energies else "finite_difference"
-            logger.warning("%s: %s is used in its place", error, instead)
-            self.methods = tuple(instead if method == failed else method for method in self.methods)
+            self.methods = self._instead(error)
             return self.matrix(number, evaluation)
         names = self.campaign.parameters.names
         for column, reason in reasons.items():
@@ -164,6 +164,23 @@ class Evaluator:
             outcome.key for item in done if not isinstance(item, ModetuneError) for outcome in item
         )
         return Matrix(values, self.methods, keys, 0, tuple(sorted(reasons)))
+
+    def _instead(self, error: UnbalancedEnergies | UnlikeMatrices) -> tuple[Exact, ...]:
+        """Methods in place of those that cannot be believed in this model."""
+        energies = isinstance(error, UnbalancedEnergies)
+        failed: Exact = "strain_energy" if energies else "semi_analytic"
+        plans = self._sensitivities()
+        methods = tuple(
+            method if method != failed
+            else plans.without_energies(parameter) if energies
+            else "finite_difference"
+            for method, parameter in zip(
+                self.methods, self.campaign.parameters.parameters, strict=True
+            )
+        )  # fmt: skip
+        used = sorted({new for new, old in zip(methods, self.methods, strict=True) if new != old})
+        logger.warning("%s: %s is used in place of %s", error, ", ".join(used), failed)
+        return methods
 
     def _failed_columns(self, done: Sequence[Done]) -> dict[int, ModetuneError]:
         """Why columns have no results, by position. Raises what is no column's own failure."""

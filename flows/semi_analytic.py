@@ -21,7 +21,7 @@ from modetune.core.eigen import solve_modes
 from modetune.core.errors import ModesError
 from modetune.core.keys import Json
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import ParameterSet
+from modetune.core.parameters import GEOMETRY, ParameterSet
 from modetune.core.results import MatrixResult, ModeDerivatives
 from modetune.core.sensitivity import fox_kapoor, nelson, stack_derivatives
 from modetune.flows.engine import Job, JobEngine
@@ -30,8 +30,16 @@ from modetune.flows.evaluation import Point
 #: Eigenvalues of the stored matrices and of the solver's own run agree to its seven digits.
 EIGENVALUE_TOLERANCE = 1e-4
 
+#: Factor on a parameter in which matrices are linear, where they are stored a second time.
+LINEAR_FACTOR = 2.0
+#: Derivatives from two pairs of matrices, one twice as wide, that differ more are not believed.
+PAIR_TOLERANCE = 0.01
 #: Raised by hand when the same matrices give other derivatives.
 DERIVATIVES_VERSION = 1
+
+
+#: dK/dp and dM/dp.
+Change = tuple[sparse.csr_array, sparse.csr_array]
 
 
 class UnlikeMatrices(ModesError):
@@ -65,14 +73,17 @@ class SemiAnalytic:
     def _factors(self, column: int) -> tuple[float, ...]:
         """Factors on the parameter at which matrices are stored, besides the model's own.
 
-        One is exact where matrices are linear. Of a shell's thickness t they are A t + B + C / t
-        (stiffness in the plane and across it, on the unknowns of both faces), whose derivative
-        the pair 1 + s, 1 / (1 + s) gives exactly; a plain central difference would be drowned by
-        the stiffness across the thickness, however small its step.
+        One is exact where matrices are linear, and as the matrices are text of some digits, a
+        far one is the most exact. Else a pair 1 + s, 1 / (1 + s): of a flat shell's thickness t the
+        matrices are A t + B + C / t (stiffness in the plane and across it, on the unknowns of both
+        faces), whose derivative it gives exactly. Where shells meet they are not, and then what
+        the stiffness across the thickness adds drowns the bending; a second pair tells.
         """
-        upper = 1.0 + self.step
-        linear = self.engine.solver.is_linear(self.parameters.parameters[column])
-        return (upper,) if linear else (upper, 1.0 / upper)
+        parameter = self.parameters.parameters[column]
+        if self.engine.solver.is_linear(parameter):
+            return (LINEAR_FACTOR,)
+        pairs = (1.0, 2.0) if parameter.quantity in GEOMETRY else (1.0,)
+        return tuple(factor for times in pairs for factor in _pair(1.0 + times * self.step))
 
     def jobs(self, theta: Floats, column: int) -> tuple[Job, ...]:
         """The matrix jobs of a column."""
@@ -132,25 +143,42 @@ class SemiAnalytic:
         )
         return self._of_modes(point, base, changes)
 
-    def _change(
-        self, theta: Floats, column: int, base: MatrixResult
-    ) -> tuple[sparse.csr_array, sparse.csr_array]:
+    def _change(self, theta: Floats, column: int, base: MatrixResult, pair: int = 0) -> Change:
         """dK/dp and dM/dp by differences of stored matrices; exact where they are linear in p."""
-        ends = [self._matrices(job) for job in self.jobs(theta, column)]
+        factors = self._factors(column)
+        ends = [self._matrices(job) for job in self.jobs(theta, column)][2 * pair :][:2]
         low = base if len(ends) == 1 else ends[1]
         reference = self.parameters.initial if self.constant else theta
-        factors = (*self._factors(column), 1.0)[:2]
-        width = (factors[0] - factors[1]) * float(reference[column])
+        upper, lower = (*factors[2 * pair :], 1.0)[:2]
+        width = (upper - lower) * float(reference[column])
         return (
             sparse.csr_array((ends[0].stiffness - low.stiffness) / width),
             sparse.csr_array((ends[0].mass - low.mass) / width),
         )
 
+    def _check_pairs(
+        self, point: Point, column: int, base: MatrixResult, eigenvalues: Floats, shapes: Floats
+    ) -> None:
+        """Raise UnlikeMatrices where the derivatives by two pairs of matrices are not the same."""
+        if len(self._factors(column)) < 4:
+            return
+        near, far = (
+            fox_kapoor(eigenvalues, shapes, *self._change(point.theta, column, base, pair))
+            for pair in (0, 1)
+        )
+        apart = np.abs(near - far).max() / np.abs(near).max()
+        if apart > PAIR_TOLERANCE:
+            raise UnlikeMatrices(
+                f"the derivatives with respect to {self.parameters.names[column]} from two pairs "
+                f"of stored matrices differ by {100 * apart:.2g} %: where shells meet, matrices do "
+                "not tell what their thickness does; use `auto` or finite_difference"
+            )
+
     def _of_modes(
         self,
         point: Point,
         base: MatrixResult,
-        changes: Mapping[int, tuple[sparse.csr_array, sparse.csr_array]],
+        changes: Mapping[int, Change],
     ) -> dict[int, ModeDerivatives]:
         elastic, paired = point.modal.elastic, point.pairing.computed
         n_modes = point.modal.modes.n_modes
@@ -159,12 +187,16 @@ class SemiAnalytic:
         )
         modes = paired + point.modal.n_rigid
         apart = np.abs(eigenvalues[modes] / elastic.eigenvalues[paired] - 1.0)
-        if (apart > EIGENVALUE_TOLERANCE).any():
+        # Rigid modes, which should have none, show what the rounding of the matrices' text adds.
+        rounding = np.abs(eigenvalues[: point.modal.n_rigid]).max(initial=0.0)
+        if (apart > EIGENVALUE_TOLERANCE + rounding / elastic.eigenvalues[paired]).any():
             raise UnlikeMatrices(
                 f"the stored matrices have other eigenvalues than the modal run (they differ by "
                 f"{apart.max():.2g}): the model has parts that matrices do not hold; use "
                 "finite_difference"
             )
+        for column in changes:
+            self._check_pairs(point, column, base, eigenvalues[modes], shapes[:, modes])
         if not self.with_shapes:
             return {
                 column: ModeDerivatives(
@@ -186,6 +218,10 @@ class SemiAnalytic:
             column: ModeDerivatives(found.eigenvalues[:, [place]], full[:, :, [place]])
             for place, column in enumerate(changes)
         }
+
+
+def _pair(upper: float) -> tuple[float, float]:
+    return upper, 1.0 / upper
 
 
 def scaled(theta: Floats, column: int, factor: float) -> Floats:

@@ -25,7 +25,7 @@ from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.pairing import pair_by_tracking
-from modetune.core.parameters import Parameter, ParameterSet
+from modetune.core.parameters import GEOMETRY, Parameter, ParameterSet
 from modetune.core.results import ModalResult, ModeDerivatives
 from modetune.core.sensitivity import stack_derivatives, strain_energy_derivative
 from modetune.flows.engine import Job, JobEngine
@@ -59,13 +59,18 @@ class Sensitivities:
             return self.settings.method
         if not self.with_shapes and self._has_energies(parameter):
             return "strain_energy"
-        return self.without_energies()
+        return self.without_energies(parameter)
 
-    def without_energies(self) -> Exact:
-        """The cheapest method that needs no strain energies."""
+    def without_energies(self, parameter: Parameter) -> Exact:
+        """The cheapest method that needs no strain energies.
+
+        Matrices are not asked where a parameter moves the unknowns of shells: see
+        `semi_analytic.py`.
+        """
         solver = self.engine.solver
         shapes_found = solver.model.solid_shapes or not self.with_shapes
-        if solver.capabilities.matrices and shapes_found:
+        fixed = solver.is_linear(parameter) or parameter.quantity not in GEOMETRY
+        if solver.capabilities.matrices and shapes_found and fixed:
             return "semi_analytic"
         return "solver" if self._by_solver else "finite_difference"
 
