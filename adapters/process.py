@@ -57,22 +57,15 @@ def run_process(
     SolverCrashed where the program was killed by a signal from elsewhere.
     """
     started = time.monotonic()
-    supervisor = subprocess.Popen(
-        [sys.executable, "-I", "-S", str(SUPERVISOR), LOG, *command.arguments],
-        cwd=folder,
-        env={**os.environ, **dict(command.environment)},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    where = f"`{' '.join(command.arguments)}` in {folder}"
+    supervisor = _supervisor(command, folder, where)
     assert supervisor.stdin is not None
     assert supervisor.stdout is not None
     outcome, group = None, 0
     try:
         ended = select.poll()
         ended.register(supervisor.stdout, select.POLLIN | select.POLLHUP)
-        group = int(supervisor.stdout.readline() or b"0")
+        group = _number(supervisor.stdout.readline())
         while outcome is None and not ended.poll(POLL_MS):
             if cancelled.is_set():
                 outcome = "cancelled"
@@ -81,7 +74,6 @@ def run_process(
     finally:
         supervisor.stdin.close()  # ends the group if it still runs
         report = _report(supervisor, group)
-    where = f"`{' '.join(command.arguments)}` in {folder}"
     if outcome == "cancelled":
         raise SolverCancelled(f"{where} was stopped because the campaign is ending")
     if outcome == "timeout":
@@ -105,6 +97,21 @@ def log_tail(folder: Path, lines: int = 15) -> str:
     return "\n".join(f"  | {line}" for line in kept) if kept else "(the log is empty)"
 
 
+def _supervisor(command: Command, folder: Path, where: str) -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-I", "-S", str(SUPERVISOR), LOG, *command.arguments],
+            cwd=folder,
+            env={**os.environ, **dict(command.environment)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError as error:  # no more processes, memory or open files: may pass
+        raise SolverCrashed(f"{where} could not be started: {error.strerror}") from error
+
+
 def _report(supervisor: subprocess.Popen[bytes], group: int) -> bytes:
     """What the supervisor says at its end; nothing where it was killed, and then its group too."""
     assert supervisor.stdout is not None
@@ -120,21 +127,37 @@ def _report(supervisor: subprocess.Popen[bytes], group: int) -> bytes:
 def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finished:
     if not report:
         raise SolverCrashed(f"{where}: its supervisor was killed\n{log_tail(folder)}")
-    told = json.loads(report)
-    if told["error"] == "missing":
+    try:
+        told = json.loads(report)
+        said = str(told["error"])
+        cost = (0, 0.0, 0.0, 0)
+        if not said:
+            cost = (int(told["return_code"]), wall_s, float(told["cpu_s"]),
+                    int(told["peak_memory_bytes"]))  # fmt: skip
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise SolverCrashed(
+            f"{where}: its supervisor's report cannot be read: {report[:80]!r}"
+        ) from error
+    finished = Finished(*cost)
+    if said == "missing":
         raise SolverMissing(f"{where}: there is no such program; install it or put it on PATH")
-    if (told["error"] or told["return_code"] != 0) and disk_full(folder):
+    if (said or finished.return_code != 0) and disk_full(folder):
         raise StorageUnavailable(
             f"{where} failed and the disk is full; free some space and run the same command "
             "again: finished jobs are not repeated"
         )
-    if told["error"]:
-        raise SolverCrashed(f"{where} could not be started: {told['error']}")
-    if told["return_code"] < 0:
+    if said:
+        raise SolverCrashed(f"{where} could not be started: {said}")
+    if finished.return_code < 0:
         raise SolverCrashed(
-            f"{where} was killed by signal {-told['return_code']}\n{log_tail(folder)}"
+            f"{where} was killed by signal {-finished.return_code}\n{log_tail(folder)}"
         )
-    return Finished(told["return_code"], wall_s, told["cpu_s"], told["peak_memory_bytes"])
+    return finished
+
+
+def _number(line: bytes) -> int:
+    """The group that the supervisor tells; 0 where it tells none."""
+    return int(line) if line.strip().isdigit() and len(line) < 12 else 0
 
 
 def disk_full(folder: Path) -> bool:
