@@ -47,7 +47,7 @@ RESOURCES = re.compile(
     r"CANNOT ALLOCATE|ALLOCATION (?:ERROR|FAILED)",
     re.IGNORECASE,
 )
-#: Cards of which MYSTRAN's weight generator (17 and 18) counts too little mass; its modes are right.
+#: Cards of which MYSTRAN (17, 18) weighs too little; its modes are right.
 MISWEIGHED = ("CHEXA", "CPENTA", "CTETRA", "PCOMP", "PCOMPG")
 #: A licence is refused before anything is computed: within this many bytes of each file.
 HEAD_BYTES = 1 << 20
