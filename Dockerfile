@@ -1,4 +1,4 @@
-# modetune with CalculiX, run by an ordinary user:
+# modetune with CalculiX, run by an ordinary user, in the versions of tools/constraints.txt:
 #   docker build -t modetune .
 #   docker run --rm -v "$PWD":/work modetune update campaign.yaml
 FROM debian:12-slim AS build
@@ -6,13 +6,14 @@ RUN apt-get update \
  && apt-get install -y --no-install-recommends python3 python3-venv \
  && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml README.md LICENSE tools/constraints.txt ./
 COPY src src
 COPY core core
 COPY adapters adapters
 COPY flows flows
 COPY configs configs
-RUN python3 -m venv /opt/modetune && /opt/modetune/bin/pip install --no-cache-dir .
+RUN python3 -m venv /opt/modetune \
+ && /opt/modetune/bin/pip install --no-cache-dir --constraint constraints.txt .
 
 FROM debian:12-slim
 RUN apt-get update \
