@@ -16,6 +16,8 @@ from modetune.core.errors import CampaignError
 
 #: Where a value stands: the keys and list positions that lead to it.
 Place = tuple[str | int, ...]
+#: Repetitions (`*name`) of repetitions can make a short file endless.
+MOST_VALUES = 200_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +83,9 @@ def read_yaml(path: Path, kind: str) -> YamlFile:
         raise CampaignError(f"{path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise CampaignError(f"{path} is not a text file: {error.reason}") from error
-    loader = _Loader(text)
+    loader = None
     try:
+        loader = _Loader(text)
         node = loader.get_single_node()
         if not isinstance(node, yaml.MappingNode):
             raise CampaignError(f"{path}: {kind} is a mapping of keys, a `key: value` a line")
@@ -93,10 +96,14 @@ def read_yaml(path: Path, kind: str) -> YamlFile:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "no YAML"
+        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "no YAML"
         raise CampaignError(f"{path}{line}: not readable as YAML: {problem}") from error
+    except (ValueError, TypeError, RecursionError) as error:
+        # A date that is none, a key that is a list, a thing within itself.
+        raise CampaignError(f"{path}: not readable as YAML: {error}") from error
     finally:
-        loader.dispose()
+        if loader is not None:
+            loader.dispose()
     return YamlFile(path, text, data, lines, words)
 
 
@@ -107,6 +114,8 @@ def _locate(
     lines: dict[Place, int],
     words: dict[Place, tuple[int, int]],
 ) -> None:
+    if len(lines) > MOST_VALUES:
+        raise CampaignError(f"{path}: more than {MOST_VALUES} values, repeated ones counted")
     lines.setdefault(place, node.start_mark.line + 1)
     if isinstance(node, yaml.MappingNode):
         seen: set[Hashable] = set()

@@ -4,6 +4,7 @@
 
     ModetuneError
     ├── CampaignError            edit the campaign or the test data
+    │   └── CampaignRunning      wait: another run of it is under way
     ├── ModelError               fix the model
     ├── ModesError               look at the modes
     ├── SolverError              look at the solver's log, try again
@@ -15,6 +16,7 @@
     │   ├── LicenceDenied        wait: no licence was free
     │   ├── SolverTimeout        raise the limit or make the model smaller
     │   └── SolverCancelled      the campaign itself was stopped
+    ├── NotStored                run the campaign: the store alone was asked, and lacks a result
     ├── CampaignStopped          start it again: finished jobs are in the store
     └── StoreError               repair the store
         ├── StoreDamaged         an entry's checksum does not hold
@@ -44,6 +46,10 @@ class CampaignError(ModetuneError):
         super().__init__("\n".join(self.problems))
 
 
+class CampaignRunning(CampaignError):
+    """Another run of the campaign holds its run folder."""
+
+
 class ModelError(ModetuneError):
     """The deck cannot be read, or lacks what was asked of it."""
 
@@ -52,6 +58,10 @@ class ModesError(ModetuneError):
     """The modes do not allow what was asked: lost, unpaired, or not enough of them."""
 
     exit_code = 4
+
+
+class NotStored(ModetuneError):
+    """The store lacks a result, and no solver may run: in a dry run."""
 
 
 class CampaignStopped(ModetuneError):

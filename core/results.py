@@ -92,3 +92,19 @@ class ModeDerivatives:
 
 
 Result = ModalResult | MatrixResult | ModeDerivatives
+
+
+def finite(result: Result) -> Result:
+    """A result as it is, all of its numbers finite. Raises ModesError.
+
+    Strain energies and mass may be NaN, where the solver does not tell them.
+    """
+    if isinstance(result, MatrixResult):
+        whole = np.isfinite(result.stiffness.data).all() and np.isfinite(result.mass.data).all()
+    else:
+        modes = result.modes if isinstance(result, ModalResult) else result
+        shapes = np.isfinite(modes.mode_shapes).all()
+        whole = shapes and np.isfinite(result.eigenvalues).all()
+    if not whole:
+        raise ModesError("the result holds values that are not finite numbers")
+    return result

@@ -1,12 +1,16 @@
 """The store: results of solver runs by content key, one HDF5 file each, shared by everybody.
 
-    STORE/ab/abcdef....h5     a result, its checksum, and what was asked (JSON)
+    STORE/ab/abcdef....h5     a result, its checksum, what was asked and a note (JSON)
     STORE/damaged/            entries whose checksum did not hold, set aside
     STORE/locks/KEY           one lock a job under way; the kernel frees it when its holder dies
 
 A file is written aside, flushed to disk and renamed, so an entry is whole or absent. Many
 processes and machines may share the folder. Nothing is believed that its checksum denies: a
 damaged entry is set aside with a warning and counts as absent.
+
+The checksum is of the whole file and stands in its first block, which HDF5 leaves to its users.
+It is looked at before HDF5 is: HDF5 hangs or crashes on some files with a wrong byte. For the same
+reason HDF5 never touches the disk here: entries are made and read in memory.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import hashlib
+import io
 import logging
 import os
 import tempfile
@@ -33,7 +38,10 @@ from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Re
 
 logger = logging.getLogger(__name__)
 
-FORMAT = 1
+FORMAT = 2
+#: The first block of an entry: a line that names the format, the checksum of all after the block.
+BLOCK = 512
+SEAL = b"modetune store entry 2\nsha256 "
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +65,9 @@ class Store:
         return self.folder / key[:2] / f"{key}.h5"
 
     def __contains__(self, key: str) -> bool:
-        return self.path(key).is_file()
+        path = self.path(key)
+        with storage_errors(path):
+            return path.is_file()
 
     def get(self, key: str) -> Entry | None:
         """The entry of this key, or nothing; a damaged one is set aside and counts as nothing.
@@ -66,21 +76,28 @@ class Store:
         """
         path = self.path(key)
         try:
-            return _read_entry(path, key)
+            with path.open("rb") as file:
+                try:
+                    return _read_entry(file.read(), path, key)
+                except StoreDamaged as problem:
+                    logger.warning("%s; set aside, it will be computed again", problem)
+                    self._set_aside(path, os.fstat(file.fileno()).st_ino)
+                    return None
         except FileNotFoundError:
             return None
-        except StoreDamaged as problem:
-            logger.warning("%s; set aside, it will be computed again", problem)
-            self._set_aside(path)
-            return None
+        except PermissionError as error:
+            raise StorageUnavailable(f"{path} may not be read; give read permission") from error
+        except OSError as error:  # too many files, a stale handle, a bad disk: no word on the entry
+            raise StorageUnavailable(f"{path} could not be read: {error}") from error
 
-    def put(self, entry: Entry, asked: str) -> None:
-        """Write an entry whole or not at all. asked: the canonical JSON behind the key.
+    def put(self, entry: Entry, asked: str, note: str = "") -> None:
+        """Write an entry whole or not at all.
 
+        asked: the canonical JSON behind the key; note: what people are told of it.
         Raises StorageUnavailable on a full disk or without permission.
         """
-        path = self.path(entry.key)
-        with writing(path) as part, h5py.File(part, "w") as file:
+        image = io.BytesIO()
+        with h5py.File(image, "w", userblock_size=BLOCK) as file:
             file.attrs.update(
                 format=FORMAT,
                 key=entry.key,
@@ -88,9 +105,13 @@ class Store:
                 solver=entry.solver,
                 solver_version=entry.solver_version,
                 wall_s=entry.wall_s,
+                note=note,
             )
             _write_result(file, entry.result)
-            file.attrs["checksum"] = _checksum(file)
+        content = image.getbuffer()[BLOCK:]
+        with writing(self.path(entry.key)) as part, part.open("wb") as written:
+            written.write(_seal(content))
+            written.write(content)
 
     @contextmanager
     def lock(self, key: str, waiting: Callable[[], None]) -> Iterator[None]:
@@ -107,12 +128,17 @@ class Store:
                 waiting()
             yield
 
-    def _set_aside(self, path: Path) -> None:
+    def _set_aside(self, path: Path, inode: int) -> None:
+        """Move a damaged file away, unless another process has put a good one there since."""
         with storage_errors(path):
-            target = self.folder / "damaged"
-            target.mkdir(parents=True, exist_ok=True)
+            target = self.folder / "damaged" / path.name
+            target.parent.mkdir(parents=True, exist_ok=True)
             with suppress(FileNotFoundError):  # another process found the same damage
-                path.replace(target / path.name)
+                if path.stat().st_ino != inode:
+                    return
+                path.replace(target)
+                if target.stat().st_ino != inode:  # written between two breaths: back with it
+                    target.replace(path)
 
 
 def locked(handle: IO[str]) -> bool:
@@ -185,30 +211,19 @@ def storage_errors(path: Path, remedy: str = "name another place") -> Iterator[N
         raise
 
 
-def _checksum(file: h5py.File) -> str:
-    """SHA-256 over all attributes but itself and all arrays, by name."""
-    digest = hashlib.sha256()
-    for name in sorted(set(file.attrs) - {"checksum"}):
-        # As plain Python values: how NumPy prints its own has changed between versions.
-        digest.update(f"{name}={np.asarray(file.attrs[name]).tolist()!r};".encode())
-    names: list[str] = []
-    file.visit(names.append)
-    for name in sorted(names):
-        if not isinstance(file[name], h5py.Dataset):
-            continue
-        array = np.asarray(file[name][()])
-        digest.update(f"{name}:{array.dtype.str}:{array.shape};".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
+def _seal(content: memoryview) -> bytes:
+    """The first block of an entry whose file goes on with this content."""
+    return (SEAL + hashlib.sha256(content).hexdigest().encode()).ljust(BLOCK, b"\n")
 
 
-def _read_entry(path: Path, key: str) -> Entry:
-    if not path.is_file():
-        raise FileNotFoundError(path)
+def _read_entry(data: bytes, path: Path, key: str) -> Entry:
+    """The entry that a file's bytes are. Raises StoreDamaged."""
+    if data[:BLOCK] != _seal(memoryview(data)[BLOCK:]):
+        raise StoreDamaged(f"the checksum of {path} does not hold")
     try:
-        with h5py.File(path, "r") as file:
-            if file.attrs["checksum"] != _checksum(file) or file.attrs["key"] != key:
-                raise StoreDamaged(f"the checksum of {path} does not hold")
+        with h5py.File(io.BytesIO(data), "r") as file:
+            if file.attrs["key"] != key:
+                raise StoreDamaged(f"{path} is the entry of another key")
             return Entry(
                 key=key,
                 result=_read_result(file),
@@ -216,14 +231,7 @@ def _read_entry(path: Path, key: str) -> Entry:
                 solver_version=str(file.attrs["solver_version"]),
                 wall_s=float(file.attrs["wall_s"]),
             )
-    except PermissionError as error:
-        raise StorageUnavailable(f"{path} may not be read; give read permission") from error
-    except OSError as error:
-        if error.errno is not None:  # the system's word (too many files, a stale handle): no damage
-            raise StorageUnavailable(f"{path} could not be read: {error}") from error
-        raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
-    except (KeyError, RuntimeError, ValueError, TypeError) as error:
-        # What h5py raises on cut or overwritten files; a missing attribute is damage too.
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
 
 

@@ -17,7 +17,7 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignError, ModelError
-from modetune.core.modes import COMPONENTS, MeasuredModes
+from modetune.core.modes import COMPONENTS, Floats, MeasuredModes
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.residual import Weighting
 from modetune.core.store import Store
@@ -64,6 +64,12 @@ class Campaign:
     store: Store
     nodes: tuple[int, ...]
     settings: tuple[str, ...] = ()
+    begin: tuple[float, ...] | None = None
+
+    @property
+    def start(self) -> Floats:
+        """Parameters (n_parameters,) that updating starts from."""
+        return self.parameters.initial if self.begin is None else np.array(self.begin)
 
     @property
     def n_modes(self) -> int:
@@ -91,6 +97,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
     source = read_yaml(path, "a campaign")
     try:
         file = CampaignFile.model_validate(override(source, settings or []))
+        run = file.run.on_site()
     except ValidationError as error:
         raise CampaignError([_problem(source, item) for item in error.errors()]) from None
     problems: list[str] = []
@@ -100,7 +107,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
     solver = _read_model(source, file, store, parameters, problems)
     if test is not None and solver is not None:
         problems += _disagreements(source, file, test, solver)
-    problems += _core_problems(source, file.run)
+    problems += _core_problems(source, run)
     if problems or test is None or solver is None:
         raise CampaignError(problems)
     shapes = file.residuals.shape_weight
@@ -121,7 +128,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
         tolerances=Tolerances(file.update.e1.frequency, file.update.e1.mac),
         update=file.update,
         sensitivity=file.sensitivity,
-        run=file.run,
+        run=run,
         store=store,
         nodes=_result_nodes(test, solver),
         settings=tuple(settings or ()),
@@ -145,7 +152,7 @@ def _problem(source: YamlFile, item: object) -> str:
 def _core_problems(source: YamlFile, run: RunSection) -> list[str]:
     """Jobs in parallel times threads of each must not be more than the machine's cores."""
     wanted = max(run.parallel, 1) * max(run.threads, 1)
-    if wanted <= cores():
+    if wanted <= cores() or not run.here:
         return []
     return [
         f"{source.where(('run',))}: run: {max(run.parallel, 1)} jobs of {max(run.threads, 1)} "

@@ -25,6 +25,8 @@ import typer
 
 from modetune import __version__
 from modetune.core.errors import CampaignStopped, ModetuneError
+from modetune.flows import cli_store
+from modetune.flows.cli_server import register
 
 logger = logging.getLogger(__name__)
 app = typer.Typer(
@@ -33,8 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Finite element models that agree with vibration tests.",
 )
-server_app = typer.Typer(help="The Prefect server that commands share.", no_args_is_help=True)
-app.add_typer(server_app, name="server")
+cli_store.register(app)
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 Settings = Annotated[
@@ -54,15 +55,39 @@ def update(
     settings: Settings = None,
     runs: Annotated[Path, typer.Option(help="Where run folders go.")] = Path("runs"),
     no_prefect: Annotated[bool, typer.Option("--no-prefect", help="Plain threads only.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Update the campaign's model until it agrees with its test."""
+    if dry_run:
+        with _stoppable():
+            cli_store.show_dry_run(campaign_file, settings or [], runs, as_json)
+        return
     _update(campaign_file, settings or [], runs, not no_prefect, as_json)
 
 
 @app.command()
-def check(campaign_file: CampaignPath, settings: Settings = None, as_json: AsJson = False) -> None:
-    """Read campaign, model and test, and tell every problem, without running a solver."""
+def check(
+    campaign_file: CampaignPath,
+    settings: Settings = None,
+    against: cli_store.Against = None,
+    record: cli_store.Record = None,
+    state: cli_store.BaselineState = "updated",
+    frequency_band: cli_store.FrequencyBand = 0.01,
+    mac_band: cli_store.MacBand = 0.05,
+    as_json: AsJson = False,
+) -> None:
+    """Read campaign, model and test, and tell every problem, without running a solver.
+
+    With --against the model is solved at the deck's values and compared with a baseline.
+    """
+    if against is not None or record is not None:
+        bands = frequency_band, mac_band
+        with _stoppable():
+            cli_store.show_check(
+                campaign_file, settings or [], against, record, state, bands, as_json
+            )
+        return
     from modetune.flows.campaign import load_campaign
 
     campaign = load_campaign(campaign_file, settings or [])
@@ -160,35 +185,13 @@ def demo(
     _end(run.record.status if compared.holds else "not as the thesis")
 
 
-@server_app.command("status")
-def server_status() -> None:
-    """Whether the shared server runs, and where its pages are."""
-    from modetune.flows import server
-
-    address = server.read_address(server.server_home())
-    if address is None or not server.answers(address.url):
-        typer.echo("no shared server is running")
-        return
-    typer.echo(f"running at {address.url.removesuffix('/api')} (process {address.pid})")
-
-
-@server_app.command("stop")
-def server_stop() -> None:
-    """End the shared server."""
-    from modetune.flows import server
-
-    said = {
-        "stopped": "stopped",
-        "none": "no shared server is running",
-        "in use": "a campaign is using the server; it was left running",
-    }
-    typer.echo(said[server.stop_server(server.server_home())])
-
-
 @app.command()
 def version() -> None:
     """Print modetune's version."""
     typer.echo(__version__)
+
+
+register(app)
 
 
 def _update(
@@ -199,7 +202,7 @@ def _update(
     with _stoppable():
         run = _run_update(campaign_file, settings, runs, with_prefect)
     if as_json:
-        _tell(summary(run.record, run.folder), True)
+        _tell(cli_store.with_forecast(summary(run.record, run.folder), run.forecast), True)
     else:
         _show(run)
     _end(run.record.status)
@@ -220,11 +223,14 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
             if server is not None:
                 progress.working("waiting for Prefect's server")
                 if not server.wait():
-                    where = f"its log is in {server.home}" if server.shared else server.address.url
+                    named = server.address.shown
+                    where = f"its log is in {server.home}" if server.shared else named
                     logger.warning("Prefect's server does not answer (%s); going on without", where)
                     server.close()
                     server = None
-            return update_campaign(campaign, runs / campaign.name, progress, server)
+            return update_campaign(
+                campaign, runs / campaign.name, progress, server, progress.forecast
+            )
     finally:
         if server is not None:
             server.close()

@@ -67,7 +67,10 @@ class ConsoleProgress:
 
     def forecast(self, forecast: Forecast) -> None:
         """A line as soon as all costs are known, then what is left, beside what is running."""
-        self._left = f" (left at most: {cost_text(forecast.most)})" if forecast.known else ""
+        left = (
+            f"left at most: {cost_text(forecast.most)}" if forecast.known else "cost not known yet"
+        )
+        self._left = f" ({left})"
         if forecast.known and not self._told:
             self._told = True
             self.console.print(Text(forecast_text(forecast)), soft_wrap=True)

@@ -22,18 +22,22 @@ from modetune.adapters.solver import Analysis, Solver
 from modetune.core.errors import (
     LicenceDenied,
     ModelError,
+    ModesError,
     NoResult,
+    NotStored,
     SolverCancelled,
     SolverCrashed,
     SolverError,
     SolverTimeout,
     StorageUnavailable,
+    StoreDamaged,
 )
 from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.parameters import Values
-from modetune.core.results import ModeDerivatives, Result
+from modetune.core.results import ModeDerivatives, Result, finite
 from modetune.core.store import Entry, Store, storage_errors
 from modetune.flows.limits import CORES, Limit, MachineLimits
+from modetune.flows.notes import NOTE_FILE, job_note
 
 logger = logging.getLogger(__name__)
 
@@ -106,7 +110,11 @@ class Ledger:
 
 @dataclass(frozen=True, slots=True)
 class JobEngine:
-    """Solves jobs of one model against one store; safe to call from many threads."""
+    """Solves jobs of one model against one store; safe to call from many threads.
+
+    may_run: False where the store alone may answer. elsewhere: runs a job of this key so that the
+    store has it, in place of this process.
+    """
 
     solver: Solver
     store: Store
@@ -117,6 +125,8 @@ class JobEngine:
     machine: MachineLimits
     limits: tuple[Limit, ...]
     ledger: Ledger
+    may_run: bool = True
+    elsewhere: Callable[[Job, str], JobOutcome] | None = None
 
     def solve(self, job: Job) -> JobOutcome:
         """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
@@ -124,6 +134,10 @@ class JobEngine:
         key = content_key(asked)
         if key in self.store:  # `result` finds out whether it is whole
             return JobOutcome(key, True, 0.0)
+        if not self.may_run:
+            raise NotStored(f"the store has no result {key[:12]}, and no solver may run here")
+        if self.elsewhere is not None:
+            return self.elsewhere(job, key)
         with self.store.lock(key, self._wait_for_another):
             if key in self.store:  # another campaign was faster
                 return JobOutcome(key, True, 0.0)
@@ -131,8 +145,9 @@ class JobEngine:
             result = self._with_retries(job, key)
             wall_s = time.monotonic() - started
             self.store.put(
-                Entry(key, result, self.solver.name, self.solver.version(), wall_s), asked
-            )
+                Entry(key, result, self.solver.name, self.solver.version(), wall_s), asked,
+                self._note(job),
+            )  # fmt: skip
             logger.info("%s job %s solved in %.1f s", self.solver.name, key[:12], wall_s)
             return JobOutcome(key, False, wall_s)
 
@@ -140,8 +155,13 @@ class JobEngine:
         """A job's result, solved now if the store lacks it."""
         entry = self.store.get(self.solve(job).key)
         if entry is None:  # damaged between two breaths: once more, then it is the disk
-            entry = self.store.get(self.solve(job).key)
-        assert entry is not None
+            outcome = self.solve(job)
+            entry = self.store.get(outcome.key)
+            if entry is None:
+                raise StoreDamaged(
+                    f"{self.store.path(outcome.key)} was written anew and is damaged again; look "
+                    f"at the disk that holds {self.store.folder}"
+                )
         return entry.result
 
     def _wait_for_another(self) -> None:
@@ -151,6 +171,9 @@ class JobEngine:
     def key(self, job: Job) -> str:
         """The content key of a job."""
         return content_key(canonical_json(self.solver.content(job.values, job.analysis)))
+
+    def _note(self, job: Job) -> str:
+        return job_note(self.solver, job.values, job.analysis, self.threads).text()
 
     def derived(self, asked: Json, compute: Callable[[], ModeDerivatives]) -> ModeDerivatives:
         """What is computed here from results at a cost, from the store if it is there.
@@ -207,6 +230,7 @@ class JobEngine:
     def _run(self, job: Job, key: str) -> Result:
         with self._job_folder(key) as folder:
             self.solver.write(job.values, job.analysis, folder)
+            (folder / NOTE_FILE).write_text(self._note(job), encoding="utf-8")
             with self.machine.held(self.limits, self._wait_for_slot):
                 started = time.monotonic()
                 try:
@@ -216,7 +240,11 @@ class JobEngine:
                     )  # fmt: skip
                 finally:
                     self.ledger.add(time.monotonic() - started, self.limits)
-            return self.solver.read(job.values, job.analysis, folder, finished.return_code)
+            try:
+                code = finished.return_code
+                return finite(self.solver.read(job.values, job.analysis, folder, code))
+            except ModesError as error:  # shapes that do not fit together, numbers that are none
+                raise NoResult(f"{self.solver.name} left no result in {folder}: {error}") from error
 
     @contextmanager
     def _job_folder(self, key: str) -> Iterator[Path]:

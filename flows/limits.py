@@ -37,9 +37,9 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class MachineLimits:
-    """Limits kept by lock files below one folder."""
+    """Limits kept by lock files below one folder; without one somebody else keeps them."""
 
-    folder: Path
+    folder: Path | None
 
     @contextmanager
     def held(self, limits: tuple[Limit, ...], waiting: Callable[[str], None]) -> Iterator[None]:
@@ -49,11 +49,14 @@ class MachineLimits:
         little, or raises. Raises StorageUnavailable.
         """
         with ExitStack() as held:
+            if self.folder is None:
+                limits = ()
             for limit in sorted(limits, key=lambda item: item.name):
                 self._take(limit, held, waiting)
             yield
 
     def _take(self, limit: Limit, held: ExitStack, waiting: Callable[[str], None]) -> None:
+        assert self.folder is not None
         folder = self.folder / limit.name
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)

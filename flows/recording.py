@@ -87,7 +87,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
             {
                 "name": item.name,
                 "quantity": item.quantity,
-                "initial": _number(item.initial),
+                "initial": _number(first.parameters[place]),
                 "updated": _number(record.updated[place]),
                 "standard_error": _number(record.standard_errors[place]),
                 "deck_value": _number(record.deck_values[place]),

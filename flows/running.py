@@ -3,40 +3,49 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignRunning
 from modetune.core.record import CampaignRecord, write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
+from modetune.flows.deck_texts import keep_text
 from modetune.flows.engine import JobEngine, Ledger, Policy
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution import Execution, ThreadExecution
+from modetune.flows.forecast import Forecast, Forecaster
 from modetune.flows.limits import CORES, Limit, MachineLimits
 from modetune.flows.schema import STORE_REMEDY
 from modetune.flows.server import SharedServer, server_home
+from modetune.flows.slurm import on_slurm
+from modetune.flows.starting import read_earlier, start_of
 from modetune.flows.updating import Progress, Updating
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignRun:
-    """A campaign's end: its record, its folder, and the updated deck there."""
+    """A campaign's end: its record, its folder, the updated deck there.
+
+    forecast: what it was expected to cost, where that was asked for.
+    """
 
     record: CampaignRecord
     folder: Path
     updated_deck: Path
+    forecast: Forecast | None = None
 
 
 def job_engine(campaign: Campaign) -> JobEngine:
     """The engine that solves a campaign's jobs."""
     run, name = campaign.run, campaign.solver.name
-    limits = [Limit(CORES, cores(), campaign.threads)]
+    limits = [Limit(CORES, max(cores(), 0 if run.here else campaign.threads), campaign.threads)]
     if name in run.licences:
         limits.append(Limit(name, run.licences[name], 1))
-    return JobEngine(
+    engine = JobEngine(
         solver=campaign.solver,
         store=campaign.store,
         policy=Policy(
@@ -50,18 +59,24 @@ def job_engine(campaign: Campaign) -> JobEngine:
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,
         cancelled=threading.Event(),
-        machine=MachineLimits(server_home() / "limits"),
+        machine=MachineLimits(server_home() / "limits" if run.here else None),
         limits=tuple(limits),
         ledger=Ledger(),
     )
+    return on_slurm(engine, run.slurm, campaign.name) if run.engine == "slurm" else engine
 
 
 def update_campaign(
-    campaign: Campaign, folder: Path, progress: Progress, server: SharedServer | None = None
+    campaign: Campaign,
+    folder: Path,
+    progress: Progress,
+    server: SharedServer | None = None,
+    forecast: Callable[[Forecast], None] | None = None,
 ) -> CampaignRun:
     """Update a campaign's model and leave record and updated deck in its run folder.
 
     server: a server to show the run on as Prefect flow; without one plain threads do the same.
+    forecast: is told before the start and after each iteration what is still to come.
     Raises SolverError, ModesError, StoreError.
     """
     campaign.solver.version()  # a missing solver is told before anything else starts
@@ -69,29 +84,47 @@ def update_campaign(
     check_writable(folder, "name another place for run folders with --runs")
     with (folder / ".lock").open("w") as lock:
         if not locked(lock):
-            raise CampaignError(
+            raise CampaignRunning(
                 f"another run of this campaign is under way in {folder}; wait for it, or name "
                 "another place for run folders with --runs"
             )
-        return _update(campaign, folder, progress, server)
+        with _solving_engine(campaign) as engine:
+            return _update(campaign, engine, folder, progress, server, forecast)
+
+
+@contextmanager
+def _solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
+    if campaign.run.engine != "dask":
+        yield job_engine(campaign)
+        return
+    from modetune.flows.dask_execution import on_dask
+
+    with on_dask(campaign, job_engine) as engine:
+        yield engine
 
 
 def _update(
-    campaign: Campaign, folder: Path, progress: Progress, server: SharedServer | None
+    campaign: Campaign,
+    engine: JobEngine,
+    folder: Path,
+    progress: Progress,
+    server: SharedServer | None,
+    forecast: Callable[[Forecast], None] | None,
 ) -> CampaignRun:
-    engine = job_engine(campaign)
+    campaign = start_of(campaign, engine, read_earlier(folder))
     run: Callable[[Updating], CampaignRecord] = Updating.run
     execution: Execution = ThreadExecution(engine, campaign.parallel)
     if server is not None:
         from modetune.flows.prefect_flow import PrefectExecution, run_as_flow
 
-        execution = PrefectExecution(engine)
-        run = partial(run_as_flow, parallel=campaign.parallel)
+        execution = PrefectExecution(engine, campaign.parallel)
+        run = partial(run_as_flow, folder=folder)
 
+    forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
     # What an earlier run left stays until this one has come to its end.
     unfinished = folder / "campaign.unfinished.h5"
     updating = Updating(
-        campaign, Evaluator(campaign, engine, execution), progress,
+        campaign, Evaluator(campaign, engine, execution), forecaster or progress,
         lambda record: write_record(unfinished, record),
     )  # fmt: skip
     try:
@@ -99,8 +132,9 @@ def _update(
     except BaseException:
         engine.cancelled.set()  # jobs of other threads end with the campaign
         raise
+    keep_text(campaign.store, campaign.solver)
     values = campaign.parameters.values(record.updated)
     deck = campaign.solver.write_updated(values, folder / "updated")
     with storage_errors(unfinished):
         unfinished.replace(folder / "campaign.h5")
-    return CampaignRun(record, folder, deck)
+    return CampaignRun(record, folder, deck, forecaster.first if forecaster else None)

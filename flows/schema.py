@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from modetune.core.estimation import StepForm
 from modetune.core.parameters import TARGETS, Quantity, TargetKind
+from modetune.flows.site import DaskSection, Engine, SlurmSection, with_site
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -136,6 +137,7 @@ class E1Section(_Section):
 class UpdateSection(_Section):
     """The updating steps. e2 of 0 computes the sensitivity in every iteration."""
 
+    start: Literal["deck", "last"] = "deck"
     step: StepForm = "regularised"
     regularisation: NotNegative | Literal["l_curve"] = 1.0
     e1: E1Section = E1Section()
@@ -177,6 +179,18 @@ class RunSection(_Section):
     licence_pause_s: Positive = 30.0
     licence_wait_s: Positive = 86400.0
     keep_jobs: bool = False
+    engine: Engine = "local"
+    slurm: SlurmSection = SlurmSection()
+    dask: DaskSection = DaskSection()
+
+    @property
+    def here(self) -> bool:
+        """Whether jobs run on this machine and share its cores with others."""
+        return self.engine == "local" or (self.engine == "dask" and self.dask.here)
+
+    def on_site(self) -> RunSection:
+        """With what the site file says beneath. Raises CampaignError, ValidationError."""
+        return RunSection.model_validate(with_site(self.model_dump(exclude_unset=True)))
 
     @field_validator("retries", mode="before")
     @classmethod

@@ -52,7 +52,10 @@ SETTINGS: Mapping[str, str] = {
     "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_READ_BATCH_SIZE": "100",
     "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_FLUSH_INTERVAL": "0.5",
     "PREFECT_LOGGING_LEVEL": "CRITICAL",
+    "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
     "PREFECT_LOGGING_TO_API_ENABLED": "false",
+    # A server that is gone is asked for 14 s, not for 62, before a campaign goes on without it.
+    "PREFECT_CLIENT_MAX_RETRIES": "3",
     "PREFECT_CLI_PROMPT": "false",
 }  # fmt: skip
 
@@ -72,6 +75,13 @@ class Address:
 
     url: str
     pid: int
+
+    @property
+    def shown(self) -> str:
+        """The URL without a user's name and password, for people and logs."""
+        before, _, rest = self.url.partition("://")
+        host, slash, path = rest.partition("/")
+        return f"{before}://{host.rpartition('@')[2]}{slash}{path}"
 
 
 @dataclass(slots=True)

@@ -124,7 +124,7 @@ class Updating:
                              f"bounds, and e1 is not met: {_distance(state.current)}")  # fmt: skip
 
     def _start(self) -> State:
-        initial = self.campaign.parameters.initial
+        initial = self.campaign.start
         self.progress.working("initial model")
         alone = self.campaign.update.max_iterations == 0
         current, matrix = self.evaluator.evaluate(0, initial, None, alone)

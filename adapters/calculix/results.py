@@ -166,7 +166,10 @@ def read_matrices(folder: Path, job: str) -> MatrixResult:
         size = names.height
         stiffness = _read_triangle(folder / f"{job}.sti", size)
         mass = _read_triangle(folder / f"{job}.mas", size)
-    except (OSError, pl.exceptions.PolarsError, ValueError) as error:
+    except (
+        OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError, IndexError,
+        OverflowError,
+    ) as error:  # fmt: skip  # polars panics on some garbled text
         raise NoResult(f"{folder}: the stored matrices cannot be read: {error}") from error
     return MatrixResult(stiffness, mass, names["node"].to_numpy(), names["component"].to_numpy())
 
@@ -192,6 +195,8 @@ def _read_triangle(path: Path, size: int) -> sparse.csr_array:
         has_header=False,
         schema={"row": pl.Int32, "column": pl.Int32, "value": pl.Float64},
     ).filter(pl.col("value") != 0.0)
+    if table.null_count().sum_horizontal().item():
+        raise ValueError(f"{path.name} has a line without row, column or value")
     rows, columns = table["row"].to_numpy() - 1, table["column"].to_numpy() - 1
     upper = sparse.coo_array((table["value"].to_numpy(), (rows, columns)), shape=(size, size))
     diagonal = upper.tocsr()

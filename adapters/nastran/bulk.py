@@ -105,6 +105,11 @@ def _add(bulk: Bulk, deck: Deck, card: Card) -> None:
         return
     texts = [card.name, *(card.text(field) for field in range(1, len(card.fields)))]
     bulk.add_card_lax(texts, card.name, is_list=True, has_none=False)
+    if card.name == "MAT8":
+        # A blank G1Z or G2Z means no transverse shear; pyNastran puts 1e8 there, in any unit.
+        material = bulk.materials[int(card.text(1))]
+        material.g1z = material.g1z if card.text(6) else 0.0
+        material.g2z = material.g2z if card.text(7) else 0.0
 
 
 def _check_axes(deck: Deck, card: Card) -> None:

@@ -63,12 +63,22 @@ class Statement:
         words = re.split(r"[\s,=]+", self.text.strip())
         return words[1].upper() if self.name == "PARAM" and len(words) > 1 else ""
 
+    @property
+    def parameter_value(self) -> str:
+        """The value that a PARAM command gives its parameter."""
+        words = re.split(r"[\s,=]+", self.text.strip())
+        return words[2] if len(words) > 2 else ""
+
 
 @dataclass(frozen=True, slots=True)
 class CaseControl:
-    """What stays of a deck's case control: selections as written, and the METHOD's number."""
+    """What stays of a deck's case control: selections, parameters by name, the METHOD's number.
+
+    A parameter of the case control goes before one of the bulk data.
+    """
 
     selections: tuple[str, ...]
+    parameters: tuple[tuple[str, str], ...]
     method: int
 
     def selected(self, name: str) -> int:
@@ -150,11 +160,19 @@ def read_case_control(deck: Deck) -> CaseControl:
     for statement in kept:
         if _selects(statement):
             latest[statement.name, statement.parameter or _describers(statement)] = statement
+    parameters = tuple(
+        (name, statement.parameter_value) for (_, name), statement in latest.items()
+        if statement.parameter
+    )  # fmt: skip
+    selections = tuple(
+        re.sub(r"^(\w+)\s*=?\s*(\d+)$", r"\1 = \2", statement.text)
+        for statement in latest.values() if not statement.parameter
+    )  # fmt: skip
     methods = [statement for statement in kept if statement.name == "METHOD"]
     bulk_only = not deck.case_control and not deck.executive
     return CaseControl(
-        tuple(statement.text for statement in latest.values())
-        + (_only_sets(deck) if bulk_only else ()),
+        selections + (_only_sets(deck) if bulk_only else ()),
+        parameters,
         _number(methods[-1]) if methods else 0,
     )
 
@@ -196,16 +214,17 @@ def _split(deck: Deck) -> tuple[list[Statement], list[list[Statement]]]:
 
 
 def _one(subcases: list[list[Statement]]) -> list[Statement]:
-    """The subcase that has METHOD or SPC, where it alone does or all say the same."""
+    """The subcase with the one METHOD, or the one SPC, or any where all say the same."""
     meanings = {
         tuple(" ".join(s.text.upper().split()) for s in subcase if _selects(s, "METHOD"))
         for subcase in subcases
     }
     if len(meanings) == 1:
         return subcases[0]
-    chosen = [subcase for subcase in subcases if any(s.name in ("METHOD", "SPC") for s in subcase)]
-    if len(chosen) == 1:
-        return chosen[0]
+    for names in (("METHOD",), ("METHOD", "SPC")):
+        chosen = [subcase for subcase in subcases if any(s.name in names for s in subcase)]
+        if len(chosen) == 1:
+            return chosen[0]
     places = ", ".join(subcase[0].where.rsplit(", ", 1)[-1] for subcase in chosen or subcases)
     raise ModelError(
         f"{subcases[0][0].where}: {len(chosen)} of {len(subcases)} subcases have a METHOD or SPC "

@@ -66,11 +66,13 @@ def job_text(
         *_requests(model, case, analysis, dialect),
         "BEGIN BULK",
         *_parameters(analysis),
+        *(f"PARAM,{name},{value}" for name, value in case.parameters),
         _eigrl(model, case, analysis.n_modes, dialect),
     ]
     if isinstance(analysis, SensitivityAnalysis):
         lines += design_cards(model, changed, analysis, parameters)
-    return "\n".join([*lines, *_bulk(model, changed, dialect), "ENDDATA"]) + "\n"
+    given = {name for name, _ in case.parameters}
+    return "\n".join([*lines, *_bulk(model, changed, dialect, given), "ENDDATA"]) + "\n"
 
 
 def requested_elements(model: NastranModel, analysis: ModalAnalysis) -> list[int]:
@@ -126,13 +128,15 @@ def _eigrl(model: NastranModel, case: CaseControl, n_modes: int, dialect: Dialec
     return f"EIGRL,{_method(case)},,,{n_modes},,,{shift},MASS"
 
 
-def _bulk(model: NastranModel, changed: Mapping[int, str], dialect: Dialect) -> list[str]:
-    """The user's cards in their order, edited, without comments."""
-    deck = model.deck
+def _bulk(
+    model: NastranModel, changed: Mapping[int, str], dialect: Dialect, given: set[str]
+) -> list[str]:
+    """The user's cards in their order, edited, without comments and parameters given already."""
+    deck, own = model.deck, OWN_PARAMETERS | given
     adapted = adapted_cards(deck) if dialect.name == "mystran" else {}
     lines: dict[int, str] = {}
     for card in deck.cards:
-        if card.name in LEFT_OUT or (card.name == "PARAM" and card.text(1) in OWN_PARAMETERS):
+        if card.name in LEFT_OUT or (card.name == "PARAM" and card.text(1) in own):
             continue
         if card.lines[0] in adapted:
             lines[card.lines[0]] = adapted[card.lines[0]]

@@ -26,7 +26,8 @@ class Beam:
 
     ends: (2, 3), basic coordinates of the elastic axis; axes: (3, 3), x, y, z as rows.
     motion: (12, 12), from the grid points' basic displacements and rotations (of A, of B) to those
-    of the beam's ends in its axes, released ends included.
+    of the beam's ends in its axes, released ends included. torsional_share: how much of its radius
+    of gyration counts when it twists.
     """
 
     eid: int
@@ -35,6 +36,7 @@ class Beam:
     ends: Floats
     axes: Floats
     motion: Floats
+    torsional_share: float = 1.0
 
     @property
     def length(self) -> float:

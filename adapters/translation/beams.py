@@ -37,6 +37,9 @@ RODS = ("CROD", "CONROD", "CTUBE")
 KINDS = (*BEAMS, *RODS)
 #: Stiffness of the mass carriers as a share of the beam's own E: nothing in double precision.
 NO_STIFFNESS = 1e-14
+#: Share of its radius of gyration with which a CBAR's mass resists twisting: Nastran gives it no
+#: torsional inertia (but for MDLPRM,BARMASS), and a free bar must have some to spin with.
+BAR_TORSION = 0.01
 #: Corners of a C3D8 in its own order, in units of half its sides.
 CORNERS = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1],
@@ -90,7 +93,8 @@ def _beam(element: Any, freedoms: Freedoms) -> Beam:
     turn = np.kron(np.eye(4), axes)
     turn[:3, 3:6] = axes @ cross_matrix(offsets[0])
     turn[6:9, 9:12] = axes @ cross_matrix(offsets[1])
-    beam = Beam(element.eid, (first, second), section, ends, axes, turn)
+    share = BAR_TORSION if element.type == "CBAR" else 1.0
+    beam = Beam(element.eid, (first, second), section, ends, axes, turn, share)
     return beam if is_rod else _released(beam, element)
 
 
@@ -214,7 +218,9 @@ def _add_mass(
         node = builder.new_node(place)
         motion = middle + along * slope
         lever = 0.5 * math.sqrt(12.0) * radii * np.array(across)
-        moved = motion[:3] + cross_matrix(np.array([0.0, *lever])) @ motion[3:]
+        turning = motion[3:].copy()
+        turning[0] *= beam.torsional_share
+        moved = motion[:3] + cross_matrix(np.array([0.0, *lever])) @ turning
         for component, row in enumerate(beam.axes.T @ moved, start=1):
             own = (node, component)
             form = difference({own: 1.0}, _form(row, beam, freedoms))

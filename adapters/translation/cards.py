@@ -10,6 +10,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from modetune.adapters.nastran.case_control import CaseControl
+
 #: Translated, or looked at where they are used.
 TRANSLATED = frozenset(
     "GRID CORD1R CORD1C CORD1S CORD2R CORD2C CORD2S "
@@ -18,7 +20,7 @@ TRANSLATED = frozenset(
     "CMASS1 CMASS2 CMASS3 CMASS4 PMASS "
     "PSHELL PCOMP PCOMPG PSOLID PLSOLID PBAR PBARL PBEAM PBEAML PBCOMP PROD PTUBE PELAS PBUSH "
     "MAT1 MAT2 MAT3 MAT8 MAT9 MAT10 MAT11 RBE1 RBE2 RBE3 RBAR RROD RSPLINE RBAR1 "
-    "SPC SPC1 SPCADD SPCOFF SPCOFF1 MPC MPCADD PARAM".split()
+    "SPC SPC1 SPCADD SPCOFF SPCOFF1 MPC MPCADD PARAM MDLPRM".split()
 )
 #: Without effect on normal modes.
 HARMLESS = frozenset(
@@ -54,13 +56,22 @@ PARAMETERS = frozenset(
     "OUNIT1 OUNIT2 OMID SRCOMPS STRFIT PVALINIT ALPHA1 ALPHA2 ASING ERROR RSPECTRA SCRSPEC SIGMA "
     "MAXIT EIGFILT OPTEXIT DESPCH DESPCH1 NASPRT DSNOKD OPTION OP4FMT MODEL MECHFIX UNITSYS "
     "SOLLIN GEOMU PRTPCOMP PRPA PRPJ PRTCSTM PRTEQXIN PRTGPDT PRTGPL PRTGPTT PRTBGPDT PRTMGG "
-    "RMS AUTOMSET RGBEAMA RGBEAME RGLCRIT RGSPRGK SPARSEDR".split()
+    "LGDISP RMS AUTOMSET RGBEAMA RGBEAME RGLCRIT RGSPRGK SPARSEDR".split()
 )
-#: Case control commands that add matrices or choose what is not translated.
-CASE_CONTROL = (
-    "K2GG", "M2GG", "K42GG", "K2PP", "M2PP", "B2GG", "STATSUB", "NSM", "P2G", "AXISYMMETRIC",
-    "DSYM", "SUPER", "FLSFSEL",
-)  # fmt: skip
+#: Names of an MDLPRM card that change no frequency.
+MODEL_PARAMETERS = frozenset(("HDF5", "H5MDL", "H5NORDOF", "H5GM34", "MRALIAS"))
+#: Selections of the case control that a translation follows, or that change no modes.
+COMMANDS = frozenset(("SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "AUTOSPC", "RIGID"))
+
+
+def refused_commands(case: CaseControl) -> list[str]:
+    """A sentence for each selection and parameter of the case control that would be lost."""
+    names = [re.split(r"\W", text, maxsplit=1)[0].upper() for text in case.selections]
+    found = [f"case control {name}: not translated" for name in names if name not in COMMANDS]
+    return found + [
+        f"case control PARAM,{name}: not known to be without effect on normal modes"
+        for name, _ in case.parameters if name not in PARAMETERS
+    ]  # fmt: skip
 
 
 def refused_cards(bulk: Any) -> list[str]:
@@ -71,10 +82,13 @@ def refused_cards(bulk: Any) -> list[str]:
         for name, count in sorted(counts.items())
         if name not in TRANSLATED and name not in HARMLESS and count
     ]
+    if bulk.mdlprm is not None:
+        for name in sorted(set(bulk.mdlprm.mdlprm_dict) - MODEL_PARAMETERS):
+            found.append(f"MDLPRM,{name}: not known to be without effect on normal modes")
     for name in sorted(bulk.params):
         if name not in PARAMETERS:
             found.append(f"PARAM,{name}: not known to be without effect on normal modes")
-    return [*found, *_refused_commands(bulk)]
+    return found
 
 
 def _numbers(bulk: Any, name: str) -> str:
@@ -103,11 +117,3 @@ def summarised(problems: Iterable[str]) -> list[str]:
         many = f" ({len(numbers)} of them)" if len(numbers) > 1 else ""
         sentences.append(f"{kind} {shortened(numbers)}{many}{reason}" if kind else reason)
     return sentences
-
-
-def _refused_commands(bulk: Any) -> list[str]:
-    deck = bulk.case_control_deck
-    if deck is None:
-        return []
-    names = {name for subcase in deck.subcases.values() for name in subcase.params}
-    return [f"case control {name}: not translated" for name in CASE_CONTROL if name in names]

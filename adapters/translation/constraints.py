@@ -25,7 +25,9 @@ def translate_spcs(
     fixed = {number: set(_digits(grid.ps)) for number, grid in bulk.nodes.items() if grid.ps}
     for card in _selected(bulk, "spc", spc, problems):
         if card.type == "SPC1":
-            for node in card.node_ids:
+            # Nastran passes over the gaps of a THRU range; a card of no grid points is a mistake.
+            there = [node for node in card.node_ids if node in freedoms.builder.coordinates]
+            for node in there or card.node_ids:
                 fixed.setdefault(node, set()).update(_digits(card.components))
         elif card.type == "SPC":
             for node, components in zip(card.node_ids, card.components, strict=True):

@@ -42,7 +42,9 @@ def _shells_around(bulk: Any, knots: set[int], edges: Edges) -> dict[int, list[A
     around: dict[int, list[Any]] = {}
     for element in bulk.elements.values():
         if element.type in KINDS:
-            nodes = [*element.node_ids, *(edges.middles[edge] for edge in edges_of(element))]
+            # An element that was refused has left no middles.
+            middles = [edges.middles[edge] for edge in edges_of(element) if edge in edges.middles]
+            nodes = [*element.node_ids, *middles]
             for node in knots.intersection(nodes):
                 around.setdefault(node, []).append(element)
     return around

@@ -25,6 +25,9 @@ def translate_rigid_elements(
         if unknown:
             problems.append(f"{element.type} {element.eid}: {unknown[0]} is no GRID of the model")
         elif element.type == "RBE2":
+            if element.cm is None:
+                problems.append(f"RBE2 {element.eid}: its components (CM) are blank")
+                continue
             components = [int(digit) for digit in str(element.cm)]
             _rigid(freedoms, edges, element.gn, element.Gmi, components, f"RBE2 {element.eid}")
         elif element.type == "RBAR":

@@ -25,16 +25,16 @@ from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck, write_edited
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import Analysis, Capabilities, Command, ModalAnalysis, ModelSummary
+from modetune.adapters.translation.cards import refused_commands
 from modetune.adapters.translation.translate import Translation, translate
+from modetune.core.errors import ModelError
 from modetune.core.keys import Json
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.parameters import Parameter, Quantity, Values
+from modetune.core.parameters import Parameter, Values
 from modetune.core.results import ModalResult, Result
 
 logger = logging.getLogger(__name__)
 
-#: Translated matrices are linear in these; cross-sections become others of the same stiffness.
-LINEAR: frozenset[Quantity] = frozenset({"youngs_modulus", "density", "spring_stiffness", "mass"})
 #: Translated models that are kept for the next look at the same values.
 KEPT = 4
 
@@ -97,7 +97,7 @@ class TranslatedSolver:
         return names if whole else ()
 
     def is_linear(self, parameter: Parameter) -> bool:
-        return parameter.quantity in LINEAR and self.deck.is_linear(parameter)
+        return self.deck.is_linear(parameter)
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         translated = self._at(values)
@@ -146,9 +146,12 @@ class TranslatedSolver:
     def _translate(self, values: Values) -> Translated:
         stem = self.deck.deck.file.stem
         case = read_case_control(self.deck.deck)
+        lost = refused_commands(case)
+        if lost:
+            raise ModelError(f"{stem} cannot be translated to CalculiX:\n" + "\n".join(lost))
         translation = translate(
             self.deck.bulk_at(self._changed(values)), stem, spc=case.selected("SPC"),
-            mpc=case.selected("MPC"), single=self._single,
+            mpc=case.selected("MPC"), single=self._single, wtmass=self.deck.wtmass,
         )  # fmt: skip
         logger.info("%s translated: %s", stem, translation.mass_check)
         # The text is not a file: messages name it as what it is.

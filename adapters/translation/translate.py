@@ -55,17 +55,19 @@ def translate(
     bulk: Any,
     name: str,
     single: frozenset[int] = frozenset(),
-    spc: int | None = None,
-    mpc: int | None = None,
+    spc: int = 0,
+    mpc: int = 0,
+    wtmass: float = 1.0,
 ) -> Translation:
     """Translate a cross-referenced pyNastran BDF.
 
     name: of the deck, for messages. single: elements that get a set `E<eid>` of their own. spc,
-    mpc: constraint sets, taken from the case control where not given, 0 for none.
+    mpc: constraint sets, 0 for none. wtmass: the factor on all masses, PARAM,WTMASS.
     Raises ModelError with every card and feature that cannot be translated.
     """
+    if not bulk.nodes:
+        raise ModelError(f"{name} has no GRID, so there is nothing to translate")
     problems = refused_cards(bulk)
-    wtmass = _wtmass(bulk)
     builder = _builder(bulk, wtmass)
 
     def sets_of(element: Any) -> Sequence[str]:
@@ -76,8 +78,8 @@ def translate(
     translate_solids(bulk, builder, problems, wtmass, sets_of)
     held = _held_rotations(bulk)
     freedoms = _freedoms(bulk, builder, held, problems)
-    translate_spcs(bulk, freedoms, edges, _chosen(bulk, "SPC", spc), problems)
-    translate_mpcs(bulk, freedoms, _chosen(bulk, "MPC", mpc), problems)
+    translate_spcs(bulk, freedoms, edges, spc, problems)
+    translate_mpcs(bulk, freedoms, mpc, problems)
     translate_rigid_elements(bulk, freedoms, edges, problems)
     translate_beams(bulk, builder, freedoms, problems, wtmass, sets_of)
     translate_springs(bulk, builder, freedoms, problems, wtmass, sets_of)
@@ -141,19 +143,3 @@ def _held_rotations(bulk: Any) -> set[int]:
             ends = zip(element.node_ids, (element.c1, element.c2), strict=True)
             held.update(node for node, component in ends if node and int(component or 0) > 3)
     return held
-
-
-def _wtmass(bulk: Any) -> float:
-    card = bulk.params.get("WTMASS")
-    return 1.0 if card is None else float(card.values[0])
-
-
-def _chosen(bulk: Any, kind: str, given: int | None) -> int:
-    """A constraint set of the case control: of the first subcase, or above all."""
-    if given is not None or bulk.case_control_deck is None:
-        return given or 0
-    subcases = bulk.case_control_deck.subcases
-    for number in sorted(subcases, key=lambda key: (key == 0, key)):
-        if kind in subcases[number]:
-            return int(subcases[number].get_parameter(kind)[0])
-    return 0

@@ -167,10 +167,12 @@ def test_system_cells_stay_and_what_a_job_cannot_carry_is_refused_all_at_once(
         ("SPC = 1\nSUBCASE 1\n METHOD = 10\n", ["SPC = 1"]),
         ("SUBCASE 1\n LOAD = 3\nSUBCASE 2\n SPC = 1\n METHOD = 10\n", ["SPC = 1"]),
         ("SPC = 7\nSUBCASE 1\n SPC = 1\n METHOD = 10\n", ["SPC = 1"]),
-        ("SUBCASE 1\n SPC=1\n METHOD=10\nSUBCASE 2\n SPC=1\n METHOD=10\n", ["SPC=1"]),
+        ("SUBCASE 1\n SPC=1\n METHOD=10\nSUBCASE 2\n SPC=1\n METHOD=10\n", ["SPC = 1"]),
+        ("SUBCASE 1\n SPC = 2\n LOAD = 1\nSUBCASE 2\n SPC = 3\n METHOD 10\n", ["SPC = 3"]),
+        ("SPC 7\nMETHOD = 10\n", ["SPC = 7"]),
         (
             "PARAM,WTMASS,.01\nPARAM,POST,0\nTEMP(INIT)=1\nTEMP(LOAD)=2\nMETHOD = 10\n",
-            ["PARAM,WTMASS,.01", "TEMP(INIT)=1", "TEMP(LOAD)=2"],
+            ["TEMP(INIT)=1", "TEMP(LOAD)=2"],
         ),
         ("METHOD = 10\nOUTPUT(XYPLOT)\nSPC = 3\n", []),
         ("SET 5 = 1,2,\n 3\nDISP = 5\nMETHOD(STRUCTURE) = 10\nMPC = 4\n", ["MPC = 4"]),
@@ -189,7 +191,6 @@ def test_selections_come_from_the_subcase_that_counts(
     ("case", "message"),
     [
         ("SUBCASE 1\n METHOD = 10\nSUBCASE 2\n METHOD = 11\n", "line 3: 2 of 2 subcases"),
-        ("SUBCASE 1\n SPC = 1\nSUBCASE 2\n METHOD = 10\n", "line 3: 2 of 2 subcases"),
         ("STATSUB = 1\nMETHOD = 10\n", "line 3: STATSUB asks for modes of a preloaded"),
         ("SUPER = ALL\n", "line 3: SUPER asks for superelements"),
         ("METHOD = ALL\n", "line 3: METHOD wants the number of an EIGRL card"),
@@ -200,6 +201,13 @@ def test_case_control_that_means_no_single_modal_job_is_refused(
 ) -> None:
     with pytest.raises(ModelError, match=message):
         job(tmp_path, f"SOL 103\nCEND\n{case}BEGIN BULK\n{BULK}")
+
+
+def test_a_parameter_of_the_case_control_goes_before_one_of_the_bulk_data(tmp_path: Path) -> None:
+    # MYSTRAN knows parameters in bulk data only.
+    text = job(tmp_path, f"SOL 103\nCEND\nPARAM,WTMASS,.01\nMETHOD = 10\nBEGIN BULK\n{BULK}")
+    assert text.count("WTMASS") == 1
+    assert text.index("BEGIN BULK") < text.index("PARAM,WTMASS,.01\n")
 
 
 def test_edited_numbers_stand_in_the_job_and_nothing_else_differs(tmp_path: Path) -> None:

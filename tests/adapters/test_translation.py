@@ -67,9 +67,24 @@ def bulk_of(cards: Sequence[str], folder: Path, case: Sequence[str] = ()) -> BDF
     return read_bulk(path)
 
 
-def solve(bulk: BDF, folder: Path, n_modes: int = 8, spc: int | None = None) -> Solved:
+def selected(bulk: BDF, name: str) -> int:
+    """The set that pyNastran's case control selects, 0 where it selects none."""
+    subcases = bulk.case_control_deck.subcases if bulk.case_control_deck else {}
+    found = [case.get_parameter(name)[0] for case in subcases.values() if name in case]
+    return int(found[-1]) if found else 0
+
+
+def translated(bulk: BDF, name: str = "model", spc: int = 0) -> Translation:
+    """The translation, as this case control and PARAM,WTMASS want it."""
+    factor = bulk.params["WTMASS"].values[0] if "WTMASS" in bulk.params else 1.0
+    return translate(
+        bulk, name, spc=spc or selected(bulk, "SPC"), mpc=selected(bulk, "MPC"), wtmass=factor
+    )
+
+
+def solve(bulk: BDF, folder: Path, n_modes: int = 8, spc: int = 0) -> Solved:
     """Translate and run ccx."""
-    translation = translate(bulk, "model", spc=spc)
+    translation = translated(bulk, spc=spc)
     deck = folder / "model.inp"
     deck.write_text(translation.text)
     solver = calculix_solver(deck, ())
@@ -345,7 +360,7 @@ def test_all_refusals_come_at_once_with_cards_and_numbers(tmp_path: Path) -> Non
     ]  # fmt: skip
     bulk = bulk_of(cards, tmp_path, ["SPC=4"])
     with pytest.raises(ModelError) as caught:
-        translate(bulk, "wrong.bdf")
+        translated(bulk, "wrong.bdf")
     said = str(caught.value)
     for part in (
         "wrong.bdf", "CSHEAR: 1 card (701)", "PSHEAR", "PARAM,FOOBAR", "ASET1", "CMASS2 909",

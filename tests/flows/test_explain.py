@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from modetune.core.errors import CampaignError, NotStored, SolverRejected
 from modetune.core.holdings import holdings
 from modetune.core.keys import canonical_json, content_key
 from modetune.core.store import Store
+from modetune.flows import cli_store
 from modetune.flows.dry_run import dry_run
 from modetune.flows.engine import Job
 from modetune.flows.explain import asked_of, differences, stored_jobs
@@ -215,4 +217,46 @@ def test_an_engine_that_may_not_run_says_what_it_lacks(bench: Any) -> None:
     engine = replace(job_engine(bench.campaign(TRUTH)), may_run=False)
     with pytest.raises(NotStored, match="the store has no result"):
         engine.solve(Job({"k1": 1.1}, MODAL))
+    assert bench.runs() == 0
+
+
+def test_the_command_tells_a_job_in_lines_and_as_an_object(
+    bench: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    key = solved(bench, {"k1": 1.1})
+    solved(bench, {"k1": 1.2})
+    store = bench.campaign(TRUTH).store.folder
+    cli_store.explain(key[:6], store)
+    said = capsys.readouterr().out
+    assert said.startswith(f"job      {key}\nstate    stored\n")
+    assert "modal analysis of chain, 6 modes, shapes at 6 nodes" in said
+    assert "k1 1.1, there 1.2" in said
+    cli_store.explain(key, store, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["status"], told["job"]["values"]) == ("stored", {"k1": 1.1})
+    assert told["nearest"]["differences"] == ["k1 1.1, there 1.2"]
+
+
+def test_the_command_refuses_what_nothing_is_known_of(bench: Any) -> None:
+    store = bench.folder / "store"
+    with pytest.raises(CampaignError, match="is not there"):
+        cli_store.explain("abcd", store)
+    store.mkdir()
+    with pytest.raises(CampaignError, match=r"nothing is known of a job abcd\.\.\."):
+        cli_store.explain("abcd", store)
+
+
+def test_a_dry_run_is_told_in_lines_and_as_an_object(
+    bench: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign = bench.campaign(TRUTH)
+    monkeypatch.setattr("modetune.flows.campaign.load_campaign", lambda *_: campaign)
+    cli_store.show_dry_run(Path("c.yaml"), [], bench.folder, as_json=False)
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("run   ")
+    assert said[0].endswith("iteration 0 / modal")
+    assert said[1].strip() == "nothing is stored that it could be compared with"
+    cli_store.show_dry_run(Path("c.yaml"), [], bench.folder, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert (told["status"], told["runs"], told["jobs"][0]["stored"]) == ("would run", 1, False)
     assert bench.runs() == 0

@@ -8,7 +8,6 @@ what was run in vain, is counted and not believed.
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -99,7 +98,9 @@ class FaultySolver(ScriptedSolver):
 
     def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
         key = folder.name.partition(".")[0]
-        words = self.script.next(key, values, analysis), key, str(self.folder / "runs.log")
+        # Decks are also written to be looked at, in folders of other names.
+        behaviour = self.script.next(key, values, analysis) if len(key) == 64 else "good"
+        words = behaviour, key, str(self.folder / "runs.log")
         (folder / "job").write_text("\n".join(words))
 
     def command(self, threads: int) -> Command:
@@ -145,13 +146,16 @@ def faulty_campaign(bench: Bench, script: Script, seed: int, larger: int = 1) ->
     truth = {f"k{place}": float(random.uniform(0.8, 1.25)) for place in range(1, count + 1)}
     methods: list[Any] = ["finite_difference", "finite_difference", "semi_analytic", "solver"]
     sensitivity = SensitivitySection(
-        method=methods[seed % 4],
+        method=methods[seed % 4] if larger == 1 else "finite_difference",
         difference="central" if larger > 1 or seed % 8 == 1 else "forward",
         step=0.005,
     )
     campaign = bench.campaign(
         truth, modes=(1, 2, 3, 4, 5, 6), shapes=seed % 3 == 0, sensitivity=sensitivity
     )
+    if larger > 1:  # shorter steps, so about twice as many of them
+        update = campaign.update.model_copy(update={"step_limit": 0.04})
+        campaign = replace(campaign, update=update)
     solver = FaultySolver(bench.folder, script=script)
     run = RunSection(
         parallel=2,
@@ -325,7 +329,7 @@ def test_a_campaign_killed_again_and_again_repeats_no_finished_job(tmp_path: Pat
     store, kills = Store(tmp_path / "store"), 0
     while True:
         process = start(tmp_path, kills)
-        goal = 3 + sum(map(len, runs_of(tmp_path).values()))
+        goal = 12 + sum(map(len, runs_of(tmp_path).values()))
         if not wait_for(lambda: sum(map(len, runs_of(tmp_path).values())) >= goal, process):  # noqa: B023  # the condition lives in this turn
             break
         process.send_signal(signal.SIGKILL)
@@ -361,8 +365,3 @@ def test_a_solver_that_never_does_its_duty_is_refused_in_a_sentence(
 
 def replace_run(run: RunSection, **changes: Any) -> RunSection:
     return run.model_copy(update=changes)
-
-
-def test_the_count_of_a_fault_sums_to_less_than_all() -> None:
-    assert sum(FAULTS.values()) < 0.5
-    assert os.access("/bin/sh", os.X_OK)

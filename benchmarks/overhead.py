@@ -1,0 +1,190 @@
+"""What a job costs beside its solver: a program that does nothing, a thousand times.
+
+Four ways of running `true`, two at a time: a bare ThreadPoolExecutor with subprocess.run; the same
+below modetune's supervisor; the job engine with its store, by threads; and by Prefect tasks on the
+shared server. Each line gives milliseconds a job, what it is above the bare pool, and the ratio.
+
+    python -m benchmarks.overhead [--jobs 1000] [--parallel 2] [--no-prefect] [--profile]
+
+Results go to a temporary folder; name another disk with TMPDIR.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import os
+import pstats
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.flows.conftest import ScriptedSolver
+
+from modetune.adapters.process import run_process
+from modetune.adapters.solver import Analysis, Command, ModalAnalysis
+from modetune.core.parameters import Values
+from modetune.core.results import Result
+from modetune.core.store import Store
+from modetune.flows.engine import Job, JobEngine, Ledger, Policy
+from modetune.flows.execution import Execution, ThreadExecution, Work
+from modetune.flows.limits import CORES, Limit, MachineLimits
+from modetune.flows.server import use_server
+
+PROGRAM = "/bin/true"
+
+
+@dataclass(frozen=True)
+class NothingSolver(ScriptedSolver):
+    """The scripted chain behind a program that does nothing."""
+
+    def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
+        (folder / "job.json").write_text("{}")
+
+    def command(self, threads: int) -> Command:
+        return Command((PROGRAM,))
+
+    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
+        (folder / "solver.log").write_text("END OF JOB")
+        return super().read(values, analysis, folder, return_code)
+
+
+def bare(count: int, parallel: int) -> None:
+    """The pool that everybody writes first."""
+
+    def run(_: int) -> None:
+        subprocess.run([PROGRAM], check=True, stdin=subprocess.DEVNULL, capture_output=True)
+
+    with ThreadPoolExecutor(parallel) as pool:
+        list(pool.map(run, range(count)))
+
+
+def supervised(count: int, parallel: int, folder: Path) -> None:
+    """The same with nothing left behind however this process ends."""
+    never = threading.Event()
+
+    def run(number: int) -> None:
+        place = folder / str(number)
+        place.mkdir()
+        run_process(Command((PROGRAM,)), place, 60.0, never)
+
+    with ThreadPoolExecutor(parallel) as pool:
+        list(pool.map(run, range(count)))
+
+
+def engine(folder: Path) -> JobEngine:
+    """A job engine on its own store."""
+    cores = len(os.sched_getaffinity(0))
+    return JobEngine(
+        solver=NothingSolver(folder),
+        store=Store(folder / "store"),
+        policy=Policy(60.0, 0, 0, 0, 1.0, 1.0),
+        threads=1,
+        keep_jobs=False,
+        cancelled=threading.Event(),
+        machine=MachineLimits(folder / "limits"),
+        limits=(Limit(CORES, cores, 1),),
+        ledger=Ledger(),
+    )
+
+
+def works(count: int) -> list[Work]:
+    """As many jobs, each another value of the first spring."""
+    analysis = ModalAnalysis(6, (1, 2, 3, 4, 5, 6))
+    return [
+        Work(f"job {number}", (Job({"k1": 1.0 + 1e-4 * number}, analysis),))
+        for number in range(count)
+    ]
+
+
+def with_threads(count: int, parallel: int, folder: Path) -> None:
+    """The engine as `--no-prefect` has it."""
+    check(ThreadExecution(engine(folder), parallel), works(count))
+
+
+def check(execution: Execution, work: Sequence[Work]) -> None:
+    """Run the work; every job must have been run."""
+    outcomes = execution.run("benchmark", work)
+    assert all(isinstance(done, tuple) and not done[0].reused for done in outcomes)
+
+
+def with_prefect(count: int, parallel: int, folder: Path) -> float:
+    """The engine as Prefect tasks of one flow; seconds without the server's start."""
+    from prefect import flow
+    from prefect.task_runners import ThreadPoolTaskRunner
+
+    from modetune.flows.prefect_flow import PrefectExecution
+
+    runner: ThreadPoolTaskRunner[Any] = ThreadPoolTaskRunner(max_workers=parallel)
+
+    @flow(name="overhead", task_runner=runner, persist_result=False)  # type: ignore[arg-type]  # its futures are PrefectFuture by contract
+    def run() -> float:
+        started = time.monotonic()
+        check(PrefectExecution(engine(folder), parallel), works(count))
+        return time.monotonic() - started
+
+    return float(run())
+
+
+def timed(work: Callable[[], object]) -> float:
+    started = time.monotonic()
+    work()
+    return time.monotonic() - started
+
+
+def main() -> None:
+    """Run all four and tell what a job costs in each."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--jobs", type=int, default=1000)
+    parser.add_argument("--parallel", type=int, default=2)
+    parser.add_argument("--no-prefect", action="store_true")
+    parser.add_argument("--profile", action="store_true", help="Profile the engine in one thread.")
+    chosen = parser.parse_args()
+    count, parallel = chosen.jobs, chosen.parallel
+    with tempfile.TemporaryDirectory(prefix="modetune-overhead-") as name:
+        folder = Path(name)
+        os.environ["MODETUNE_HOME"] = str(folder / "home")
+        if chosen.profile:
+            profile = cProfile.Profile()
+            one, jobs = engine(folder / "profile"), works(count)
+            (folder / "profile").mkdir()
+            profile.runcall(lambda: [one.solve(work.jobs[0]) for work in jobs])
+            pstats.Stats(profile).sort_stats("tottime").print_stats(30)
+            return
+        for part in ("supervised", "threads", "prefect"):
+            (folder / part).mkdir()
+        reference = timed(lambda: bare(count, parallel))
+        tell("bare pool", reference, reference, count)
+        tell("supervised", timed(lambda: supervised(count, parallel, folder / "supervised")),
+             reference, count)  # fmt: skip
+        tell("engine, threads", timed(lambda: with_threads(count, parallel, folder / "threads")),
+             reference, count)  # fmt: skip
+        if chosen.no_prefect:
+            return
+        server = use_server()
+        try:
+            assert server.wait()
+            wall_s = with_prefect(count, parallel, folder / "prefect")
+            tell("engine, Prefect", wall_s, reference, count)
+        finally:
+            server.close()
+            subprocess.run([sys.executable, "-m", "modetune.flows", "server", "stop"], check=True)
+
+
+def tell(name: str, wall_s: float, reference_s: float, count: int) -> None:
+    """One line of the table."""
+    each, above = 1e3 * wall_s / count, 1e3 * (wall_s - reference_s) / count
+    line = f"{name:18} {each:7.2f} ms a job, {above:+7.2f} ms, {wall_s / reference_s:6.2f} times\n"
+    sys.stdout.write(line)
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,216 @@
+"""Whether a model is still as near to its test as it was: a band round a baseline's errors.
+
+A baseline is the record of an updating campaign (campaign.h5). Each mode of the test has an error
+of its frequency and a MAC there; the model that is checked leaves the band in a mode where its
+frequency error is larger than the baseline's by more than `frequency`, or its MAC is smaller by
+more than `mac`. A model that came nearer to the test never leaves it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import h5py
+import numpy as np
+
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
+from modetune.core.pairing import LostMode
+from modetune.core.record import RunCounts
+from modetune.flows.campaign import Campaign
+from modetune.flows.deck_texts import keep_text
+from modetune.flows.evaluation import Evaluation
+from modetune.flows.evaluator import Evaluator
+from modetune.flows.execution import ThreadExecution
+from modetune.flows.running import job_engine
+
+#: Which model of a record: as updating left it, or as it started.
+State = Literal["updated", "initial"]
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """How much worse a mode may be: relative frequency error, MAC; both absolute differences."""
+
+    frequency: float
+    mac: float
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far a model is from its test.
+
+    numbers: of the test's modes; test_hz: (n_modes,); errors: (n_modes,), relative frequency
+    errors; macs: (n_modes,), the better one of MAC and cluster MAC, NaN where no shape was
+    measured.
+    """
+
+    numbers: tuple[int, ...]
+    test_hz: Floats
+    errors: Floats
+    macs: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ModeCheck:
+    """A mode beside its baseline; reasons: why it left the band, empty where it did not."""
+
+    number: int
+    test_hz: float
+    error: float
+    baseline_error: float
+    mac: float
+    baseline_mac: float
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineCheck:
+    """What a check found. reason: empty where all modes stayed; runs: solver runs it took."""
+
+    modes: tuple[ModeCheck, ...]
+    reason: str
+    remarks: tuple[str, ...]
+    runs: RunCounts
+
+    @property
+    def within(self) -> bool:
+        return not self.reason
+
+
+def read_agreement(path: Path, state: State) -> Agreement:
+    """How far the model of a record is from its test. Raises CampaignError."""
+    try:
+        with h5py.File(path, "r") as file:
+            group = file["iterations"]
+            ordered = [group[name] for name in sorted(group, key=int)]
+            iterations = [item for item in ordered if item.attrs["accepted"]]
+            chosen = iterations[-1] if state == "updated" else iterations[0]
+            measured = chosen["pair_measured"][()]
+            macs = np.fmax(chosen["pair_mac"][()], chosen["pair_subspace_mac"][()])
+            return Agreement(
+                numbers=tuple(file["test/numbers"][()][measured].tolist()),
+                test_hz=file["test/frequencies_hz"][()][measured],
+                errors=chosen["frequency_errors"][()],
+                macs=macs,
+            )
+    except FileNotFoundError as error:
+        raise CampaignError(f"{path} is not there; a baseline is a campaign.h5") from error
+    except (OSError, KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
+        raise CampaignError(
+            f"{path} is no record of a campaign (a baseline is a campaign.h5 as `modetune update` "
+            "leaves it)"
+        ) from error
+
+
+def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> BaselineCheck:
+    """Compare the model at the deck's values with a baseline: one modal run, the store first.
+
+    Raises CampaignError where the baseline is of other modes; SolverError, StoreError.
+    """
+    baseline = _fitting(campaign, path, state)
+    engine = job_engine(campaign)
+    evaluator = Evaluator(campaign, engine, ThreadExecution(engine, 1))
+    theta = np.ones(len(campaign.parameters))
+    try:
+        evaluation, _ = evaluator.evaluate(0, theta, None, alone=True)
+    except LostMode as error:
+        return BaselineCheck((), f"a mode is lost: {error}", (), evaluator.runs)
+    keep_text(campaign.store, campaign.solver)
+    found = _compared(_agreement(campaign, evaluation), baseline, band, evaluator.runs)
+    return found if found.within else _hinted(found, path, state, band)
+
+
+def check_record(
+    campaign: Campaign, record: Path, path: Path, state: State, band: Band
+) -> BaselineCheck:
+    """Compare the updated model of another record with a baseline; nothing is run.
+
+    Raises CampaignError where a record cannot be read or is of other modes.
+    """
+    baseline, now = _fitting(campaign, path, state), read_agreement(record, "updated")
+    if set(now.numbers) != set(baseline.numbers):
+        raise CampaignError(_other_modes(path, baseline, record, now.numbers))
+    return _compared(now, baseline, band, RunCounts())
+
+
+def _fitting(campaign: Campaign, path: Path, state: State) -> Agreement:
+    """The baseline, if it is of the campaign's modes. Raises CampaignError."""
+    baseline = read_agreement(path, state)
+    if set(baseline.numbers) != set(campaign.test.numbers):
+        raise CampaignError(_other_modes(path, baseline, campaign.file, campaign.test.numbers))
+    return baseline
+
+
+def _other_modes(path: Path, baseline: Agreement, other: Path, numbers: tuple[int, ...]) -> str:
+    return (
+        f"{path} is a baseline of test modes {', '.join(map(str, sorted(baseline.numbers)))}, but "
+        f"{other} has modes {', '.join(map(str, sorted(numbers)))}; make a new baseline with "
+        "`modetune update`"
+    )
+
+
+def _agreement(campaign: Campaign, evaluation: Evaluation) -> Agreement:
+    measured = evaluation.pairing.measured
+    return Agreement(
+        numbers=tuple(campaign.test.numbers[place] for place in measured.tolist()),
+        test_hz=campaign.test.modes.frequencies_hz[measured],
+        errors=evaluation.errors,
+        macs=evaluation.pairing.judged_mac,
+    )
+
+
+def _compared(now: Agreement, before: Agreement, band: Band, runs: RunCounts) -> BaselineCheck:
+    places = {number: place for place, number in enumerate(before.numbers)}
+    modes = []
+    for place, number in sorted(enumerate(now.numbers), key=lambda item: item[1]):
+        then = places[number]
+        modes.append(
+            _mode(number, float(now.test_hz[place]),
+                  (float(now.errors[place]), float(before.errors[then])),
+                  (float(now.macs[place]), float(before.macs[then])), band)
+        )  # fmt: skip
+    left = [mode for mode in modes if mode.reasons]
+    reason = "; ".join(f"mode {mode.number}: {', '.join(mode.reasons)}" for mode in left)
+    then_hz = np.array([before.test_hz[places[number]] for number in now.numbers])
+    remarks = () if np.array_equal(then_hz, now.test_hz) else (
+        "the test's frequencies are not those of the baseline: errors are each of its own test",
+    )  # fmt: skip
+    return BaselineCheck(tuple(modes), reason, remarks, runs)
+
+
+def _mode(
+    number: int, test_hz: float, errors: tuple[float, float], macs: tuple[float, float], band: Band
+) -> ModeCheck:
+    """errors, macs: now and in the baseline."""
+    reasons = []
+    if abs(errors[0]) > abs(errors[1]) + band.frequency:
+        reasons.append(
+            f"frequency error {100 * errors[0]:+.2f} %, baseline {100 * errors[1]:+.2f} %, band "
+            f"{100 * band.frequency:g} %"
+        )
+    if macs[0] < macs[1] - band.mac:
+        reasons.append(f"MAC {macs[0]:.3f}, baseline {macs[1]:.3f}, band {band.mac:g}")
+    if np.isnan(macs[0]) and not np.isnan(macs[1]):
+        reasons.append("no MAC, because the test has no shapes any more")
+    return ModeCheck(number, test_hz, *errors, *macs, tuple(reasons))
+
+
+def _hinted(found: BaselineCheck, path: Path, state: State, band: Band) -> BaselineCheck:
+    """With a remark where it looks as if the deck was compared with the wrong model."""
+    if state == "initial":
+        return found
+    initial = {number: abs(error) for number, error in _errors(read_agreement(path, "initial"))}
+    if any(abs(mode.error) > initial[mode.number] + band.frequency for mode in found.modes):
+        return found
+    remark = (
+        "the deck is as near to its test as the model that the baseline's campaign started from: "
+        "is it the deck before updating? Then compare with --state initial"
+    )
+    return BaselineCheck(found.modes, found.reason, (*found.remarks, remark), found.runs)
+
+
+def _errors(agreement: Agreement) -> list[tuple[int, float]]:
+    return list(zip(agreement.numbers, agreement.errors.tolist(), strict=True))

@@ -1,0 +1,155 @@
+"""Where jobs run: on this machine, under Slurm, or on a Dask cluster; and the site file.
+
+A site file says once what holds for all campaigns of a site, under the campaign's own keys, so
+that campaign files stay portable:
+
+    run:
+      engine: slurm
+      slurm: {partition: batch, account: dynamics}
+
+It is `~/.config/modetune/site.yaml`, or what MODETUNE_SITE names. What a campaign says itself goes
+before what the site says.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from modetune.adapters.yaml_file import read_yaml
+from modetune.core.errors import CampaignError
+
+#: Names a site file in another place.
+SITE_VARIABLE = "MODETUNE_SITE"
+#: Jobs handed to Slurm at the same time where the campaign does not say.
+SLURM_QUEUE = 32
+
+Engine = Literal["local", "slurm", "dask"]
+#: One argument for Slurm or a line of a batch script: no line ends, and no empty word.
+Word = Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$", max_length=1000)]
+#: A name that becomes part of an argument.
+Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.,:@+-]*$", max_length=200)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SlurmSection(_Section):
+    """What `srun` is told besides threads and licences; time: of one job, in Slurm's notation."""
+
+    partition: Label | None = None
+    account: Label | None = None
+    time: Label | None = None
+    options: tuple[Word, ...] = ()
+
+
+class DaskSection(_Section):
+    """The Dask cluster: a scheduler that runs, processes of this machine, or jobs of a queue.
+
+    memory, walltime, queue, account, interface, directives and prologue are of the jobs that a
+    queue (slurm, pbs, lsf) is asked for.
+    """
+
+    scheduler: Annotated[str, Field(pattern=r"^(tcp|tls)://\S+:\d+$")] | None = None
+    cluster: Literal["local", "slurm", "pbs", "lsf"] = "local"
+    workers: Annotated[int, Field(ge=1, le=1024)] = 2
+    memory: Label | None = None
+    walltime: Label | None = None
+    queue: Label | None = None
+    account: Label | None = None
+    interface: Label | None = None
+    directives: tuple[Word, ...] = ()
+    prologue: tuple[Word, ...] = ()
+
+    @model_validator(mode="after")
+    def _sound(self) -> DaskSection:
+        if self.scheduler is not None and self.cluster != "local":
+            raise ValueError("give either `scheduler` or `cluster`")
+        if self.cluster != "local" and self.memory is None:
+            raise ValueError(f"cluster {self.cluster} needs `memory`, what a job may use (4GB)")
+        return self
+
+    @property
+    def here(self) -> bool:
+        """Whether the workers are processes of this machine that share its cores with others."""
+        return self.scheduler is None and self.cluster == "local"
+
+
+class SiteRun(_Section):
+    """What a site may say of `run`."""
+
+    engine: Engine = "local"
+    slurm: SlurmSection = SlurmSection()
+    dask: DaskSection = DaskSection()
+    parallel: Annotated[int, Field(ge=0, le=1024)] = 0
+    threads: Annotated[int, Field(ge=0, le=1024)] = 0
+    licences: dict[Label, Annotated[int, Field(ge=1, le=10_000)]] = {}
+
+
+class SiteFile(_Section):
+    """A whole site file."""
+
+    run: SiteRun = SiteRun()
+
+
+def site_path() -> Path:
+    """Where the site file is, or would be."""
+    named = os.environ.get(SITE_VARIABLE)
+    return Path(named) if named else Path("~/.config/modetune/site.yaml").expanduser()
+
+
+def site_run() -> dict[str, Any]:
+    """The `run` keys that the site file gives; none where there is no such file.
+
+    Raises CampaignError where it cannot be read, or is named and not there.
+    """
+    path = site_path()
+    if not path.is_file() and SITE_VARIABLE not in os.environ:
+        return {}
+    source = read_yaml(path, "a site file")
+    try:
+        site = SiteFile.model_validate(source.data)
+    except ValidationError as error:
+        problems = []
+        for item in error.errors():
+            place = tuple(item["loc"])
+            key = ".".join(str(part) for part in place) or "site"
+            said = item["msg"].removeprefix("Value error, ")
+            if item["type"] == "extra_forbidden":
+                said = f"unknown key `{place[-1]}`"
+            problems.append(f"{source.where(place)}: {key}: {said}")
+        raise CampaignError(problems) from None
+    return site.run.model_dump(exclude_unset=True)
+
+
+def merged(site: dict[str, Any], campaign: dict[str, Any]) -> dict[str, Any]:
+    """The site's keys under the campaign's: mappings key by key, all else replaced."""
+    both = dict(site)
+    for key, value in campaign.items():
+        below = both.get(key)
+        both[key] = merged(below, value) if isinstance(below, dict) and isinstance(value, dict) \
+            else value  # fmt: skip
+    return both
+
+
+def with_site(run: dict[str, Any]) -> dict[str, Any]:
+    """The campaign's `run` keys with the site's beneath, and how many jobs a cluster is given.
+
+    Raises CampaignError (the site file), ValidationError (what does not fit together).
+    """
+    both = merged(site_run(), run)
+    if both.get("engine") == "slurm":
+        return _filled(both, SLURM_QUEUE, 1)
+    if both.get("engine") == "dask":
+        section = DaskSection.model_validate(both.get("dask", {}))
+        return _filled(both, section.workers, 0 if section.here else 1)
+    return both
+
+
+def _filled(run: dict[str, Any], parallel: int, threads: int) -> dict[str, Any]:
+    return {**run, "parallel": run.get("parallel") or parallel,
+            "threads": run.get("threads") or threads}  # fmt: skip

@@ -1,0 +1,103 @@
+"""Where a campaign starts, and whether anything changed since its run before.
+
+`update: {start: last}` starts from the parameters that the run before ended on. They are carried
+over as values of the deck's quantities, so a deck whose values were replaced in between means the
+same start. Where nothing changed since that run, its own start is taken again: then the store
+answers every job, and an updating that ended without e1 is not pushed on night after night.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from modetune.core.modes import Floats
+from modetune.flows.campaign import Campaign
+from modetune.flows.engine import Job, JobEngine
+from modetune.flows.evaluator import campaign_analysis
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierRun:
+    """What the record of a finished run tells of its inputs and its end.
+
+    test: numbers, frequencies, shapes, nodes and components as they were measured. started,
+    updated: parameters by name, updated ones as values of the deck's quantities.
+    """
+
+    campaign_text: str
+    settings: str
+    test: tuple[Floats, ...]
+    modal_key: str
+    started: dict[str, float]
+    updated: dict[str, float]
+
+
+def read_earlier(folder: Path) -> EarlierRun | None:
+    """The run before in this run folder, or nothing. A record that cannot be read is told of."""
+    path = folder / "campaign.h5"
+    if not path.exists():
+        return None
+    try:
+        with h5py.File(path, "r") as file:
+            parameters, first = file["parameters"], file["iterations/000"]
+            names = [str(name) for name in parameters["names"].asstr()[()]]
+            values = parameters["updated"][()] * parameters["deck_values"][()]
+            return EarlierRun(
+                campaign_text=str(file.attrs["campaign"]),
+                settings=str(file.attrs["settings"]),
+                test=_test_arrays(file["test"]),
+                modal_key=str(first.attrs["modal_key"]),
+                started=dict(zip(names, first["parameters"][()].tolist(), strict=True)),
+                updated=dict(zip(names, values.tolist(), strict=True)),
+            )
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        logger.warning("the record %s of the run before cannot be read (%s)", path, error)
+        return None
+
+
+def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> bool:
+    """Whether campaign, settings, test, deck and solver are those of the run before."""
+    if (campaign.text, "\n".join(campaign.settings)) != (earlier.campaign_text, earlier.settings):
+        return False
+    modes = campaign.test.modes
+    test = (
+        np.array(campaign.test.numbers), modes.frequencies_hz, modes.mode_shapes,
+        modes.nodes, modes.components,
+    )  # fmt: skip
+    if not all(np.array_equal(now, then) for now, then in zip(test, earlier.test, strict=True)):
+        return False
+    # The key of the first job stands for all that the deck and the solver are.
+    return engine.key(Job(earlier.started, campaign_analysis(campaign))) == earlier.modal_key
+
+
+def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) -> Campaign:
+    """The campaign with the start that its `update: start` asks for."""
+    if campaign.update.start == "deck":
+        return campaign
+    if earlier is None:
+        logger.info("there is no run before to start from; starting from the deck")
+        return campaign
+    if is_unchanged(campaign, engine, earlier):
+        names = campaign.parameters.names
+        return replace(campaign, begin=tuple(earlier.started[name] for name in names))
+    begin = []
+    for item in campaign.parameters.parameters:
+        deck_value = campaign.solver.deck_value(item)
+        value = earlier.updated.get(item.name, np.nan)
+        relative = value / deck_value if deck_value else np.nan
+        known = np.isfinite(relative)
+        begin.append(float(np.clip(relative, item.lower, item.upper)) if known else item.initial)
+    logger.info("starting from the parameters that the run before ended on")
+    return replace(campaign, begin=tuple(begin))
+
+
+def _test_arrays(group: h5py.Group) -> tuple[Floats, ...]:
+    names = ("numbers", "frequencies_hz", "mode_shapes", "nodes", "components")
+    return tuple(group[name][()] for name in names)

@@ -1,0 +1,328 @@
+"""Prefect's side of campaigns: what its pages show, deployments, schedules, and starts."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import h5py
+import numpy as np
+import pytest
+
+from modetune.core.criteria import Tolerances
+from modetune.core.errors import CampaignRunning
+from modetune.core.modes import MeasuredModes
+from modetune.core.parameters import Parameter
+from modetune.flows import artifacts, server
+from modetune.flows.campaign import Campaign
+from modetune.flows.running import job_engine, update_campaign
+from modetune.flows.starting import is_unchanged, read_earlier, start_of
+
+from .conftest import Bench, ScriptedSolver, Watcher
+
+SIX_MASS = Path(__file__).resolve().parents[2] / "configs" / "six_mass"
+TRUTH = {"k1": 1.2, "k4": 0.9}
+#: A later test of the same structure.
+AGED = {"k1": 1.1, "k4": 0.85}
+
+
+def ran(bench: Bench, campaign: Campaign, watcher: Watcher) -> Any:
+    return update_campaign(campaign, bench.folder / "run", watcher).record
+
+
+def from_last(campaign: Campaign) -> Campaign:
+    return replace(campaign, update=campaign.update.model_copy(update={"start": "last"}))
+
+
+def test_a_key_of_a_sheet_is_one_that_prefect_takes() -> None:
+    assert artifacts.sheet_key("GARTEUR_wing.v2", "mac") == "garteur-wing-v2-mac"
+
+
+def test_sheets_show_rounded_numbers_bounds_and_standard_errors(
+    bench: Bench, watcher: Watcher
+) -> None:
+    record = ran(bench, bench.campaign(TRUTH, shapes=True), watcher)
+    sheets = {sheet.key: sheet for sheet in artifacts.result_sheets(record, bench.folder)}
+    assert set(sheets) == {f"chain-{kind}" for kind in ("frequencies", "parameters", "record",
+                                                        "mac")}  # fmt: skip
+    assert all(re.fullmatch(r"[a-z0-9-]+", key) for key in sheets)
+    first = json.loads(str(sheets["chain-parameters"].data))[0]
+    assert (first["parameter"], first["updated"], first["bounds"]) == ("k1", "1.2000", "0.3 .. 3")
+    assert float(first["standard error"]) > 0.0
+    modes = json.loads(str(sheets["chain-frequencies"].data))
+    assert [row["mode"] for row in modes] == [1, 2, 3, 4, 5]
+    assert list(modes[0])[:3] == ["mode", "test Hz", "before Hz"]  # columns stay in this order
+    assert str(bench.folder / "campaign.h5") in str(sheets["chain-record"].data)
+    picture = str(sheets["chain-mac"].data)
+    assert picture.startswith("![MAC](data:image/png;base64,iVBOR")
+    assert len(picture) < artifacts.LARGEST_PICTURE + 100
+
+
+def test_there_is_no_mac_picture_where_no_shapes_were_measured(
+    bench: Bench, watcher: Watcher
+) -> None:
+    record = ran(bench, bench.campaign(TRUTH), watcher)
+    assert not any("mac" in sheet.key for sheet in artifacts.result_sheets(record, bench.folder))
+
+
+def test_progress_is_the_tolerance_over_the_largest_error_and_ends_at_100(
+    bench: Bench, watcher: Watcher
+) -> None:
+    record = ran(bench, bench.campaign(TRUTH), watcher)
+    start = record.iterations[0]
+    half = Tolerances(frequency=0.5 * start.worst_error, mac=0.0)
+    assert artifacts.progress_sheets("chain", half, [start])[0].data == pytest.approx(50.0)
+    done = artifacts.progress_sheets("chain", Tolerances(1e-8, 0.0), record.iterations)
+    assert done[0].data == 100.0
+    rows = json.loads(str(done[1].data))
+    assert [row["iteration"] for row in rows] == [item.number for item in record.iterations]
+
+
+def test_a_server_that_is_gone_costs_the_campaign_one_warning(
+    bench: Bench, watcher: Watcher, caplog: pytest.LogCaptureFixture
+) -> None:
+    from prefect.settings import PREFECT_API_URL, temporary_settings
+
+    record = ran(bench, bench.campaign(TRUTH), Watcher())
+    with temporary_settings({PREFECT_API_URL: "http://127.0.0.1:9/api"}):  # nobody listens there
+        post = artifacts.ArtifactPost(watcher, Tolerances(0.01, 0.9), "chain", uuid4())
+        with caplog.at_level(logging.WARNING, logger="modetune"):
+            for item in record.iterations:
+                post.iteration(item)
+            post.result(record, bench.folder)
+            post.close()
+    assert len(watcher.lines) == len(record.iterations)
+    said = [entry for entry in caplog.records if entry.name == "modetune.flows.artifacts"]
+    assert len(said) == 1
+
+
+def test_a_second_run_of_the_same_campaign_is_unchanged_and_costs_nothing(
+    bench: Bench, watcher: Watcher
+) -> None:
+    campaign = from_last(bench.campaign(TRUTH))
+    first = ran(bench, campaign, watcher)
+    cost = bench.runs()
+    earlier = read_earlier(bench.folder / "run")
+    assert earlier is not None
+    assert is_unchanged(campaign, job_engine(campaign), earlier)
+    again = ran(bench, campaign, watcher)
+    assert bench.runs() == cost
+    assert again.updated.tolist() == first.updated.tolist()
+
+
+def test_new_test_data_starts_from_the_last_updated_parameters_when_asked(
+    bench: Bench, watcher: Watcher
+) -> None:
+    first = ran(bench, from_last(bench.campaign(TRUTH)), watcher)
+    changed = bench.campaign(AGED)
+    earlier = read_earlier(bench.folder / "run")
+    assert earlier is not None
+    assert not is_unchanged(changed, job_engine(changed), earlier)
+    assert start_of(changed, job_engine(changed), earlier).start.tolist() == [1.0, 1.0]
+    second = ran(bench, from_last(changed), watcher)
+    assert second.iterations[0].parameters == pytest.approx(first.updated, rel=1e-12)
+    assert second.updated == pytest.approx([1.1, 0.85], rel=1e-6)
+    cost = bench.runs()
+    third = ran(bench, from_last(changed), watcher)  # nothing changed: the same start once more
+    assert bench.runs() == cost
+    assert third.iterations[0].parameters.tolist() == second.iterations[0].parameters.tolist()
+
+
+def test_the_last_values_are_kept_where_the_deck_was_replaced_by_the_updated_one(
+    bench: Bench, watcher: Watcher
+) -> None:
+    first = ran(bench, bench.campaign(TRUTH), watcher)
+
+    class Updated(ScriptedSolver):
+        """Its deck has the updated values."""
+
+        def deck_value(self, parameter: Parameter) -> float:
+            return super().deck_value(parameter) * TRUTH[parameter.name]
+
+    campaign = replace(from_last(bench.campaign(AGED)), solver=Updated(bench.folder))
+    earlier = read_earlier(bench.folder / "run")
+    begin = start_of(campaign, job_engine(campaign), earlier).start
+    assert begin == pytest.approx(first.updated / np.array([1.2, 0.9]), rel=1e-12)
+
+
+def test_a_start_outside_the_bounds_is_brought_onto_them(bench: Bench, watcher: Watcher) -> None:
+    ran(bench, bench.campaign(TRUTH), watcher)
+    narrow = from_last(bench.campaign(AGED, bounds=(0.95, 1.15)))
+    begin = start_of(narrow, job_engine(narrow), read_earlier(bench.folder / "run")).start
+    assert begin.tolist() == [1.15, 0.95]
+
+
+def test_a_parameter_that_is_new_starts_at_its_initial_value(
+    bench: Bench, watcher: Watcher
+) -> None:
+    ran(bench, bench.campaign({"k1": 1.2}), watcher)
+    wider = from_last(bench.campaign(TRUTH))
+    begin = start_of(wider, job_engine(wider), read_earlier(bench.folder / "run")).start
+    assert begin == pytest.approx([1.2, 1.0], rel=1e-6)
+
+
+def test_a_record_that_cannot_be_read_is_told_and_the_deck_is_the_start(
+    bench: Bench, watcher: Watcher, caplog: pytest.LogCaptureFixture
+) -> None:
+    (bench.folder / "run").mkdir()
+    (bench.folder / "run" / "campaign.h5").write_bytes(b"half a file")
+    with caplog.at_level(logging.WARNING, logger="modetune"):
+        record = ran(bench, from_last(bench.campaign(TRUTH)), watcher)
+    assert "cannot be read" in caplog.text
+    assert record.iterations[0].parameters.tolist() == [1.0, 1.0]
+
+
+def test_a_test_that_measured_more_modes_is_a_change(bench: Bench, watcher: Watcher) -> None:
+    campaign = bench.campaign(TRUTH)
+    ran(bench, campaign, watcher)
+    earlier = read_earlier(bench.folder / "run")
+    assert earlier is not None
+    numbers = (1, 2, 3, 4)
+    fewer = replace(campaign, test=MeasuredModes(numbers, bench.measured(TRUTH, numbers, False)))
+    assert not is_unchanged(fewer, job_engine(fewer), earlier)
+
+
+def test_a_campaign_under_way_is_an_error_of_its_own(bench: Bench, watcher: Watcher) -> None:
+    (bench.folder / "run").mkdir()
+    with (bench.folder / "run" / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(CampaignRunning, match="under way"):
+            ran(bench, bench.campaign(TRUTH), watcher)
+
+
+class Site:
+    """A folder with the six-mass campaign, and a shared server of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.home = folder / "home"
+        for file in SIX_MASS.iterdir():
+            if file.is_file():
+                shutil.copyfile(file, folder / file.name)
+
+    def run(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "modetune.flows", *arguments],
+            cwd=self.folder, capture_output=True, text=True, timeout=200, check=False,
+            env={**os.environ, server.HOME_VARIABLE: str(self.home), **environment},
+        )  # fmt: skip
+
+    def ask(self, path: str, content: object = None) -> Any:
+        """What the server answers to a request."""
+        address = server.read_address(self.home)
+        assert address is not None
+        request = urllib.request.Request(
+            address.url + path, headers={"Content-Type": "application/json"},
+            data=None if content is None else json.dumps(content).encode(),
+        )  # fmt: skip
+        with urllib.request.urlopen(request, timeout=20.0) as reply:
+            return json.loads(reply.read())
+
+    def run_deployed(self) -> Any:
+        """Ask for a run of the deployment, let a worker do what is due, and give the flow run."""
+        deployment = self.ask("/deployments/name/update/six-mass")
+        asked = self.ask(
+            f"/deployments/{deployment['id']}/create_flow_run", {"state": {"type": "SCHEDULED"}}
+        )
+        worked = self.run("worker", "--once")
+        assert worked.returncode == 0, worked.stderr
+        assert worked.stdout == ""
+        assert "prefect" not in worked.stderr.lower()
+        return self.ask(f"/flow_runs/{asked['id']}")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    site = Site(tmp_path_factory.mktemp("site"))
+    yield site
+    server.stop_server(site.home)
+
+
+def test_a_deployed_campaign_runs_once_and_says_when_nothing_changed(site: Site) -> None:
+    deployed = site.run("deploy", "campaign.yaml", "--json")
+    assert deployed.returncode == 0, deployed.stderr
+    told = json.loads(deployed.stdout)
+    assert (told["deployment"], told["pool"]) == ("update/six-mass", "modetune")
+    first = site.run_deployed()
+    assert (first["name"], first["state_name"]) == ("six-mass", "Converged")
+    found = site.ask("/artifacts/filter", {"artifacts": {"flow_run_id": {"any_": [first["id"]]}}})
+    assert {item["key"] for item in found} == {
+        f"six-mass-{kind}"
+        for kind in ("progress", "iterations", "frequencies", "parameters", "mac", "record")
+    }
+    logs = site.ask("/logs/filter", {"logs": {"flow_run_id": {"any_": [first["id"]]}}})
+    assert any("iteration 1" in line["message"] for line in logs)
+    second = site.run_deployed()
+    assert second["state_name"] == "Unchanged"
+    assert "no solver run" in second["state"]["message"]
+    with h5py.File(site.folder / "runs" / "six-mass" / "campaign.h5") as file:
+        assert file.attrs["runs_modal"] == file.attrs["runs_sensitivity"] == 0
+
+
+def test_a_deployed_campaign_that_is_running_is_not_started_twice(site: Site) -> None:
+    site.run("deploy", "campaign.yaml")
+    folder = site.folder / "runs" / "six-mass"
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        run = site.run_deployed()
+    assert (run["state_type"], run["state_name"]) == ("COMPLETED", "Already running")
+
+
+def test_a_deployed_campaign_that_was_spoilt_since_fails_with_its_reason(site: Site) -> None:
+    site.run("deploy", "campaign.yaml")
+    good = (site.folder / "campaign.yaml").read_text()
+    (site.folder / "campaign.yaml").write_text(good.replace("elset: k2", "elset: none"))
+    try:
+        run = site.run_deployed()
+    finally:
+        (site.folder / "campaign.yaml").write_text(good)
+    assert run["state_type"] == "FAILED"
+    assert "campaign.yaml, line" in run["state"]["message"]
+
+
+def test_a_schedule_puts_runs_on_the_server(site: Site) -> None:
+    said = site.run("deploy", "campaign.yaml", "--cron", "0 2 * * *", "--name", "nightly")
+    assert "modetune worker --pool modetune" in said.stdout
+    deployment = site.ask("/deployments/name/update/nightly")
+    runs: list[Any] = []
+    deadline = time.monotonic() + 60.0
+    while not runs and time.monotonic() < deadline:  # the scheduler looks every few seconds
+        time.sleep(0.2)
+        runs = site.ask(
+            "/flow_runs/filter", {"flow_runs": {"deployment_id": {"any_": [deployment["id"]]}}}
+        )
+    assert runs
+    assert all(item["expected_start_time"][11:16] == "02:00" for item in runs)
+
+
+@pytest.mark.parametrize(
+    "schedule", [["--cron", "0 2 * *"], ["--cron", "0 2 * * *", "--timezone", "Mars/Base"]]
+)
+def test_a_schedule_that_is_none_is_one_sentence(site: Site, schedule: list[str]) -> None:
+    for command in ("deploy", "serve"):
+        result = site.run(command, "campaign.yaml", *schedule)
+        assert result.returncode == 2
+        assert result.stderr.startswith("modetune: the schedule ")
+        assert result.stderr.count("\n") == 1
+
+
+def test_a_server_that_does_not_answer_is_one_sentence(tmp_path: Path) -> None:
+    lonely = Site(tmp_path)
+    result = lonely.run("deploy", "campaign.yaml", PREFECT_API_URL="http://127.0.0.1:9/api")
+    assert result.returncode == 2
+    assert result.stderr.startswith("modetune: Prefect's server at http://127.0.0.1:9/api does not")
+    assert result.stderr.count("\n") == 1
