@@ -109,6 +109,10 @@ class Solver(Protocol):
         """The value the deck gives the parameter's quantity (the first one if several)."""
         ...
 
+    def written(self, parameter: Parameter, value: float) -> float:
+        """The relative value that an edited deck really holds; fields may have few digits."""
+        ...
+
     def wave_speeds(self) -> dict[str, float]:
         """Root of E over density of each material that has both, in the deck's units."""
         ...

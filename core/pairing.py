@@ -24,6 +24,8 @@ from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
 
 #: Below this MAC a pair is no pair (the usual limit for "uncorrelated" is 0.2 to 0.4).
 LOST_MAC = 0.3
+#: A shape this small beside the largest one is rounding.
+AT_REST = 1e-7
 #: Modes whose frequencies differ by less than this share are a cluster.
 CLUSTER = 0.015
 #: How much a relative frequency difference of 100 % weighs against a MAC of 1 as tie-break.
@@ -66,7 +68,8 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
     rows_m, rows_c = common_dofs(measured, computed)
     if rows_m.size == 0:
         raise ModesError("no sensor of the test is a node of the model's results")
-    shapes_m, shapes_c = measured.mode_shapes[rows_m], computed.mode_shapes[rows_c]
+    shapes_m = measured.mode_shapes[rows_m]
+    shapes_c = without_rounding(computed.mode_shapes[rows_c])
     table = _mac_or_zero(shapes_m, shapes_c)
     apart = np.abs(computed.frequencies_hz[None, :] / measured.frequencies_hz[:, None] - 1.0)
     cost = -(table - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
@@ -115,13 +118,14 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     """
     if computed.n_modes < before.computed.size:
         raise LostMode(f"only {computed.n_modes} elastic modes for {before.computed.size} pairs")
-    table = _mac_or_zero(previous.mode_shapes[:, before.computed], computed.mode_shapes)
+    shapes_before = without_rounding(previous.mode_shapes)[:, before.computed]
+    shapes_now = without_rounding(computed.mode_shapes)
+    table = _mac_or_zero(shapes_before, shapes_now)
     rows, columns = linear_sum_assignment(-table)
     reasons = []
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         cluster = close_modes(computed.frequencies_hz, column)
-        shape = previous.mode_shapes[:, before.computed[row]]
-        space = _space_or_zero(shape, computed.mode_shapes[:, cluster])
+        space = _space_or_zero(shapes_before[:, row], shapes_now[:, cluster])
         if max(table[row, column], space) < LOST_MAC:
             raise LostMode(
                 f"the elastic mode at {previous.frequencies_hz[before.computed[row]]:.4g} Hz, one "
@@ -137,16 +141,25 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
 
 
 def _mac_or_zero(first: Shapes, second: Shapes) -> Floats:
-    """MAC where a computed mode may rest at all sensors: it resembles nothing measured."""
-    moving = np.any(second != 0.0, axis=0)
+    """MAC where a mode may rest at all sensors: it resembles nothing."""
     table = np.zeros((first.shape[1], second.shape[1]))
-    table[:, moving] = mac(first, second[:, moving])
+    rows, columns = first.any(axis=0), second.any(axis=0)
+    table[np.ix_(rows, columns)] = mac(first[:, rows], second[:, columns])
     return table
 
 
 def _space_or_zero(shape: Shapes, basis: Shapes) -> float:
-    moving = basis[:, np.any(basis != 0.0, axis=0)]
-    return subspace_mac(shape, moving) if moving.shape[1] else 0.0
+    moving = basis[:, basis.any(axis=0)]
+    return subspace_mac(shape, moving) if moving.shape[1] and shape.any() else 0.0
+
+
+def without_rounding(shapes: Shapes) -> Shapes:
+    """Shapes (n_dof, n_modes), zero where they rest at the sensors but for rounding.
+
+    A mode of rotations alone, such as the torsion of beams on one axis, leaves noise there.
+    """
+    size = np.abs(shapes).max(axis=0, initial=0.0)
+    return np.where(size > AT_REST * size.max(initial=0.0), shapes, 0.0)
 
 
 def close_modes(frequencies_hz: Floats, mode: int, width: float = CLUSTER) -> Integers:

@@ -41,11 +41,6 @@ TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
     "matrix_factor": ("part",),
 }
 
-#: Quantities that change a shape, and with it what the unknowns of an expanded mesh stand for.
-GEOMETRY: frozenset[Quantity] = frozenset(
-    {"thickness", "area", "inertia_1", "inertia_2", "torsion_constant", "dimension"}
-)
-
 #: Values of parameters by name, relative to the deck.
 Values = Mapping[str, float]
 

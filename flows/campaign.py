@@ -306,6 +306,11 @@ def _result_nodes(test: MeasuredModes, solver: Solver) -> tuple[int, ...]:
     """Sensor nodes, or where there are none a spread of nodes to track modes by."""
     if test.has_shapes:
         return tuple(np.unique(test.modes.nodes).tolist())
-    nodes = np.array(sorted(solver.model.node_ids))
+    return tracking_nodes(solver.model.node_ids)
+
+
+def tracking_nodes(node_ids: frozenset[int]) -> tuple[int, ...]:
+    """A spread of nodes whose shapes tell modes apart."""
+    nodes = np.array(sorted(node_ids))
     spread = np.linspace(0, nodes.size - 1, min(TRACKING_NODES, nodes.size)).round()
     return tuple(nodes[np.unique(spread.astype(np.int64))].tolist())

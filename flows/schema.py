@@ -152,7 +152,7 @@ class SensitivitySection(_Section):
     method: Method = "auto"
     between: Literal["keep", "broyden"] = "broyden"
     difference: Literal["forward", "central"] = "forward"
-    step: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02
+    step: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
 
 
 class RetriesSection(_Section):

@@ -18,10 +18,10 @@ from scipy import sparse
 
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.eigen import solve_modes
-from modetune.core.errors import ModesError
+from modetune.core.errors import ModelError, ModesError
 from modetune.core.keys import Json
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import GEOMETRY, ParameterSet
+from modetune.core.parameters import ParameterSet
 from modetune.core.results import MatrixResult, ModeDerivatives
 from modetune.core.sensitivity import fox_kapoor, nelson, stack_derivatives
 from modetune.flows.engine import Job, JobEngine
@@ -79,11 +79,9 @@ class SemiAnalytic:
         faces), whose derivative it gives exactly. Where shells meet they are not, and then what
         the stiffness across the thickness adds drowns the bending; a second pair tells.
         """
-        parameter = self.parameters.parameters[column]
-        if self.engine.solver.is_linear(parameter):
+        if self.engine.solver.is_linear(self.parameters.parameters[column]):
             return (LINEAR_FACTOR,)
-        pairs = (1.0, 2.0) if parameter.quantity in GEOMETRY else (1.0,)
-        return tuple(factor for times in pairs for factor in _pair(1.0 + times * self.step))
+        return (*_pair(1.0 + self.step), *_pair(1.0 + 2.0 * self.step))
 
     def jobs(self, theta: Floats, column: int) -> tuple[Job, ...]:
         """The matrix jobs of a column."""
@@ -150,7 +148,10 @@ class SemiAnalytic:
         low = base if len(ends) == 1 else ends[1]
         reference = self.parameters.initial if self.constant else theta
         upper, lower = (*factors[2 * pair :], 1.0)[:2]
-        width = (upper - lower) * float(reference[column])
+        parameter, solver = self.parameters.parameters[column], self.engine.solver
+        high, below = (solver.written(parameter, factor * float(reference[column]))
+                       for factor in (upper, lower))  # fmt: skip
+        width = high - below
         return (
             sparse.csr_array((ends[0].stiffness - low.stiffness) / width),
             sparse.csr_array((ends[0].mass - low.mass) / width),
@@ -170,8 +171,8 @@ class SemiAnalytic:
         if apart > PAIR_TOLERANCE:
             raise UnlikeMatrices(
                 f"the derivatives with respect to {self.parameters.names[column]} from two pairs "
-                f"of stored matrices differ by {100 * apart:.2g} %: where shells meet, matrices do "
-                "not tell what their thickness does; use `auto` or finite_difference"
+                f"of stored matrices differ by {100 * apart:.2g} %, as where shells of another "
+                "thickness meet; use `auto` or finite_difference"
             )
 
     def _of_modes(
@@ -182,9 +183,15 @@ class SemiAnalytic:
     ) -> dict[int, ModeDerivatives]:
         elastic, paired = point.modal.elastic, point.pairing.computed
         n_modes = point.modal.modes.n_modes
-        eigenvalues, shapes = solve_modes(
-            base.stiffness, base.mass, n_modes, shift=-0.1 * float(elastic.eigenvalues[0])
-        )
+        try:
+            eigenvalues, shapes = solve_modes(
+                base.stiffness, base.mass, n_modes, shift=-0.1 * float(elastic.eigenvalues[0])
+            )
+        except ModelError as error:
+            raise UnlikeMatrices(
+                f"the stored matrices cannot be solved, as happens with very thin shells that are "
+                f"expanded to solids ({error})"
+            ) from error
         modes = paired + point.modal.n_rigid
         apart = np.abs(eigenvalues[modes] / elastic.eigenvalues[paired] - 1.0)
         # Rigid modes, which should have none, show what the rounding of the matrices' text adds.

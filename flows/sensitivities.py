@@ -25,7 +25,7 @@ from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.pairing import pair_by_tracking
-from modetune.core.parameters import GEOMETRY, Parameter, ParameterSet
+from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.results import ModalResult, ModeDerivatives
 from modetune.core.sensitivity import stack_derivatives, strain_energy_derivative
 from modetune.flows.engine import Job, JobEngine
@@ -64,13 +64,14 @@ class Sensitivities:
     def without_energies(self, parameter: Parameter) -> Exact:
         """The cheapest method that needs no strain energies.
 
-        Matrices are not asked where a parameter moves the unknowns of shells: see
-        `semi_analytic.py`.
+        Matrices are asked where they are linear in the parameter: then they are exact, once and
+        for all. Where they are not, two runs for matrices cost more than one for modes, and a
+        thickness moves the unknowns of shells (see `semi_analytic.py`).
         """
         solver = self.engine.solver
         shapes_found = solver.model.solid_shapes or not self.with_shapes
-        fixed = solver.is_linear(parameter) or parameter.quantity not in GEOMETRY
-        if solver.capabilities.matrices and shapes_found and fixed:
+        linear = solver.is_linear(parameter)
+        if solver.capabilities.matrices and shapes_found and linear:
             return "semi_analytic"
         return "solver" if self._by_solver else "finite_difference"
 
@@ -182,9 +183,17 @@ class Sensitivities:
     # finite differences
 
     def _perturbed(self, theta: Floats, column: int) -> list[Mapping[str, float]]:
-        signs = (1.0, -1.0) if self.settings.difference == "central" else (1.0,)
         step = self.settings.step
-        return [self.parameters.values(scaled(theta, column, 1.0 + sign * step)) for sign in signs]
+        return [
+            self.parameters.values(scaled(theta, column, 1.0 + sign * step)) for sign in self._signs
+        ]
+
+    @property
+    def _signs(self) -> tuple[float, ...]:
+        return (1.0, -1.0) if self.settings.difference == "central" else (1.0,)
+
+    def _written(self, column: int, value: float) -> float:
+        return self.engine.solver.written(self.parameters.parameters[column], value)
 
     def _finite_difference(self, point: Point, column: int) -> ModeDerivatives:
         base = point.modal.elastic
@@ -192,7 +201,10 @@ class Sensitivities:
         paired = base.select(point.pairing.computed)
         here = (paired.eigenvalues, np.real(paired.mode_shapes))
         low = here if len(ends) == 1 else ends[1]
-        width = len(ends) * self.settings.step * float(point.theta[column])
+        factors = [1.0 + sign * self.settings.step for sign in self._signs]
+        moved = [self._written(column, factor * float(point.theta[column])) for factor in factors]
+        here_value = self._written(column, float(point.theta[column]))
+        width = moved[0] - (moved[1] if len(ends) > 1 else here_value)
         shapes = (ends[0][1] - low[1]) / width
         return ModeDerivatives(
             ((ends[0][0] - low[0]) / width)[:, None],

@@ -83,6 +83,9 @@ class SlurmSolver:
     def deck_value(self, parameter: Parameter) -> float:
         return self.solver.deck_value(parameter)
 
+    def written(self, parameter: Parameter, value: float) -> float:
+        return self.solver.written(parameter, value)
+
     def wave_speeds(self) -> dict[str, float]:
         return self.solver.wave_speeds()
 

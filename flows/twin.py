@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypedDict
 
@@ -19,7 +19,7 @@ from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.pairing import Pairing, pair_by_shape
 from modetune.core.results import ModalResult
-from modetune.flows.campaign import EXTRA_MODES, load_campaign
+from modetune.flows.campaign import EXTRA_MODES, Campaign, load_campaign, tracking_nodes
 from modetune.flows.modal_run import model_modes, parse_values
 
 
@@ -65,26 +65,30 @@ def run_twin(
     """
     if len(set(solvers)) != len(solvers):
         raise CampaignError(f"--solvers names one twice: {', '.join(solvers)}")
-    done: list[SolverModes] = []
+    campaigns: list[Campaign] = []
     absent: list[tuple[str, str]] = []
-    name = campaign_file.stem
     for solver in solvers:
         try:
             campaign = load_campaign(campaign_file, [*settings, f"model.solver={solver}"])
-            version = campaign.solver.version()
+            campaign.solver.version()
+            campaigns.append(campaign)
         except (CampaignError, SolverMissing) as error:
             absent.append((solver, str(error)))
-            continue
-        name = campaign.name
+    if not campaigns:
+        raise CampaignError([f"{solver}: {reason}" for solver, reason in absent])
+    # Shapes at a few sensors would not tell modes apart.
+    nodes = tracking_nodes(frozenset.intersection(*(c.solver.model.node_ids for c in campaigns)))
+    done: list[SolverModes] = []
+    for campaign in campaigns:
+        campaign = replace(campaign, nodes=nodes)
         started = time.monotonic()
         result = model_modes(campaign, parse_values(campaign, at))
         wall_s = time.monotonic() - started
         first = done[0].result if done else result
         pairing = _pairs(first.elastic, result.elastic)
-        done.append(SolverModes(solver, version, wall_s, result, pairing))
-    if not done:
-        raise CampaignError([f"{solver}: {reason}" for solver, reason in absent])
-    return Twin(name, tuple(done), tuple(absent))
+        name, version = campaign.solver.name, campaign.solver.version()
+        done.append(SolverModes(name, version, wall_s, result, pairing))
+    return Twin(campaigns[0].name, tuple(done), tuple(absent))
 
 
 def _pairs(first: ModeSet, second: ModeSet) -> Pairing:

@@ -69,6 +69,9 @@ class MatricesSolver:
     def deck_value(self, parameter: Parameter) -> float:
         return self.deck.model.targets(parameter)[0].value
 
+    def written(self, parameter: Parameter, value: float) -> float:
+        return value
+
     def wave_speeds(self) -> dict[str, float]:
         return {}
 

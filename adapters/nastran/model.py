@@ -80,6 +80,19 @@ class NastranModel:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
         return find_places(self.structure, parameter)
 
+    def written(self, parameter: Parameter, factor: float) -> float:
+        """The factor that the edited deck holds: eight columns cannot hold every number."""
+        if factor == 1.0:
+            return factor
+        ratios = []
+        for place in self.places(parameter):
+            field = place.card.fields[place.field]
+            assert field is not None  # a place holds a number
+            (text,) = changed_lines(self.deck, {field: place.value * factor}).values()
+            behind = len(self.deck.lines[field.line].text) - field.stop
+            ratios.append(read_number(text[field.start : len(text) - behind]) / place.value)
+        return sum(ratios) / len(ratios)
+
     def problems(self, parameters: Iterable[Parameter]) -> list[str]:
         """Why these parameters cannot be applied to the deck, a sentence each; empty if fine."""
         found = []

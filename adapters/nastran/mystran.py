@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from modetune.adapters.nastran.deck import Deck
+from collections.abc import Mapping
+
+from modetune.adapters.nastran.deck import Card, Deck
+from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.core.errors import ModelError
 
-#: Cards that change modes and that MYSTRAN does not have.
-UNSUPPORTED = frozenset({
-    "CBEAM", "PBEAM", "PBEAML", "PBCOMP", "CBEND", "PBEND", "CTUBE", "PTUBE", "CBUSH1D", "CGAP",
-    "CWELD", "CFAST", "CSEAM", "CQUADR", "CTRIAR", "CTRIA6", "CQUADX", "CTRIAX", "CTRIAX6",
-    "CPYRAM", "CONM1", "GENEL", "DMIG", "RROD", "RTRPLT", "RJOINT", "ACMODL", "NSM", "NSM1",
-    "NSML", "NSML1", "PCOMPG", "SUPORT1", "RELEASE", "SESET",
+#: Cards whose modes by MYSTRAN were compared with another solver's or a closed form. What is
+#: neither here nor harmless is refused: MYSTRAN passes over some cards without a word.
+COMPARED = frozenset({
+    "GRID", "CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S", "PARAM", "CQUAD4", "CTRIA3",
+    "CHEXA", "CPENTA", "CTETRA", "CBAR", "CROD", "CONROD", "CELAS1", "CELAS2", "CBUSH", "CONM2",
+    "PSHELL", "PCOMP", "PSOLID", "PBAR", "PBARL", "PROD", "PELAS", "PBUSH", "MAT1", "MAT8", "RBE2",
+    "RBE3", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD",
 })  # fmt: skip
+#: Cross-sections of PBARL whose stiffness it has right.
+SECTIONS = frozenset({
+    "BAR", "ROD", "TUBE", "TUBE2", "I", "I1", "H", "T", "T2", "Z", "CROSS", "CHAN",
+})  # fmt: skip
+#: Fields: type of a PBARL; TFLAG of shells; frame of a GRID's results; grid point, offset and
+#: inertia of a CONM2; the first ply of a PCOMP and the distance of plies; densities of materials.
+PBARL_TYPE, GRID_CD, CONM2_GRID, PLY, PLIES_APART = 4, 6, 2, 9, 4
+TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
+CONM2_BODY = (5, 6, 7, 9, 10, 11, 12, 13, 14)
+DENSITIES = {"MAT1": 5, "MAT8": 8}
 #: Springs and the fields of their two nodes.
 SPRINGS = {"CELAS1": (3, 5), "CELAS2": (3, 5)}
 #: Field of a PSOLID that says how many points a solid is integrated with.
@@ -38,20 +52,51 @@ def adapted_cards(deck: Deck) -> dict[int, str]:
     Its solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two points
     a direction). Raises ModelError for all cards it cannot take, with the lines they stand in.
     """
-    problems, adapted = [], {}
+    adapted = {}
+    problems: dict[str, list[str]] = {}
+    frames = {card.text(1): card.text(GRID_CD) for card in deck.named("GRID")}
+    densities = {
+        card.text(1): card.text(field)
+        for name, field in DENSITIES.items()
+        for card in deck.named(name)
+    }
     for card in deck.cards:
-        where = deck.where(card)
-        if card.name in UNSUPPORTED:
-            problems.append(f"{where}: MYSTRAN has no {card.name}")
-        elif any(card.text(node) in ("", "0") for node in SPRINGS.get(card.name, ())):
-            problems.append(
-                f"{where}: in MYSTRAN a {card.name} to ground needs a node there that is held "
-                "(123456 in field 8 of its GRID)"
-            )
+        reason = _obstacle(card, frames, densities)
+        if reason:
+            problems.setdefault(reason, []).append(deck.where(card))
         elif card.name == "PSOLID" and not card.text(INTEGRATION):
             texts = [card.text(field) for field in range(1, max(len(card.fields), INTEGRATION + 1))]
             texts[INTEGRATION - 1] = "2"
             adapted[card.lines[0]] = ",".join(["PSOLID", *texts])
     if problems:
-        raise ModelError("\n".join(problems))
+        raise ModelError("\n".join(
+            f"{places[0]}: {reason}" + (f" ({len(places)} such cards)" if len(places) > 1 else "")
+            for reason, places in problems.items()
+        ))  # fmt: skip
     return adapted
+
+
+def _obstacle(card: Card, frames: Mapping[str, str], densities: Mapping[str, str]) -> str:
+    """Why MYSTRAN cannot take a card, or takes it for another one; empty if it can.
+
+    frames: CD of the grid points; densities of materials, both as the deck writes them.
+    """
+    if card.name not in COMPARED | HARMLESS:
+        return f"MYSTRAN has no {card.name}, or its modes with it were never compared"
+    if any(card.text(node) in ("", "0") for node in SPRINGS.get(card.name, ())):
+        return (
+            f"in MYSTRAN a {card.name} to ground needs a node there that is held (123456 in field "
+            "8 of its GRID)"
+        )
+    if card.name == "PBARL" and card.text(PBARL_TYPE) not in SECTIONS:
+        return f"MYSTRAN has the stiffness of a {card.text(PBARL_TYPE)} section of PBARL wrong"
+    if card.name in TFLAGS and card.text(TFLAGS[card.name]) not in ("", "0"):
+        return f"MYSTRAN takes relative thicknesses (TFLAG 1) of {card.name} for thicknesses"
+    if card.name == "PCOMP":
+        plies = {card.text(place) for place in range(PLY, len(card.fields), PLIES_APART)} - {""}
+        if len({densities.get(ply, "") for ply in plies}) > 1:
+            return "MYSTRAN has the mass of a PCOMP with plies of several densities wrong"
+    turned = frames.get(card.text(CONM2_GRID), "") not in ("", "0")
+    if card.name == "CONM2" and turned and any(card.text(field) for field in CONM2_BODY):
+        return "MYSTRAN turns offset and inertia of a CONM2 where its GRID has a CD frame"
+    return ""

@@ -88,6 +88,9 @@ class NastranSolver:
     def deck_value(self, parameter: Parameter) -> float:
         return self.deck.places(parameter)[0].value
 
+    def written(self, parameter: Parameter, value: float) -> float:
+        return self.deck.written(parameter, value)
+
     def wave_speeds(self) -> dict[str, float]:
         return self.deck.wave_speeds()
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from modetune.adapters.nastran.case_control import CaseControl
+from modetune.adapters.nastran.harmless import HARMLESS
 
 #: Translated, or looked at where they are used.
 TRANSLATED = frozenset(
@@ -21,30 +22,6 @@ TRANSLATED = frozenset(
     "PSHELL PCOMP PCOMPG PSOLID PLSOLID PBAR PBARL PBEAM PBEAML PBCOMP PROD PTUBE PELAS PBUSH "
     "MAT1 MAT2 MAT3 MAT8 MAT9 MAT10 MAT11 RBE1 RBE2 RBE3 RBAR RROD RSPLINE RBAR1 "
     "SPC SPC1 SPCADD SPCOFF SPCOFF1 MPC MPCADD PARAM MDLPRM".split()
-)
-#: Without effect on normal modes.
-HARMLESS = frozenset(
-    # beginnings and ends, methods, control
-    "ENDDATA BEGIN EIGRL EIGR EIGB EIGC EIGP ECHOON ECHOOFF INCLUDE "
-    # loads, temperatures and their tables
-    "LOAD FORCE FORCE1 FORCE2 MOMENT MOMENT1 MOMENT2 PLOAD PLOAD1 PLOAD2 PLOAD4 PLOADX1 GRAV "
-    "ACCEL ACCEL1 RFORCE SLOAD SPCD TEMP TEMPD TEMPP1 TEMPRB LSEQ LOADCYN DEFORM "
-    "DLOAD DAREA DPHASE DELAY RLOAD1 RLOAD2 TLOAD1 TLOAD2 RANDPS RANDT1 TIC NOLIN1 "
-    "FREQ FREQ1 FREQ2 FREQ3 FREQ4 FREQ5 TSTEP TSTEPNL NLPARM "
-    "TABLED1 TABLED2 TABLED3 TABLED4 TABLEM1 TABLEM2 TABLEM3 TABLEM4 TABLES1 TABLEST "
-    "TABRND1 TABRNDG TABDMP1 DTI "
-    # damping
-    "CDAMP1 CDAMP2 CDAMP3 CDAMP4 CDAMP5 PDAMP PDAMP5 PDAMPT CVISC PVISC "
-    # support of rigid bodies, which static solutions need
-    "SUPORT SUPORT1 "
-    # heat, and sets that only a matrix language program reads
-    "MAT4 MAT5 MATT4 MATT5 USET USET1 "
-    # drawing, sets and monitoring
-    "PLOTEL PLOTEL3 PLOTEL4 PLOTEL6 PLOTEL8 SET1 SET2 SET3 MONPNT1 MONPNT2 MONPNT3 "
-    "POINT GMCURV GMSURF CSSCHD "
-    # design
-    "DESVAR DVPREL1 DVPREL2 DVMREL1 DVMREL2 DVCREL1 DVCREL2 DRESP1 DRESP2 DRESP3 DCONSTR DCONADD "
-    "DEQATN DVGRID DVBSHAP DVSHAP DOPTPRM DSCREEN DLINK DDVAL DTABLE".split()
 )
 #: Parameters that change no frequency of a translated model, or are translated (WTMASS).
 PARAMETERS = frozenset(

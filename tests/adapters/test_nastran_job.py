@@ -397,3 +397,29 @@ def test_bulk_data_alone_holds_by_its_only_constraint_set(tmp_path: Path) -> Non
 def test_bulk_data_alone_with_several_constraint_sets_is_ambiguous(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="no case control, and SPC sets 1, 2 stand side by side"):
         job(tmp_path, BULK + "SPC1,2,123456,3\n")
+
+
+@pytest.mark.parametrize(
+    ("card", "message"),
+    [  # what MYSTRAN 18 was seen to get wrong without a word
+        ("CMASS2,40,.5,2,1\n", "CMASS2, or its modes with it were never compared"),
+        ("RBAR,40,2,3,123456\n", "RBAR"),
+        ("PBARL,4,1,,CHAN1\n,1.,1.,1.,1.\n", "stiffness of a CHAN1 section"),
+        ("CORD2R,7,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,9,,3.,0.,0.,7\nCONM2,41,9,,1.,.1\n",
+         "turns offset and inertia of a CONM2"),
+        ("MAT1,3,7.+4,,.3,2.7-9\nMAT1,4,7.+4,,.3,1.-10\nPCOMP,6\n,3,1.,0.,,4,1.,0.\n",
+         "plies of several densities"),
+        ("GRID,9,,1.,1.,0.\nPSHELL,5,1,.1\nCQUAD4,50,5,1,2,3,9\n,,1,1.,1.,1.,1.\n", "TFLAG 1"),
+    ],
+)  # fmt: skip
+def test_what_mystran_takes_for_something_else_is_refused_with_its_line(
+    card: str, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=rf"truss\.bdf, line \d+: .*{message}"):
+        job(tmp_path, HEAD + BULK + card, dialect=MYSTRAN)
+    assert job(tmp_path, HEAD + BULK + card, dialect=MSC)
+
+
+def test_cards_without_effect_on_modes_are_no_obstacle_for_mystran(tmp_path: Path) -> None:
+    loads = "FORCE,1,1,,1.,1.,0.,0.\nDESVAR,1,X,1.\nTABDMP1,5\n,0.,.01,ENDT\n"
+    assert "EIGRL" in job(tmp_path, HEAD + BULK + loads, dialect=MYSTRAN)

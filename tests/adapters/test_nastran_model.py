@@ -400,3 +400,27 @@ def test_the_aircraft_has_its_shells_and_masses(shared_data: Path) -> None:
     model = understand(read_deck(shared_data / "garteur" / "mystran" / "gart.dat"))
     # 322 GRID, 230 CQUAD4, 3 CONM2: README of the data.
     assert (len(model.summary.node_ids), model.summary.n_elements) == (322, 233)
+
+
+def test_a_written_value_is_what_the_columns_hold(tmp_path: Path) -> None:
+    # 1.111-10 times 1.005 is 1.116555-10; eight columns hold 1.117-10.
+    path = tmp_path / "bar.bdf"
+    path.write_text(
+        "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nMAT1,1,7.+10,,.3,2700.\n"
+        "PBAR           1       1    1.-51.111-101.111-101.111-10\nCBAR,1,1,1,2,0.,1.,0.\n"
+    )
+    model = understand(read_deck(path))
+    inertia = Parameter("I1", "inertia_1", "property", ("1",), 0.5, 2.0, 0.1)
+    assert model.written(inertia, 1.005) == pytest.approx(1.117 / 1.111, rel=1e-12)
+    assert model.written(inertia, 1.0) == 1.0
+    changed = model.edit([(inertia, 1.005)])
+    written = model.bulk_at(changed).properties[1].i1
+    assert written == pytest.approx(model.written(inertia, 1.005) * 1.111e-10, rel=1e-12)
+
+
+def test_a_mat8_without_transverse_shear_moduli_has_none(tmp_path: Path) -> None:
+    path = tmp_path / "ply.bdf"
+    path.write_text("MAT8,1,140.+9,10.+9,.3,5.+9,,,1600.\nMAT8,2,1.,1.,.3,1.,4.,5.\n")
+    materials = understand(read_deck(path)).bulk.materials
+    assert (materials[1].g1z, materials[1].g2z) == (0.0, 0.0)
+    assert (materials[2].g1z, materials[2].g2z) == (4.0, 5.0)

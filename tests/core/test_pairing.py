@@ -11,6 +11,7 @@ from modetune.core.errors import ModesError
 from modetune.core.modes import ModeSet, mode_set
 from modetune.core.pairing import (
     LostMode,
+    Pairing,
     close_modes,
     pair_by_order,
     pair_by_shape,
@@ -130,3 +131,17 @@ def test_close_modes_are_within_their_width() -> None:
     frequencies = np.array([10.0, 10.1, 12.0])
     assert close_modes(frequencies, 0).tolist() == [0, 1]
     assert close_modes(frequencies, 2).tolist() == [2]
+
+
+def test_a_shape_of_rounding_resembles_nothing() -> None:
+    # A torsion mode of beams on one axis turns and does not move: its translations are noise.
+    generator = np.random.default_rng(4)
+    shapes = generator.normal(size=(12, 3))
+    shapes[:, 1] = 1e-13 * generator.normal(size=12)
+    modes = mode_set(np.array([1.0, 2.0, 3.0]), shapes, np.arange(1, 13), np.ones(12))
+    before = Pairing(np.arange(3), np.arange(3), np.full(3, np.nan), np.full(3, np.nan), ("",) * 3)
+    with pytest.raises(LostMode, match="the elastic mode at 2 Hz"):
+        pair_by_tracking(before, modes, modes)
+    kept = before.computed[[0, 2]]
+    pairing = Pairing(np.arange(2), kept, np.full(2, np.nan), np.full(2, np.nan), ("",) * 2)
+    np.testing.assert_array_equal(pair_by_tracking(pairing, modes, modes).computed, kept)

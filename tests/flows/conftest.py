@@ -133,6 +133,9 @@ class ScriptedSolver:
         place = int(parameter.name[1:]) - 1
         return float((SPRINGS if parameter.name.startswith("k") else MASSES)[place])
 
+    def written(self, parameter: Parameter, value: float) -> float:
+        return value
+
     def wave_speeds(self) -> dict[str, float]:
         return {}
 

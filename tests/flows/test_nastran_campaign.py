@@ -16,6 +16,7 @@ import pytest
 from modetune.core.errors import CampaignError
 from modetune.core.record import CampaignRecord
 from modetune.flows.campaign import load_campaign
+from modetune.flows.modal_run import model_modes
 from modetune.flows.recording import summary
 from modetune.flows.running import update_campaign
 from modetune.flows.twin import run_twin
@@ -187,3 +188,78 @@ def test_a_calculix_deck_is_no_nastran_deck(tmp_path: Path) -> None:
     )
     with pytest.raises(CampaignError, match="is no Nastran deck; `solver: calculix`"):
         load_campaign(tmp_path / "cards.yaml")
+
+
+SHEET = """\
+name: sheet
+model: {deck: sheet.bdf, units: m-kg-s}
+test: {modes: sheet.csv}
+parameters:
+  - {name: rho, quantity: density, material: 1}
+  - {name: E, quantity: youngs_modulus, material: 1}
+"""
+
+
+def sheet(thickness: str, case: str = "", extra: str = "") -> str:
+    """A clamped plate, 1 x 0.6 m, 6 x 4 CQUAD4."""
+    grids = [
+        f"GRID,{1 + i + 7 * j},,{i / 6:.6f},{0.15 * j:.6f},0." for j in range(5) for i in range(7)
+    ]
+    quads = [
+        f"CQUAD4,{1 + i + 6 * j},1,{n},{n + 1},{n + 8},{n + 7}"
+        for j in range(4) for i in range(6) for n in (1 + i + 7 * j,)
+    ]  # fmt: skip
+    clamp = ",".join(str(1 + 7 * j) for j in range(5))
+    return "\n".join([
+        "SOL 103", "CEND", "SPC 1", *case.splitlines(), "BEGIN BULK", *grids, *quads,
+        f"PSHELL,1,1,{thickness},1,,1", "MAT1,1,7.+10,,.3,2700.", f"SPC1,1,123456,{clamp}",
+        *extra.splitlines(), "ENDDATA", "",
+    ])  # fmt: skip
+
+
+def sheet_campaign(folder: Path, deck: str) -> Path:
+    (folder / "sheet.bdf").write_text(deck)
+    (folder / "sheet.csv").write_text("mode,1,2\nfrequency_hz,1.,5.\n")
+    (folder / "sheet.yaml").write_text(SHEET)
+    return folder / "sheet.yaml"
+
+
+def test_a_mass_factor_of_the_case_control_counts(tmp_path: Path) -> None:
+    modes = []
+    for name, case, extra in (
+        ("bulk", "", "PARAM,WTMASS,.25"), ("case", "PARAM,WTMASS,.25", ""), ("none", "", ""),
+    ):  # fmt: skip
+        folder = tmp_path / name
+        folder.mkdir()
+        campaign = load_campaign(sheet_campaign(folder, sheet(".01", case, extra)))
+        modes.append(model_modes(campaign, {}))
+    assert modes[0].mass == modes[1].mass == pytest.approx(0.25 * modes[2].mass)
+    assert modes[1].n_rigid == 0  # `SPC 1` without an equals sign holds it too
+    ratio = modes[1].modes.frequencies_hz / modes[2].modes.frequencies_hz
+    np.testing.assert_allclose(ratio, 2.0, rtol=1e-5)
+
+
+def test_selections_that_a_translation_would_lose_are_refused(tmp_path: Path) -> None:
+    path = sheet_campaign(tmp_path, sheet(".01", "M2GG = ADDED\nPARAM,FOO,3"))
+    with pytest.raises(CampaignError, match=r"(?s)case control M2GG.*case control PARAM,FOO"):
+        load_campaign(path)
+
+
+def test_a_very_thin_sheet_is_updated_by_finite_differences(tmp_path: Path, caplog: Any) -> None:
+    # Expanded to solids of 1 mm, its matrices are singular to their last digits.
+    from types import SimpleNamespace
+
+    silent: Any = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
+    campaign = load_campaign(sheet_campaign(tmp_path, sheet(".001")), ["update.max_iterations=1"])
+    record = update_campaign(campaign, tmp_path / "run", silent).record
+    assert "finite_difference is used in place of semi_analytic" in caplog.text
+    assert set(record.iterations[1].sensitivity_methods) <= {"strain_energy", "finite_difference"}
+    assert "24 shells are thinner than 1/100 of their length" in caplog.text
+
+
+@needs_mystran
+def test_a_twin_pairs_modes_by_more_than_the_tests_few_sensors(tmp_path: Path) -> None:
+    path = sheet_campaign(tmp_path, sheet(".008"))
+    (tmp_path / "sheet.csv").write_text("mode,1,2\nfrequency_hz,6.,20.\n7.z,1.,1.\n35.z,1.,-1.\n")
+    twin = run_twin(path, ["mystran", "calculix"], [], [])
+    assert twin.solvers[1].pairing.mac[:4].min() > 0.99
