@@ -247,7 +247,9 @@ def _material(item: Property) -> str:
         return f"MAT1,{fields},,{POISSONS_RATIO},{item.density:.3g}"
     across = item.modulus * item.across
     shear = across / 2.0 / (1.0 + POISSONS_RATIO)
-    return f"MAT8,{fields},{across:.1f},{POISSONS_RATIO},{shear:.1f},,,{item.density:.3g}"
+    through = item.modulus / 2.0 / (1.0 + POISSONS_RATIO)  # transverse shear is the metal's own
+    shears = f"{shear:.1f},{through:.1f},{through:.1f}"
+    return f"MAT8,{fields},{across:.1f},{POISSONS_RATIO},{shears},{item.density:.3g}"
 
 
 def _mesh(model: ShellModel) -> Iterable[str]:

@@ -219,7 +219,10 @@ def test_the_same_case_in_matrix_files_ends_at_the_same_values(
         ("parameters=[{name: k, quantity: mass, elset: k1}]", "which mass cannot scale"),
         ("parameters=[{name: k, quantity: matrix_factor, elset: k1}]", "needs `part`"),
         ("parameters=[{name: k, quantity: matrix_factor, part: k1}]", "matrix_factor cannot scale"),
-        ("model={generator: {case: garteur}, solver: matrices, units: m-kg-s}", "for calculix"),
+        (
+            "model={generator: {case: garteur}, solver: matrices, units: m-kg-s}",
+            "writes no deck for matrices",
+        ),
     ],
 )
 def test_what_does_not_fit_the_model_is_refused(folder: Path, setting: str, expected: str) -> None:
