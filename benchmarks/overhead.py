@@ -89,7 +89,7 @@ def engine(folder: Path) -> JobEngine:
         threads=1,
         keep_jobs=False,
         cancelled=threading.Event(),
-        machine=MachineLimits(folder / "limits"),
+        counter=MachineLimits(folder / "limits"),
         limits=(Limit(CORES, cores, 1),),
         ledger=Ledger(),
     )

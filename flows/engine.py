@@ -36,7 +36,7 @@ from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.parameters import Values
 from modetune.core.results import ModeDerivatives, Result, finite
 from modetune.core.store import Entry, Store, storage_errors
-from modetune.flows.limits import CORES, Limit, MachineLimits
+from modetune.flows.limits import CORES, Limit, Limits
 from modetune.flows.notes import NOTE_FILE, job_note
 
 logger = logging.getLogger(__name__)
@@ -122,7 +122,7 @@ class JobEngine:
     threads: int
     keep_jobs: bool
     cancelled: threading.Event
-    machine: MachineLimits
+    counter: Limits
     limits: tuple[Limit, ...]
     ledger: Ledger
     may_run: bool = True
@@ -231,7 +231,7 @@ class JobEngine:
         with self._job_folder(key) as folder:
             self.solver.write(job.values, job.analysis, folder)
             (folder / NOTE_FILE).write_text(self._note(job), encoding="utf-8")
-            with self.machine.held(self.limits, self._wait_for_slot):
+            with self.counter.held(self.limits, self._wait_for_slot):
                 started = time.monotonic()
                 try:
                     finished = run_process(

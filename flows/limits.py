@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from modetune.core.store import locked, storage_errors
 
@@ -33,6 +34,16 @@ class Limit:
             raise ValueError(f"{self.name!r} is no name of a limit")
         if not 1 <= self.taken <= self.slots:
             raise ValueError(f"{self.taken} of {self.slots} slots of {self.name} cannot be taken")
+
+
+class Limits(Protocol):
+    """Who counts what jobs hold."""
+
+    def held(
+        self, limits: tuple[Limit, ...], waiting: Callable[[str], None]
+    ) -> AbstractContextManager[None]:
+        """Hold the slots of these limits; `waiting` is called while others hold them."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

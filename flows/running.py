@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def job_engine(campaign: Campaign) -> JobEngine:
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,
         cancelled=threading.Event(),
-        machine=MachineLimits(server_home() / "limits" if run.here else None),
+        counter=MachineLimits(server_home() / "limits" if run.here else None),
         limits=tuple(limits),
         ledger=Ledger(),
     )
@@ -117,6 +117,10 @@ def _update(
     if server is not None:
         from modetune.flows.prefect_flow import PrefectExecution, run_as_flow
 
+        if not server.shared and campaign.run.here:  # other machines may use the same server
+            from modetune.flows.server_limits import on_server
+
+            engine = replace(engine, counter=on_server(engine.counter, engine.limits))
         execution = PrefectExecution(engine, campaign.parallel)
         run = partial(run_as_flow, folder=folder)
 

@@ -124,7 +124,7 @@ def on_slurm(engine: JobEngine, slurm: SlurmSection, name: str) -> JobEngine:
     return replace(
         engine,
         solver=SlurmSolver(engine.solver, options),
-        machine=MachineLimits(None),
+        counter=MachineLimits(None),
         # Slurm's own limit ends a job that runs; this one ends one that never gets to.
         policy=replace(policy, timeout_s=policy.timeout_s + policy.licence_wait_s),
     )

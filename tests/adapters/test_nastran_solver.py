@@ -141,7 +141,7 @@ class Site:
         return JobEngine(
             solver=solver, store=Store(self.folder / "store"), policy=policy, threads=1,
             keep_jobs=False, cancelled=threading.Event(),
-            machine=MachineLimits(self.folder / "limits"), limits=(), ledger=Ledger(),
+            counter=MachineLimits(self.folder / "limits"), limits=(), ledger=Ledger(),
         )  # fmt: skip
 
     def result(self, solver: NastranSolver, analysis: Analysis, values: Values) -> Result:

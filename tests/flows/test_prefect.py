@@ -326,3 +326,56 @@ def test_a_server_that_does_not_answer_is_one_sentence(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert result.stderr.startswith("modetune: Prefect's server at http://127.0.0.1:9/api does not")
     assert result.stderr.count("\n") == 1
+
+
+HOLDERS = """
+import sys, threading
+from pathlib import Path
+from modetune.flows.limits import CORES, Limit, MachineLimits
+from modetune.flows.server_limits import on_server
+limits = (Limit("scripted", 1, 1), Limit(CORES, 2, 1))
+# Two machines: each has slots of its own, only the server counts the licence for both.
+counters = [on_server(MachineLimits(Path(sys.argv[1]) / name), limits) for name in ("a", "b")]
+now, most, guard, tries = 0, 0, threading.Lock(), []
+def work(counter):
+    global now, most
+    for _ in range(3):
+        with counter.held(limits, tries.append):
+            with guard:
+                now += 1
+                most = max(most, now)
+            threading.Event().wait(0.05)  # long enough for the other to ask
+            with guard:
+                now -= 1
+threads = [threading.Thread(target=work, args=(counter,)) for counter in counters]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+print(most, now)
+"""
+
+
+def test_a_licence_is_counted_by_the_server_for_all_machines(site: Site) -> None:
+    assert site.run("server", "status").returncode == 0
+    address = server.read_address(site.home)
+    assert address is not None  # the tests above have started it
+    held = subprocess.run(
+        [sys.executable, "-c", HOLDERS, str(site.folder / "limits")],
+        env={**os.environ, "PREFECT_API_URL": address.url}, capture_output=True, text=True,
+        timeout=120, check=False,
+    )  # fmt: skip
+    assert held.stdout.split() == ["1", "0"], held.stderr
+    kept = site.ask("/v2/concurrency_limits/filter", {})
+    assert [(item["name"], item["limit"]) for item in kept if item["name"] == "scripted"] == (
+        [("scripted", 1)]
+    )
+
+
+def test_without_the_server_the_machines_own_limits_hold(tmp_path: Path) -> None:
+    held = subprocess.run(
+        [sys.executable, "-c", HOLDERS.replace('("a", "b")', '("a", "a")'), str(tmp_path)],
+        env={**os.environ, "PREFECT_API_URL": "http://127.0.0.1:9/api",
+             "PREFECT_CLIENT_MAX_RETRIES": "0"},
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert held.stdout.split() == ["1", "0"], held.stderr
+    assert "licences are counted on this machine alone" in held.stderr
