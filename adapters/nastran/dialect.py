@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -121,17 +121,13 @@ MSC = Dialect(
     displays="PLOT",
     capabilities=_NASTRAN,
 )
-NX = Dialect(
+NX = replace(
+    MSC,
     name="nx",
     title="Simcenter Nastran",
-    variable="MODETUNE_NASTRAN",
-    program="nastran",
-    print_file=f"{JOB}.f06",
-    result_file=f"{JOB}.op2",
-    logs=(f"{JOB}.log", f"{JOB}.f04"),
     threads="parallel",
-    displays="PLOT",
-    capabilities=_NASTRAN,
+    # Whether its DRESP1 takes a mode's displacement is not known; differences are always right.
+    capabilities=replace(_NASTRAN, shape_sensitivities=False),
 )
 MYSTRAN = Dialect(
     name="mystran",

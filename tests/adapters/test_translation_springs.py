@@ -2,65 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
-import threading
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from pyNastran.bdf.bdf import BDF
 
-from modetune.adapters.calculix.deck import parse_deck
-from modetune.adapters.calculix.model import understand
-from modetune.adapters.calculix.solver import CalculixSolver
-from modetune.adapters.process import run_process
-from modetune.adapters.solver import ModalAnalysis
-from modetune.adapters.translation.translate import translate
-from modetune.core.errors import ModelError
-from modetune.core.results import ModalResult
+from tests.adapters.test_translation_beams import needs_ccx, problems_of, read_bulk, solve
 
 #: Mass 2, moments of inertia 0.1, 0.2, 0.3 about x, y, z.
 BODY = "CONM2,{eid},{node},,2.\n,.1,,.2,,,.3"
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="no ccx on this machine")
-
-
-def read_bulk(*cards: str) -> Any:
-    """Cards in free field, continuation lines (eight fields each) after a line end."""
-    bulk = BDF(debug=None)
-    for card in cards:
-        fields: list[str] = []
-        for line in card.split("\n"):
-            parts = [part.strip() for part in line.split(",")]
-            fields += [*parts, *[""] * (9 - len(parts))][1 if fields else 0 :]
-        while not fields[-1]:
-            fields.pop()
-        bulk.add_card(fields, fields[0])
-    bulk.cross_reference()
-    return bulk
-
-
-def problems_of(bulk: Any) -> list[str]:
-    """What a refusal says, a line each."""
-    with pytest.raises(ModelError) as refused:
-        translate(bulk, "model.dat", spc=0, mpc=0)
-    return str(refused.value).split("\n")[1:]
-
-
-def solve(
-    bulk: Any, folder: Path, n_modes: int, spc: int = 0, sets: Sequence[str] = ()
-) -> ModalResult:
-    translation = translate(bulk, "model.dat", frozenset(), spc=spc, mpc=0)
-    deck = parse_deck(Path("model.dat (translated)"), translation.text)
-    solver = CalculixSolver(understand(deck), (), "ccx")
-    analysis = ModalAnalysis(n_modes, translation.grids, tuple((name, (name,)) for name in sets))
-    solver.write({}, analysis, folder)
-    finished = run_process(solver.command(1), folder, 60.0, threading.Event())
-    result = solver.read({}, analysis, folder, finished.return_code)
-    assert isinstance(result, ModalResult)
-    return result
 
 
 def bodies(count: int) -> list[str]:
