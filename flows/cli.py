@@ -28,7 +28,6 @@ from modetune.core.errors import CampaignStopped, ModetuneError
 from modetune.flows import cli_store
 from modetune.flows.cli_server import register
 
-logger = logging.getLogger(__name__)
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
@@ -220,14 +219,6 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
     server = use_server() if with_prefect else None
     try:
         with ConsoleProgress(Console(stderr=True)).shown() as progress:
-            if server is not None:
-                progress.working("waiting for Prefect's server")
-                if not server.wait():
-                    named = server.address.shown
-                    where = f"its log is in {server.home}" if server.shared else named
-                    logger.warning("Prefect's server does not answer (%s); going on without", where)
-                    server.close()
-                    server = None
             return update_campaign(
                 campaign, runs / campaign.name, progress, server, progress.forecast
             )

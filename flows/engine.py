@@ -13,8 +13,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from modetune.adapters.process import disk_full, run_process
@@ -113,7 +114,7 @@ class JobEngine:
     """Solves jobs of one model against one store; safe to call from many threads.
 
     may_run: False where the store alone may answer. elsewhere: runs a job of this key so that the
-    store has it, in place of this process.
+    store has it, in place of this process. ahead: jobs that were begun before anybody asked.
     """
 
     solver: Solver
@@ -127,9 +128,27 @@ class JobEngine:
     ledger: Ledger
     may_run: bool = True
     elsewhere: Callable[[Job, str], JobOutcome] | None = None
+    ahead: dict[str, Future[JobOutcome]] = field(default_factory=dict)
+
+    def begin(self, job: Job) -> None:
+        """Start a job in the background; the next `solve` of it has its outcome."""
+        outcome: Future[JobOutcome] = Future()
+        self.ahead[self.key(job)] = outcome
+
+        def run() -> None:
+            try:
+                outcome.set_result(self._solve(job))
+            except BaseException as error:
+                outcome.set_exception(error)  # raised where the job is asked for
+
+        threading.Thread(target=run, name="modetune-ahead").start()
 
     def solve(self, job: Job) -> JobOutcome:
         """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
+        begun = self.ahead.pop(self.key(job), None) if self.ahead else None
+        return self._solve(job) if begun is None else begun.result()
+
+    def _solve(self, job: Job) -> JobOutcome:
         asked = canonical_json(self.solver.content(job.values, job.analysis))
         key = content_key(asked)
         if key in self.store:  # `result` finds out whether it is whole

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,16 +15,18 @@ from modetune.core.record import CampaignRecord, write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
 from modetune.flows.deck_texts import keep_text
-from modetune.flows.engine import JobEngine, Ledger, Policy
-from modetune.flows.evaluator import Evaluator
+from modetune.flows.engine import Job, JobEngine, Ledger, Policy
+from modetune.flows.evaluator import Evaluator, campaign_analysis
 from modetune.flows.execution import Execution, ThreadExecution
 from modetune.flows.forecast import Forecast, Forecaster
 from modetune.flows.limits import CORES, Limit, MachineLimits
 from modetune.flows.schema import STORE_REMEDY
-from modetune.flows.server import SharedServer, server_home
+from modetune.flows.server import SharedServer, answers, server_home
 from modetune.flows.slurm import on_slurm
 from modetune.flows.starting import read_earlier, start_of
 from modetune.flows.updating import Progress, Updating
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +78,8 @@ def update_campaign(
 ) -> CampaignRun:
     """Update a campaign's model and leave record and updated deck in its run folder.
 
-    server: a server to show the run on as Prefect flow; without one plain threads do the same.
+    server: a server to show the run on as Prefect flow, which is waited for while the first job
+    runs; without one, or where it does not answer, plain threads do the same.
     forecast: is told before the start and after each iteration what is still to come.
     Raises SolverError, ModesError, StoreError.
     """
@@ -112,26 +116,20 @@ def _update(
     forecast: Callable[[Forecast], None] | None,
 ) -> CampaignRun:
     campaign = start_of(campaign, engine, read_earlier(folder))
-    run: Callable[[Updating], CampaignRecord] = Updating.run
-    execution: Execution = ThreadExecution(engine, campaign.parallel)
-    if server is not None:
-        from modetune.flows.prefect_flow import PrefectExecution, run_as_flow
-
-        if not server.shared and campaign.run.here:  # other machines may use the same server
-            from modetune.flows.server_limits import on_server
-
-            engine = replace(engine, counter=on_server(engine.counter, engine.limits))
-        execution = PrefectExecution(engine, campaign.parallel)
-        run = partial(run_as_flow, folder=folder)
-
-    forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
     # What an earlier run left stays until this one has come to its end.
     unfinished = folder / "campaign.unfinished.h5"
-    updating = Updating(
-        campaign, Evaluator(campaign, engine, execution), forecaster or progress,
-        lambda record: write_record(unfinished, record),
-    )  # fmt: skip
     try:
+        server = _answering(server, campaign, engine, progress)
+        run: Callable[[Updating], CampaignRecord] = Updating.run
+        execution: Execution = ThreadExecution(engine, campaign.parallel)
+        if server is not None:
+            engine = _counted(engine, campaign, server)
+            execution, run = _as_flow(engine, campaign, folder)
+        forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
+        updating = Updating(
+            campaign, Evaluator(campaign, engine, execution), forecaster or progress,
+            lambda record: write_record(unfinished, record),
+        )  # fmt: skip
         record = run(updating)
     except BaseException:
         engine.cancelled.set()  # jobs of other threads end with the campaign
@@ -142,3 +140,41 @@ def _update(
     with storage_errors(unfinished):
         unfinished.replace(folder / "campaign.h5")
     return CampaignRun(record, folder, deck, forecaster.first if forecaster else None)
+
+
+def _answering(
+    server: SharedServer | None, campaign: Campaign, engine: JobEngine, progress: Progress
+) -> SharedServer | None:
+    """The server once it answers, None with a warning where it does not in good time.
+
+    While a server of modetune's own starts, the first job runs.
+    """
+    if server is None or answers(server.address.url):
+        return server
+    if server.shared:
+        start = campaign.parameters.values(campaign.start)
+        engine.begin(Job(start, campaign_analysis(campaign)))
+    progress.working("waiting for Prefect's server")
+    if server.wait():
+        return server
+    where = f"its log is in {server.home}" if server.shared else server.address.shown
+    logger.warning("Prefect's server does not answer (%s); going on without", where)
+    return None
+
+
+def _counted(engine: JobEngine, campaign: Campaign, server: SharedServer) -> JobEngine:
+    """The engine, its licences counted by a server that other machines may use too."""
+    if server.shared or not campaign.run.here:
+        return engine
+    from modetune.flows.server_limits import on_server
+
+    return replace(engine, counter=on_server(engine.counter, engine.limits))
+
+
+def _as_flow(
+    engine: JobEngine, campaign: Campaign, folder: Path
+) -> tuple[Execution, Callable[[Updating], CampaignRecord]]:
+    """How the campaign runs as a Prefect flow."""
+    from modetune.flows.prefect_flow import PrefectExecution, run_as_flow
+
+    return PrefectExecution(engine, campaign.parallel), partial(run_as_flow, folder=folder)

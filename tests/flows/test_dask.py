@@ -248,8 +248,9 @@ def test_a_killed_campaign_leaves_no_worker_and_no_solver(scripted: Any, bench: 
     )  # fmt: skip
     try:
         assert eventually(lambda: bench.runs() == 4)  # the initial model's jobs, one hangs
+        # The campaign itself, two workers, a supervisor, its program.
+        assert eventually(lambda: len(everything_below(campaign.pid)) >= 5)
         family = [pid for pid in everything_below(campaign.pid) if pid != campaign.pid]
-        assert len(family) >= 4  # two workers, a supervisor, its program
     finally:
         campaign.kill()
         campaign.wait()

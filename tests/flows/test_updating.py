@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from modetune.adapters.solver import MatrixAnalysis
+from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import (
     CampaignError,
     LicenceDenied,
@@ -226,6 +226,25 @@ def test_what_jobs_cost_is_in_the_record(bench: Any, watcher: Any) -> None:
     assert each == pytest.approx(record.runs.core_s)
     again = run(bench, watcher, campaign, "again")
     assert again.runs.core_s == again.runs.licence_s == 0.0
+
+
+def test_a_job_begun_ahead_is_run_once_and_counts_as_asked_for(bench: Any) -> None:
+    campaign = bench.campaign(TRUTH)
+    engine, job = bench.engine(campaign), Job({"k1": 1.1}, ModalAnalysis(5, campaign.nodes))
+    engine.begin(job)
+    assert not engine.solve(job).reused
+    assert engine.solve(job).reused
+    assert bench.runs() == 1
+
+
+def test_a_failure_of_a_job_begun_ahead_is_told_where_it_is_asked_for(bench: Any) -> None:
+    bench.script({1: "rejected"})
+    campaign = bench.campaign(TRUTH)
+    engine, job = bench.engine(campaign), Job({"k1": 1.1}, ModalAnalysis(5, campaign.nodes))
+    engine.begin(job)
+    with pytest.raises(SolverRejected):
+        engine.solve(job)
+    assert not engine.solve(job).reused  # asked again it runs again
 
 
 def test_a_failed_trial_step_is_halved(bench: Any, watcher: Any) -> None:
