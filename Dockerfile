@@ -1,6 +1,6 @@
 # modetune with CalculiX, run by an ordinary user, in the versions of tools/constraints.txt:
 #   docker build -t modetune .
-#   docker run --rm -v "$PWD":/work modetune update campaign.yaml
+#   docker run --rm -v "$PWD":/campaigns modetune update campaign.yaml
 FROM debian:12-slim AS build
 RUN apt-get update \
  && apt-get install -y --no-install-recommends python3 python3-venv \
@@ -20,10 +20,10 @@ RUN apt-get update \
  && apt-get install -y --no-install-recommends python3 calculix-ccx \
  && rm -rf /var/lib/apt/lists/* \
  && useradd --create-home modetune \
- && mkdir /work && chown modetune /work
+ && mkdir /campaigns && chown modetune /campaigns
 COPY --from=build /opt/modetune /opt/modetune
 ENV PATH=/opt/modetune/bin:$PATH
 USER modetune
-WORKDIR /work
+WORKDIR /campaigns
 ENTRYPOINT ["modetune"]
 CMD ["--help"]

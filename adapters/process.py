@@ -15,6 +15,7 @@ import select
 import signal
 import subprocess
 import sys
+import textwrap
 import threading
 import time
 from dataclasses import dataclass
@@ -94,7 +95,12 @@ def log_tail(folder: Path, lines: int = 15) -> str:
     except OSError:
         return "(no log)"
     kept = [line for line in text.splitlines() if line.strip()][-lines:]
-    return "\n".join(f"  | {line}" for line in kept) if kept else "(the log is empty)"
+    return as_block("\n".join(kept)) if kept else "(the log is empty)"
+
+
+def as_block(text: str) -> str:
+    """What a program said as one block, for messages."""
+    return textwrap.indent(text.strip("\n"), "  | ")
 
 
 def _supervisor(command: Command, folder: Path, where: str) -> subprocess.Popen[bytes]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -26,6 +27,7 @@ from modetune.flows.schema import (
     CampaignFile,
     RunSection,
     SensitivitySection,
+    SolverName,
     Units,
     UpdateSection,
 )
@@ -107,7 +109,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
     solver = _read_model(source, file, store, parameters, problems)
     if test is not None and solver is not None:
         problems += _disagreements(source, file, test, solver)
-    problems += _core_problems(source, run)
+    problems += _core_problems(source, run) + _licence_problems(source, file.run)
     if problems or test is None or solver is None:
         raise CampaignError(problems)
     shapes = file.residuals.shape_weight
@@ -158,6 +160,17 @@ def _core_problems(source: YamlFile, run: RunSection) -> list[str]:
         f"{source.where(('run',))}: run: {max(run.parallel, 1)} jobs of {max(run.threads, 1)} "
         f"threads want {wanted} cores, this machine has {cores()}; lower `parallel` or `threads`, "
         "or leave them out"
+    ]
+
+
+def _licence_problems(source: YamlFile, run: RunSection) -> list[str]:
+    """A licence that no solver has would limit nothing, without a word."""
+    unknown = sorted(set(run.licences) - set(get_args(SolverName)))
+    if not unknown:
+        return []
+    return [
+        f"{source.where(('run', 'licences'))}: run.licences names {', '.join(unknown)}; licences "
+        f"go by the solver's name: {', '.join(get_args(SolverName))}"
     ]
 
 

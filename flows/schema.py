@@ -166,8 +166,8 @@ class RetriesSection(_Section):
 class RunSection(_Section):
     """How jobs run. parallel 0: as many as there are cores; threads 0: the cores, shared out.
 
-    licences: jobs that may run at the same time on each solver, or on any name of `licence`, over
-    all campaigns of the machine.
+    licences: jobs that may run at the same time on each solver, by its name, over all campaigns
+    of the machine.
     """
 
     parallel: Annotated[int, Field(ge=0, le=1024)] = 0

@@ -7,7 +7,6 @@ number of modes and our output. A deck without steps gets a plain one.
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable
 
 from modetune.adapters.calculix.model import CalculixModel
@@ -95,8 +94,3 @@ def _split(model: CalculixModel) -> tuple[list[int], list[str]]:
     inside = [card for card in deck.cards if start <= card.lines.start < stop]
     kept = [card for card in inside if not card.is_one_of(*OUTPUT, "*FREQUENCY")]
     return before, [deck.lines[position].text for card in kept for position in card.lines]
-
-
-def wrap_message(text: str) -> str:
-    """A solver's message as one indented block."""
-    return textwrap.indent(text.strip(), "  | ")

@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 
 from modetune.adapters.calculix.deck import read_deck, write_edited
-from modetune.adapters.calculix.job import job_text, wrap_message
+from modetune.adapters.calculix.job import job_text
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.results import (
     SolverMessage,
@@ -22,7 +22,7 @@ from modetune.adapters.calculix.results import (
     read_modal,
     read_version,
 )
-from modetune.adapters.process import LOG, log_tail, run_process
+from modetune.adapters.process import LOG, as_block, log_tail, run_process
 from modetune.adapters.solver import (
     Analysis,
     Capabilities,
@@ -144,7 +144,7 @@ class CalculixSolver:
         log = (folder / LOG).read_text(errors="replace")
         messages = read_messages(log)
         if messages:
-            said = wrap_message("\n".join(message.text for message in messages))
+            said = as_block("\n".join(message.text for message in messages))
             place = self._place(messages, self._changed(values))
             if "memory" in said.lower():
                 raise SolverExhausted(f"CalculiX ran out of memory in {folder}:\n{said}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +18,7 @@ from modetune.adapters.nastran.job import job_text
 from modetune.adapters.nastran.model import NastranModel, understand
 from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.results import completed, modal_result, mode_derivatives
-from modetune.adapters.process import LOG, log_tail
+from modetune.adapters.process import LOG, as_block, log_tail
 from modetune.adapters.solver import (
     Analysis,
     Capabilities,
@@ -163,7 +162,7 @@ class NastranSolver:
             raise LicenceDenied(f"{title} got no licence in {folder}: {refusal}")
         if fatal:
             texts = {m.text.partition("\n")[0]: m.text for m in reversed(fatal[:SHOWN])}
-            said = wrap_message("\n".join(reversed(texts.values())))  # two files may say the same
+            said = as_block("\n".join(reversed(texts.values())))  # two files may say the same
             if RESOURCES.search(said):
                 raise SolverExhausted(f"{title} ran out of memory or disk in {folder}:\n{said}")
             place = self._place(fatal, changed)
@@ -230,11 +229,6 @@ def _read_if_there(path: Path) -> F06 | None:
 def _squeezed(text: str) -> str:
     """A card without what differs between its formats."""
     return re.sub(r"[\s,]", "", text.split("$", 1)[0]).upper()
-
-
-def wrap_message(text: str) -> str:
-    """A solver's messages as one indented block."""
-    return textwrap.indent(text.strip(), "  | ")
 
 
 def nastran_solver(
