@@ -33,10 +33,10 @@ from modetune.adapters.solver import Analysis, Command, ModalAnalysis
 from modetune.core.parameters import Values
 from modetune.core.results import Result
 from modetune.core.store import Store
-from modetune.flows.engine import Job, JobEngine, Ledger, Policy
-from modetune.flows.execution import Execution, ThreadExecution, Work
-from modetune.flows.limits import CORES, Limit, MachineLimits
-from modetune.flows.server import use_server
+from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
+from modetune.flows.execution.limits import CORES, Limit, MachineLimits
+from modetune.flows.execution.work import Execution, ThreadExecution, Work
+from modetune.flows.server.process import use_server
 
 PROGRAM = "/bin/true"
 
@@ -120,7 +120,7 @@ def with_prefect(count: int, parallel: int, folder: Path) -> float:
     from prefect import flow
     from prefect.task_runners import ThreadPoolTaskRunner
 
-    from modetune.flows.prefect_flow import PrefectExecution
+    from modetune.flows.execution.prefect import PrefectExecution
 
     runner: ThreadPoolTaskRunner[Any] = ThreadPoolTaskRunner(max_workers=parallel)
 

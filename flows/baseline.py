@@ -23,7 +23,7 @@ from modetune.flows.campaign import Campaign
 from modetune.flows.deck_texts import keep_text
 from modetune.flows.evaluation import Evaluation
 from modetune.flows.evaluator import Evaluator
-from modetune.flows.execution import ThreadExecution
+from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import job_engine
 
 #: Which model of a record: as updating left it, or as it started.

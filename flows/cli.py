@@ -25,8 +25,8 @@ import typer
 
 from modetune import __version__
 from modetune.core.errors import CampaignStopped, ModetuneError
-from modetune.flows import cli_store
-from modetune.flows.cli_server import register
+from modetune.flows.commands import store as store_commands
+from modetune.flows.commands.server import register
 
 app = typer.Typer(
     add_completion=False,
@@ -34,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Finite element models that agree with vibration tests.",
 )
-cli_store.register(app)
+store_commands.register(app)
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 Settings = Annotated[
@@ -60,7 +60,7 @@ def update(
     """Update the campaign's model until it agrees with its test."""
     if dry_run:
         with _stoppable():
-            cli_store.show_dry_run(campaign_file, settings or [], runs, as_json)
+            store_commands.show_dry_run(campaign_file, settings or [], runs, as_json)
         return
     _update(campaign_file, settings or [], runs, not no_prefect, as_json)
 
@@ -69,11 +69,11 @@ def update(
 def check(
     campaign_file: CampaignPath,
     settings: Settings = None,
-    against: cli_store.Against = None,
-    record: cli_store.Record = None,
-    state: cli_store.BaselineState = "updated",
-    frequency_band: cli_store.FrequencyBand = 0.01,
-    mac_band: cli_store.MacBand = 0.05,
+    against: store_commands.Against = None,
+    record: store_commands.Record = None,
+    state: store_commands.BaselineState = "updated",
+    frequency_band: store_commands.FrequencyBand = 0.01,
+    mac_band: store_commands.MacBand = 0.05,
     as_json: AsJson = False,
 ) -> None:
     """Read campaign, model and test, and tell every problem, without running a solver.
@@ -83,7 +83,7 @@ def check(
     if against is not None or record is not None:
         bands = frequency_band, mac_band
         with _stoppable():
-            cli_store.show_check(
+            store_commands.show_check(
                 campaign_file, settings or [], against, record, state, bands, as_json
             )
         return
@@ -162,7 +162,7 @@ def demo(
 ) -> None:
     """Run a case of the reference thesis from beginning to end, in ./demo."""
     from modetune.core.errors import CampaignError
-    from modetune.flows.demo import CASES
+    from modetune.flows.cases.demo import CASES
 
     if case not in CASES:
         raise CampaignError(f"there is no demo {case!r}; there is {', '.join(CASES)}")
@@ -201,7 +201,7 @@ def _update(
     with _stoppable():
         run = _run_update(campaign_file, settings, runs, with_prefect)
     if as_json:
-        _tell(cli_store.with_forecast(summary(run.record, run.folder), run.forecast), True)
+        _tell(store_commands.with_forecast(summary(run.record, run.folder), run.forecast), True)
     else:
         _show(run)
     _end(run.record.status)
@@ -212,7 +212,7 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
 
     from modetune.flows.display import ConsoleProgress
     from modetune.flows.running import update_campaign
-    from modetune.flows.server import use_server
+    from modetune.flows.server.process import use_server
 
     campaign = _load(campaign_file, settings)
     campaign.solver.version()

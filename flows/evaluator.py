@@ -23,9 +23,9 @@ from modetune.core.residual import residual_sensitivity
 from modetune.core.results import ModalResult, ModeDerivatives
 from modetune.core.sensitivity import stack_derivatives
 from modetune.flows.campaign import Campaign
-from modetune.flows.engine import Job, JobEngine, JobOutcome
 from modetune.flows.evaluation import Evaluation, compare
-from modetune.flows.execution import Done, Execution, Work
+from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
+from modetune.flows.execution.work import Done, Execution, Work
 from modetune.flows.semi_analytic import UnlikeMatrices
 from modetune.flows.sensitivities import Exact, Sensitivities, UnbalancedEnergies
 

@@ -16,10 +16,10 @@ from modetune.core.holdings import holdings
 from modetune.core.keys import Json
 from modetune.core.record import IterationRecord
 from modetune.flows.campaign import Campaign
-from modetune.flows.engine import Job, JobEngine
 from modetune.flows.evaluator import Evaluator
-from modetune.flows.execution import ThreadExecution
-from modetune.flows.limits import CORES
+from modetune.flows.execution.engine import Job, JobEngine
+from modetune.flows.execution.limits import CORES
+from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.notes import JobNote, analysis_kind, model_digest, read_note
 from modetune.flows.updating import Progress
 

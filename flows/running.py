@@ -15,15 +15,15 @@ from modetune.core.record import CampaignRecord, write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
 from modetune.flows.deck_texts import keep_text
-from modetune.flows.engine import Job, JobEngine, Ledger, Policy
 from modetune.flows.evaluator import Evaluator, campaign_analysis
-from modetune.flows.execution import Execution, ThreadExecution
+from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
+from modetune.flows.execution.limits import CORES, Limit, MachineLimits
+from modetune.flows.execution.slurm import on_slurm
+from modetune.flows.execution.work import Execution, ThreadExecution
 from modetune.flows.forecast import Forecast, Forecaster
-from modetune.flows.limits import CORES, Limit, MachineLimits
 from modetune.flows.schema import STORE_REMEDY
-from modetune.flows.server import SharedServer, answers, server_home
-from modetune.flows.slurm import on_slurm
-from modetune.flows.starting import read_earlier, start_of
+from modetune.flows.server.process import SharedServer, answers, server_home
+from modetune.flows.server.starting import read_earlier, start_of
 from modetune.flows.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
@@ -101,7 +101,7 @@ def _solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
     if campaign.run.engine != "dask":
         yield job_engine(campaign)
         return
-    from modetune.flows.dask_execution import on_dask
+    from modetune.flows.execution.dask import on_dask
 
     with on_dask(campaign, job_engine) as engine:
         yield engine
@@ -166,7 +166,7 @@ def _counted(engine: JobEngine, campaign: Campaign, server: SharedServer) -> Job
     """The engine, its licences counted by a server that other machines may use too."""
     if server.shared or not campaign.run.here:
         return engine
-    from modetune.flows.server_limits import on_server
+    from modetune.flows.execution.server_limits import on_server
 
     return replace(engine, counter=on_server(engine.counter, engine.limits))
 
@@ -175,6 +175,6 @@ def _as_flow(
     engine: JobEngine, campaign: Campaign, folder: Path
 ) -> tuple[Execution, Callable[[Updating], CampaignRecord]]:
     """How the campaign runs as a Prefect flow."""
-    from modetune.flows.prefect_flow import PrefectExecution, run_as_flow
+    from modetune.flows.execution.prefect import PrefectExecution, run_as_flow
 
     return PrefectExecution(engine, campaign.parallel), partial(run_as_flow, folder=folder)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from modetune.core.estimation import StepForm
 from modetune.core.parameters import TARGETS, Quantity, TargetKind
-from modetune.flows.site import DaskSection, Engine, SlurmSection, with_site
+from modetune.flows.execution.site import DaskSection, Engine, SlurmSection, with_site
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]

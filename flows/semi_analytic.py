@@ -24,8 +24,8 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import ParameterSet
 from modetune.core.results import MatrixResult, ModeDerivatives
 from modetune.core.sensitivity import fox_kapoor, nelson, stack_derivatives
-from modetune.flows.engine import Job, JobEngine
 from modetune.flows.evaluation import Point
+from modetune.flows.execution.engine import Job, JobEngine
 
 #: Eigenvalues of the stored matrices and of the solver's own run agree to its seven digits.
 EIGENVALUE_TOLERANCE = 1e-4

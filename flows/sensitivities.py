@@ -28,8 +28,8 @@ from modetune.core.pairing import pair_by_tracking
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.results import ModalResult, ModeDerivatives
 from modetune.core.sensitivity import stack_derivatives, strain_energy_derivative
-from modetune.flows.engine import Job, JobEngine
 from modetune.flows.evaluation import Point
+from modetune.flows.execution.engine import Job, JobEngine
 from modetune.flows.schema import SensitivitySection
 from modetune.flows.semi_analytic import SemiAnalytic, scaled
 

@@ -18,8 +18,8 @@ import pytest
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Parameter
-from modetune.flows import server
 from modetune.flows.campaign import load_campaign
+from modetune.flows.server import process
 from tests.test_structure import MODULES, ROOT
 
 SIX_MASS = ROOT / "configs" / "six_mass"
@@ -91,31 +91,31 @@ def session_of(keeper: int) -> set[int]:
 @pytest.fixture
 def home(tmp_path: Path) -> Iterator[Path]:
     yield tmp_path
-    server.stop_server(tmp_path)
+    process.stop_server(tmp_path)
 
 
 USER = """
-from modetune.flows.server import use_server
+from modetune.flows.server.process import use_server
 print(use_server().wait())
 """
 
 
 def test_the_server_listens_on_loopback_only(home: Path) -> None:
-    environment = {**os.environ, server.HOME_VARIABLE: str(home)}
+    environment = {**os.environ, process.HOME_VARIABLE: str(home)}
     environment.pop("PREFECT_API_URL", None)
     used = subprocess.run([sys.executable, "-c", USER], env=environment, capture_output=True,
                           text=True, timeout=200, check=False)  # fmt: skip
     assert used.stdout == "True\n", used.stderr
-    address = server.read_address(home)
+    address = process.read_address(home)
     assert address is not None
     loopback = int.from_bytes(socket.inet_aton("127.0.0.1"), sys.byteorder)
     assert listening(session_of(address.pid)) == {f"{loopback:08X}"}
 
 
 def test_an_address_is_shown_without_its_password() -> None:
-    address = server.Address(f"https://me:{SECRET}@prefect.example/api", 0)
+    address = process.Address(f"https://me:{SECRET}@prefect.example/api", 0)
     assert address.shown == "https://prefect.example/api"
-    assert server.Address("http://127.0.0.1:4200/api", 0).shown == "http://127.0.0.1:4200/api"
+    assert process.Address("http://127.0.0.1:4200/api", 0).shown == "http://127.0.0.1:4200/api"
 
 
 # The code

@@ -51,8 +51,8 @@ from modetune.core.keys import canonical_json
 from modetune.core.parameters import Parameter, Quantity, TargetKind, Values
 from modetune.core.results import ModalResult, ModeDerivatives, Result
 from modetune.core.store import Store
-from modetune.flows.engine import Job, JobEngine, Ledger, Policy
-from modetune.flows.limits import MachineLimits
+from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
+from modetune.flows.execution.limits import MachineLimits
 
 STIFFNESS, MASS, MASSES = 1000.0, 2.0e-3, 5
 WTMASS = 0.001

@@ -30,7 +30,7 @@ from modetune.core.errors import SolverMissing
 from modetune.flows.campaign import load_campaign
 from modetune.flows.evaluation import Evaluation
 from modetune.flows.evaluator import Evaluator
-from modetune.flows.execution import ThreadExecution
+from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import job_engine
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"

@@ -36,7 +36,7 @@ from modetune.core.residual import Weighting
 from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
 from modetune.core.store import Store
 from modetune.flows.campaign import Campaign
-from modetune.flows.engine import JobEngine
+from modetune.flows.execution.engine import JobEngine
 from modetune.flows.running import job_engine
 from modetune.flows.schema import (
     E1Section,

@@ -14,8 +14,8 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Values
 from modetune.core.results import Result
-from modetune.flows import cli_store
 from modetune.flows.baseline import Band, check_deck, check_record, read_agreement
+from modetune.flows.commands import store as store_commands
 from modetune.flows.running import update_campaign
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
@@ -153,12 +153,14 @@ def test_the_command_ends_with_three_and_tells_each_mode(
     campaign = campaign_of_deck(bench, {"k1": 1.2, "k2": 0.8, "m3": 1.4})
     monkeypatch.setattr("modetune.flows.campaign.load_campaign", lambda *_: campaign)
     with pytest.raises(typer.Exit) as ended:
-        cli_store.show_check(
+        store_commands.show_check(
             Path("c.yaml"), [], baseline, None, "updated", (0.01, 0.05), as_json=True
         )
     assert ended.value.exit_code == 3
     told = json.loads(capsys.readouterr().out)
     assert told["status"] == "worse"
     assert not all(mode["within"] for mode in told["modes"])
-    cli_store.show_check(Path("c.yaml"), [], baseline, None, "updated", (1.0, 1.0), as_json=False)
+    store_commands.show_check(
+        Path("c.yaml"), [], baseline, None, "updated", (1.0, 1.0), as_json=False
+    )
     assert capsys.readouterr().out.splitlines()[-1] == "within the band"

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 import pytest
 
-from modetune.flows import server
+from modetune.flows.server import process
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"
 COARSE = "model.generator={case: garteur, mesh: coarse}"
@@ -255,8 +255,8 @@ def test_a_full_disk_ends_with_five_and_harms_nothing(folder: Path, small_disk: 
 def own_server(tmp_path: Path) -> Iterator[dict[str, str]]:
     """A home for the shared server, ended with the test."""
     home = tmp_path / "home"
-    yield {server.HOME_VARIABLE: str(home), "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": ""}
-    server.stop_server(home)
+    yield {process.HOME_VARIABLE: str(home), "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": ""}
+    process.stop_server(home)
 
 
 @needs_ccx
@@ -274,7 +274,7 @@ def test_a_flow_run_shows_every_piece_and_what_e2_skipped(
     assert "prefect" not in result.stderr.lower()
     again = json.loads(run(folder, *arguments, **own_server).stdout)
     assert again["solver_runs"]["modal"] == 0
-    address = server.read_address(Path(own_server[server.HOME_VARIABLE]))
+    address = process.read_address(Path(own_server[process.HOME_VARIABLE]))
     assert address is not None, "the second command did not find the first one's server"
     names = task_states(address.url)
     assert ("iteration 0 / modal", "Completed") in names

@@ -16,9 +16,9 @@ from modetune.core.errors import CampaignError, NotStored, SolverRejected
 from modetune.core.holdings import holdings
 from modetune.core.keys import canonical_json, content_key
 from modetune.core.store import Store
-from modetune.flows import cli_store
+from modetune.flows.commands import store as store_commands
 from modetune.flows.dry_run import dry_run
-from modetune.flows.engine import Job
+from modetune.flows.execution.engine import Job
 from modetune.flows.explain import asked_of, differences, stored_jobs
 from modetune.flows.lookup import explain_job, explain_unrun, key_start
 from modetune.flows.running import job_engine, update_campaign
@@ -226,12 +226,12 @@ def test_the_command_tells_a_job_in_lines_and_as_an_object(
     key = solved(bench, {"k1": 1.1})
     solved(bench, {"k1": 1.2})
     store = bench.campaign(TRUTH).store.folder
-    cli_store.explain(key[:6], store)
+    store_commands.explain(key[:6], store)
     said = capsys.readouterr().out
     assert said.startswith(f"job      {key}\nstate    stored\n")
     assert "modal analysis of chain, 6 modes, shapes at 6 nodes" in said
     assert "k1 1.1, there 1.2" in said
-    cli_store.explain(key, store, as_json=True)
+    store_commands.explain(key, store, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert (told["status"], told["job"]["values"]) == ("stored", {"k1": 1.1})
     assert told["nearest"]["differences"] == ["k1 1.1, there 1.2"]
@@ -240,10 +240,10 @@ def test_the_command_tells_a_job_in_lines_and_as_an_object(
 def test_the_command_refuses_what_nothing_is_known_of(bench: Any) -> None:
     store = bench.folder / "store"
     with pytest.raises(CampaignError, match="is not there"):
-        cli_store.explain("abcd", store)
+        store_commands.explain("abcd", store)
     store.mkdir()
     with pytest.raises(CampaignError, match=r"nothing is known of a job abcd\.\.\."):
-        cli_store.explain("abcd", store)
+        store_commands.explain("abcd", store)
 
 
 def test_a_dry_run_is_told_in_lines_and_as_an_object(
@@ -251,12 +251,12 @@ def test_a_dry_run_is_told_in_lines_and_as_an_object(
 ) -> None:
     campaign = bench.campaign(TRUTH)
     monkeypatch.setattr("modetune.flows.campaign.load_campaign", lambda *_: campaign)
-    cli_store.show_dry_run(Path("c.yaml"), [], bench.folder, as_json=False)
+    store_commands.show_dry_run(Path("c.yaml"), [], bench.folder, as_json=False)
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("run   ")
     assert said[0].endswith("iteration 0 / modal")
     assert said[1].strip() == "nothing is stored that it could be compared with"
-    cli_store.show_dry_run(Path("c.yaml"), [], bench.folder, as_json=True)
+    store_commands.show_dry_run(Path("c.yaml"), [], bench.folder, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert (told["status"], told["runs"], told["jobs"][0]["stored"]) == ("would run", 1, False)
     assert bench.runs() == 0

@@ -10,7 +10,8 @@ import pytest
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.holdings import holdings
 from modetune.core.store import Entry
-from modetune.flows.engine import Job
+from modetune.flows.execution.engine import Job
+from modetune.flows.execution.limits import Limit
 from modetune.flows.forecast import (
     Cost,
     Forecast,
@@ -22,7 +23,6 @@ from modetune.flows.forecast import (
     side_by_side,
     told_forecast,
 )
-from modetune.flows.limits import Limit
 from modetune.flows.notes import model_digest, read_note
 from modetune.flows.running import job_engine, update_campaign
 from modetune.flows.schema import SensitivitySection

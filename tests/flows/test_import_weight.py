@@ -29,7 +29,7 @@ def test_help_and_mistakes_of_use_import_no_numbers() -> None:
 
 
 def test_the_server_is_found_without_importing_prefect() -> None:
-    assert "prefect" not in imported_by("import modetune.flows.server")
+    assert "prefect" not in imported_by("import modetune.flows.server.process")
 
 
 @pytest.mark.parametrize("unused", ["prefect", "matplotlib", "pyNastran", "polars", "dask"])

@@ -21,7 +21,7 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.record import CampaignRecord
-from modetune.flows.engine import Job
+from modetune.flows.execution.engine import Job
 from modetune.flows.recording import summary
 from modetune.flows.running import update_campaign
 from modetune.flows.schema import E1Section, RunSection, SensitivitySection, UpdateSection

@@ -17,9 +17,7 @@ from modetune.configs.six_mass import system
 from modetune.core.keys import Json
 from modetune.core.modes import Floats
 from modetune.core.record import CampaignRecord
-from modetune.flows.figures import save
-from modetune.flows.running import CampaignRun
-from modetune.flows.six_mass import (
+from modetune.flows.cases.six_mass import (
     Claim,
     Outcome,
     claims,
@@ -28,6 +26,8 @@ from modetune.flows.six_mass import (
     figures_of,
     history_figure,
 )
+from modetune.flows.report.figures import save
+from modetune.flows.running import CampaignRun
 
 CONFIGS = Path(next(iter(configs.__path__)))
 

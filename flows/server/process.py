@@ -177,7 +177,7 @@ def is_keeper(pid: int) -> bool:
     """Whether a process is a living keeper of ours: numbers are given out again, and an ended
     child that nobody has waited for has no command line."""
     try:
-        return b"modetune.flows.server" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return b"modetune.flows.server.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
         return False
 
@@ -188,7 +188,7 @@ def _start(home: Path) -> Address:
         port = int(probe.getsockname()[1])
     with (home / "server.log").open("wb") as log:
         keeper = subprocess.Popen(
-            [sys.executable, "-m", "modetune.flows.server", str(home), str(port)],
+            [sys.executable, "-m", "modetune.flows.server.process", str(home), str(port)],
             cwd=home,
             stdin=subprocess.DEVNULL,
             stdout=log,

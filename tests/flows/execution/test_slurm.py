@@ -29,13 +29,13 @@ from modetune.core.errors import (
     SolverRejected,
     SolverTimeout,
 )
-from modetune.flows.engine import Job, JobEngine
+from modetune.flows.execution.engine import Job, JobEngine
+from modetune.flows.execution.site import DaskSection, SlurmSection, merged
+from modetune.flows.execution.slurm import srun_options
 from modetune.flows.running import job_engine, update_campaign
 from modetune.flows.schema import RunSection
-from modetune.flows.site import DaskSection, SlurmSection, merged
-from modetune.flows.slurm import srun_options
 
-NODE = Path(__file__).resolve().parents[2] / "tools" / "slurm_node.sh"
+NODE = Path(__file__).resolve().parents[3] / "tools" / "slurm_node.sh"
 TRUTH = {"k1": 1.2, "k2": 0.8}
 #: srun as far as a job needs it: notes its arguments, then runs the command, or says a line.
 FAKE = """#!{python} -IS

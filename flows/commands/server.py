@@ -49,10 +49,10 @@ def register(app: typer.Typer) -> None:
 @server_app.command("status")
 def server_status() -> None:
     """Whether the shared server runs, and where its pages are."""
-    from modetune.flows import server
+    from modetune.flows.server import process
 
-    address = server.read_address(server.server_home())
-    if address is None or not server.answers(address.url):
+    address = process.read_address(process.server_home())
+    if address is None or not process.answers(address.url):
         typer.echo("no shared server is running")
         return
     typer.echo(f"running at {address.url.removesuffix('/api')} (process {address.pid})")
@@ -61,14 +61,14 @@ def server_status() -> None:
 @server_app.command("stop")
 def server_stop() -> None:
     """End the shared server."""
-    from modetune.flows import server
+    from modetune.flows.server import process
 
     said = {
         "stopped": "stopped",
         "none": "no shared server is running",
         "in use": "a campaign is using the server; it was left running",
     }
-    typer.echo(said[server.stop_server(server.server_home())])
+    typer.echo(said[process.stop_server(process.server_home())])
 
 
 def deploy(
@@ -88,8 +88,8 @@ def deploy(
 
     campaign = load_campaign(campaign_file, settings or [])
     with _server() as url:
-        from modetune.flows.deployment import Schedule, campaign_deployment
-        from modetune.flows.deployment import deploy as put_there
+        from modetune.flows.server.deployment import Schedule, campaign_deployment
+        from modetune.flows.server.deployment import deploy as put_there
 
         schedule = Schedule(cron, timezone)
         deployment = campaign_deployment(campaign, runs, name or campaign.name, schedule, pool)
@@ -125,8 +125,8 @@ def serve(
 
     campaign = load_campaign(campaign_file, settings or [])
     with _server() as url:
-        from modetune.flows.deployment import Schedule, campaign_deployment
-        from modetune.flows.deployment import serve as keep_serving
+        from modetune.flows.server.deployment import Schedule, campaign_deployment
+        from modetune.flows.server.deployment import serve as keep_serving
 
         schedule = Schedule(cron, timezone)
         deployment = campaign_deployment(campaign, runs, name or campaign.name, schedule, None)
@@ -146,7 +146,7 @@ def worker(
 ) -> None:
     """Run deployed campaigns of a work pool on this machine, until Ctrl-C."""
     with _server() as url:
-        from modetune.flows.deployment import work
+        from modetune.flows.server.deployment import work
 
         if not once:
             typer.echo(f"working for pool {pool} of {url}; Ctrl-C ends it")
@@ -157,7 +157,7 @@ def worker(
 @contextmanager
 def _server() -> Iterator[str]:
     """The address of the pages of a server that answers, in use for as long as this lasts."""
-    from modetune.flows.server import use_server
+    from modetune.flows.server.process import use_server
 
     for name, value in LOGS.items():
         os.environ.setdefault(name, value)

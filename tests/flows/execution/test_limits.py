@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from modetune.flows.limits import Limit, MachineLimits
+from modetune.flows.execution.limits import Limit, MachineLimits
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from modetune.flows.limits import Limit, MachineLimits
+from modetune.flows.execution.limits import Limit, MachineLimits
 limits = MachineLimits(Path(sys.argv[1]))
 with limits.held((Limit("nastran", 2, 2),), lambda name: time.sleep(0.01)):
     print("held", flush=True)

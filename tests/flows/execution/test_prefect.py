@@ -26,14 +26,13 @@ from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignRunning
 from modetune.core.modes import MeasuredModes
 from modetune.core.parameters import Parameter
-from modetune.flows import artifacts, server
 from modetune.flows.campaign import Campaign
 from modetune.flows.running import job_engine, update_campaign
-from modetune.flows.starting import is_unchanged, read_earlier, start_of
+from modetune.flows.server import artifacts, process
+from modetune.flows.server.starting import is_unchanged, read_earlier, start_of
+from tests.flows.conftest import Bench, ScriptedSolver, Watcher
 
-from .conftest import Bench, ScriptedSolver, Watcher
-
-SIX_MASS = Path(__file__).resolve().parents[2] / "configs" / "six_mass"
+SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 TRUTH = {"k1": 1.2, "k4": 0.9}
 #: A later test of the same structure.
 AGED = {"k1": 1.1, "k4": 0.85}
@@ -105,7 +104,7 @@ def test_a_server_that_is_gone_costs_the_campaign_one_warning(
             post.result(record, bench.folder)
             post.close()
     assert len(watcher.lines) == len(record.iterations)
-    said = [entry for entry in caplog.records if entry.name == "modetune.flows.artifacts"]
+    said = [entry for entry in caplog.records if entry.name == "modetune.flows.server.artifacts"]
     assert len(said) == 1
 
 
@@ -217,12 +216,12 @@ class Site:
         return subprocess.run(
             [sys.executable, "-m", "modetune.flows", *arguments],
             cwd=self.folder, capture_output=True, text=True, timeout=200, check=False,
-            env={**os.environ, server.HOME_VARIABLE: str(self.home), **environment},
+            env={**os.environ, process.HOME_VARIABLE: str(self.home), **environment},
         )  # fmt: skip
 
     def ask(self, path: str, content: object = None) -> Any:
         """What the server answers to a request."""
-        address = server.read_address(self.home)
+        address = process.read_address(self.home)
         assert address is not None
         request = urllib.request.Request(
             address.url + path, headers={"Content-Type": "application/json"},
@@ -248,7 +247,7 @@ class Site:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     site = Site(tmp_path_factory.mktemp("site"))
     yield site
-    server.stop_server(site.home)
+    process.stop_server(site.home)
 
 
 def test_a_deployed_campaign_runs_once_and_says_when_nothing_changed(site: Site) -> None:
@@ -331,8 +330,8 @@ def test_a_server_that_does_not_answer_is_one_sentence(tmp_path: Path) -> None:
 HOLDERS = """
 import sys, threading
 from pathlib import Path
-from modetune.flows.limits import CORES, Limit, MachineLimits
-from modetune.flows.server_limits import on_server
+from modetune.flows.execution.limits import CORES, Limit, MachineLimits
+from modetune.flows.execution.server_limits import on_server
 limits = (Limit("scripted", 1, 1), Limit(CORES, 2, 1))
 # Two machines: each has slots of its own, only the server counts the licence for both.
 counters = [on_server(MachineLimits(Path(sys.argv[1]) / name), limits) for name in ("a", "b")]
@@ -356,7 +355,7 @@ print(most, now)
 
 def test_a_licence_is_counted_by_the_server_for_all_machines(site: Site) -> None:
     assert site.run("server", "status").returncode == 0
-    address = server.read_address(site.home)
+    address = process.read_address(site.home)
     assert address is not None  # the tests above have started it
     held = subprocess.run(
         [sys.executable, "-c", HOLDERS, str(site.folder / "limits")],

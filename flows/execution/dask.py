@@ -29,9 +29,9 @@ from modetune.core.errors import (
 )
 from modetune.core.store import Store
 from modetune.flows.campaign import Campaign, load_campaign
-from modetune.flows.dask_cluster import Cluster, check_packages, connect
-from modetune.flows.engine import Job, JobEngine, JobOutcome, Ledger
-from modetune.flows.limits import CORES, Limit
+from modetune.flows.execution.dask_cluster import Cluster, check_packages, connect
+from modetune.flows.execution.engine import Job, JobEngine, JobOutcome, Ledger
+from modetune.flows.execution.limits import CORES, Limit
 
 logger = logging.getLogger(__name__)
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign import Campaign
-from modetune.flows.engine import Job, JobEngine
 from modetune.flows.evaluator import campaign_analysis
+from modetune.flows.execution.engine import Job, JobEngine
 
 logger = logging.getLogger(__name__)
 

@@ -34,7 +34,7 @@ from modetune.flows.running import update_campaign
 from modetune.flows.schema import RetriesSection, RunSection, SensitivitySection
 from tests.flows.conftest import Bench, ScriptedSolver, Watcher
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 CAMPAIGNS = 50
 #: Generous: only a fault makes a test wait this long.
 DEADLINE_S = 60.0
@@ -299,7 +299,7 @@ DRIVER = """
 import sys
 from pathlib import Path
 from tests.flows.conftest import Bench
-from tests.flows.test_faults import FAULTS, Script, ends, faulty_campaign
+from tests.flows.execution.test_faults import FAULTS, Script, ends, faulty_campaign
 folder = Path(sys.argv[1])
 script = Script(int(sys.argv[2]), {**FAULTS, "rejected": 0.0})
 end = ends(faulty_campaign(Bench(folder), script, 5), folder / "run")

@@ -25,9 +25,9 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from modetune.core.errors import ModetuneError, SolverCrashed
 from modetune.core.record import CampaignRecord
-from modetune.flows.artifacts import ArtifactPost
-from modetune.flows.engine import JobEngine
-from modetune.flows.execution import Done, Work, solve_work
+from modetune.flows.execution.engine import JobEngine
+from modetune.flows.execution.work import Done, Work, solve_work
+from modetune.flows.server.artifacts import ArtifactPost
 from modetune.flows.updating import Updating
 
 logger = logging.getLogger(__name__)

@@ -19,7 +19,7 @@ from prefect.client.orchestration import get_client
 from prefect.concurrency._asyncio import ConcurrencySlotAcquisitionError
 from prefect.concurrency.sync import concurrency
 
-from modetune.flows.limits import CORES, Limit, Limits
+from modetune.flows.execution.limits import CORES, Limit, Limits
 
 logger = logging.getLogger(__name__)
 

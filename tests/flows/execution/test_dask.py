@@ -26,16 +26,17 @@ from modetune.core.errors import (
     SolverRejected,
     StorageUnavailable,
 )
-from modetune.flows import dask_cluster, dask_execution, solvers
+from modetune.flows import solvers
 from modetune.flows.campaign import Campaign, load_campaign
-from modetune.flows.dask_execution import DaskJobs, Errand, on_dask, run_errand, worker_error
-from modetune.flows.engine import Job
+from modetune.flows.execution import dask, dask_cluster
+from modetune.flows.execution.dask import DaskJobs, Errand, on_dask, run_errand, worker_error
+from modetune.flows.execution.engine import Job
 from modetune.flows.running import job_engine, update_campaign
 
-dask = pytest.importorskip("dask", reason="Dask is not installed (the extra `cluster`)")
+dask_library = pytest.importorskip("dask", reason="Dask is not installed (the extra `cluster`)")
 distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra `cluster`)")
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1}
 CAMPAIGN = """
 name: chain
@@ -90,7 +91,7 @@ def scripted(
     (tmp_path / "measured.csv").write_text(table)
     preload = tmp_path / "preload.py"
     preload.write_text(PRELOAD.format(root=str(ROOT)))
-    with dask.config.set({"distributed.worker.preload": [str(preload)]}):
+    with dask_library.config.set({"distributed.worker.preload": [str(preload)]}):
         yield lambda *given: load_campaign(tmp_path / "chain-campaign.yaml", list(given))
 
 
@@ -168,7 +169,7 @@ def test_what_the_store_has_needs_no_cluster(
     def never(*_: object) -> None:
         raise AssertionError("a cluster was set up")
 
-    monkeypatch.setattr(dask_execution, "connect", never)
+    monkeypatch.setattr(dask, "connect", never)
     record = update_campaign(scripted(), bench.folder / "again", watcher).record
     assert record.status == "converged"
     assert bench.runs() == runs
@@ -306,7 +307,7 @@ def test_an_error_of_an_unknown_kind_is_a_crash() -> None:
 def test_a_store_that_is_not_shared_is_told(
     scripted: Any, bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dask_execution, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(dask, "PATIENCE_S", 0.0)
     jobs = DaskJobs(scripted(), job_engine)
     with pytest.raises(StorageUnavailable, match="on a disk that all machines share"):
         jobs._wait_until_seen("0" * 64)

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from modetune.core.errors import CampaignError
-from modetune.flows.server import server_home
-from modetune.flows.site import DaskSection
+from modetune.flows.execution.site import DaskSection
+from modetune.flows.server.process import server_home
 
 #: How long a scheduler may take to answer, and workers to end their solvers, seconds.
 CONNECT_S, END_S = 20.0, 10.0

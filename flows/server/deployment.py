@@ -37,10 +37,10 @@ from modetune.core.errors import CampaignRunning, ModetuneError
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign import Campaign, load_campaign
 from modetune.flows.display import iteration_line
-from modetune.flows.prefect_flow import ended_state
+from modetune.flows.execution.prefect import ended_state
 from modetune.flows.running import job_engine, update_campaign
-from modetune.flows.server import use_server
-from modetune.flows.starting import is_unchanged, read_earlier
+from modetune.flows.server.process import use_server
+from modetune.flows.server.starting import is_unchanged, read_earlier
 
 logger = logging.getLogger(__name__)
 

@@ -31,7 +31,7 @@ from modetune.core.factorisation import Matrix, symmetric_matrix
 from modetune.core.frf import Complexes, NormalModes, modal_frf
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.record import CampaignRecord
-from modetune.flows.figures import (
+from modetune.flows.report.figures import (
     ResponseCurve,
     frequency_figure,
     mac_figure,

@@ -1,7 +1,7 @@
 """How the jobs of an iteration are carried out side by side: plain threads, or Prefect tasks.
 
 The updating loop hands over pieces of work with names for people and gets outcomes back in order;
-errors come back as values, because the loop decides what follows from them. `prefect_flow.py` has
+errors come back as values, because the loop decides what follows from them. `prefect.py` has
 the execution that shows each piece as a task run.
 """
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from modetune.core.errors import ModetuneError
-from modetune.flows.engine import Job, JobEngine, JobOutcome
+from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 
 
 @dataclass(frozen=True, slots=True)

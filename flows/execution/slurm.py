@@ -28,9 +28,9 @@ from modetune.core.errors import (
 from modetune.core.keys import Json
 from modetune.core.parameters import Parameter, Values
 from modetune.core.results import Result
-from modetune.flows.engine import JobEngine
-from modetune.flows.limits import CORES, Limit, MachineLimits
-from modetune.flows.site import SlurmSection
+from modetune.flows.execution.engine import JobEngine
+from modetune.flows.execution.limits import CORES, Limit, MachineLimits
+from modetune.flows.execution.site import SlurmSection
 
 LAUNCHER = Path(__file__).with_name("srun.py")
 MISSING = (

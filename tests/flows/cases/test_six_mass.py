@@ -20,15 +20,15 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.record import IterationRecord
 from modetune.flows.campaign import load_campaign
-from modetune.flows.demo import CASES, compare_six_mass
-from modetune.flows.running import CampaignRun, update_campaign
-from modetune.flows.six_mass import (
+from modetune.flows.cases.demo import CASES, compare_six_mass
+from modetune.flows.cases.six_mass import (
     EXACT,
     Outcome,
     claims,
     direct_outcomes,
     eigensensitivity_outcome,
 )
+from modetune.flows.running import CampaignRun, update_campaign
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

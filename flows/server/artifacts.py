@@ -95,7 +95,9 @@ def result_sheets(record: CampaignRecord, folder: Path) -> list[Sheet]:
 
 def mac_picture(record: CampaignRecord) -> bytes:
     """MAC of computed with measured modes before and after, as PNG that fits into a sheet."""
-    from modetune.flows.figures import mac_figure  # drawing is imported where something is drawn
+    from modetune.flows.report.figures import (
+        mac_figure,  # drawing is imported where something is drawn
+    )
 
     first, last = record.iterations[0], record.best
     figure = mac_figure(

@@ -37,7 +37,7 @@ from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.parameters import Values
 from modetune.core.results import ModeDerivatives, Result, finite
 from modetune.core.store import Entry, Store, storage_errors
-from modetune.flows.limits import CORES, Limit, Limits
+from modetune.flows.execution.limits import CORES, Limit, Limits
 from modetune.flows.notes import NOTE_FILE, job_note
 
 logger = logging.getLogger(__name__)

@@ -15,11 +15,11 @@ from modetune.core.record import CampaignRecord
 from modetune.flows.campaign import Campaign, load_campaign
 from modetune.flows.evaluation import Point
 from modetune.flows.evaluator import Evaluator
-from modetune.flows.execution import ThreadExecution
+from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import job_engine, update_campaign
 from modetune.flows.sensitivities import Exact, Sensitivities
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"
+CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "garteur"
 
 
 @pytest.fixture(scope="module")

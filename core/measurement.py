@@ -1,0 +1,68 @@
+"""What a test gives: modes, response functions, and where its sensors are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modetune.core.errors import ModesError
+from modetune.core.frf import Complexes, Response
+from modetune.core.geometry import TestGeometry
+from modetune.core.modes import Floats, Integers, MeasuredModes
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredFrfs:
+    """Frequency response functions of a test, all on the same frequencies.
+
+    frequencies_hz: (n_lines,), ascending. values: (n_lines, n_functions), motion per force.
+    nodes, components: (n_functions,), where and which way the response was measured: test node,
+    and 1..6; signs: (n_functions,), -1 where the sensor looks the other way.
+    reference_nodes, reference_components, reference_signs: (n_functions,), of the force likewise.
+    coherences: (n_lines, n_functions), empty where the test has none.
+    Raises ModesError where arrays do not fit together.
+    """
+
+    kind: Response
+    frequencies_hz: Floats
+    values: Complexes
+    nodes: Integers
+    components: Integers
+    signs: Floats
+    reference_nodes: Integers
+    reference_components: Integers
+    reference_signs: Floats
+    coherences: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n_lines, n_functions = self.values.shape
+        columns = (
+            self.nodes, self.components, self.signs, self.reference_nodes,
+            self.reference_components, self.reference_signs,
+        )  # fmt: skip
+        if self.frequencies_hz.shape != (n_lines,) or any(
+            column.shape != (n_functions,) for column in columns
+        ):
+            raise ModesError("the columns of the response functions do not fit together")
+        if self.coherences.size and self.coherences.shape != self.values.shape:
+            raise ModesError("the coherences do not fit the response functions")
+        if (np.diff(self.frequencies_hz) <= 0.0).any():
+            raise ModesError("the frequencies of response functions must ascend")
+        if not np.isfinite(self.values).all():
+            raise ModesError("a response function holds values that are not finite numbers")
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A test as its files give it; each part may be missing.
+
+    modes: real shapes at the test's own nodes, in the directions of `geometry.frames`.
+    notes: what the reader decided or left out, a sentence each, for people.
+    """
+
+    modes: MeasuredModes | None = None
+    geometry: TestGeometry | None = None
+    frfs: MeasuredFrfs | None = None
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,69 @@
+"""The finite element mesh as far as pictures, sensors and files of results need it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from modetune.core.errors import ModelError
+from modetune.core.modes import Floats, Integers
+
+#: Shapes of cells by the names of meshio; their nodes stand in the order of VTK.
+CellKind = Literal[
+    "vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "tetra", "tetra10",
+    "pyramid", "pyramid13", "wedge", "wedge15", "hexahedron", "hexahedron20",
+]  # fmt: skip
+#: How many of a cell's nodes, the first ones, are its corners.
+CORNERS: dict[CellKind, int] = {
+    "vertex": 1, "line": 2, "line3": 2, "triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4,
+    "tetra": 4, "tetra10": 4, "pyramid": 5, "pyramid13": 5, "wedge": 6, "wedge15": 6,
+    "hexahedron": 8, "hexahedron20": 8,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Elements of one shape.
+
+    elements: (n_cells,), their numbers in the deck. nodes: (n_cells, n_nodes), node numbers.
+    """
+
+    kind: CellKind
+    elements: Integers
+    nodes: Integers
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Nodes that carry results, and the elements between them.
+
+    nodes: (n_nodes,), numbers, ascending. coordinates: (n_nodes, 3), global axes, the deck's
+    length. cells: the elements, a block a shape. frames: of nodes whose results are in axes of
+    their own, these axes as rows in the global ones (3, 3).
+    Raises ModelError where arrays do not fit together.
+    """
+
+    nodes: Integers
+    coordinates: Floats
+    cells: tuple[Cells, ...]
+    frames: dict[int, Floats] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.coordinates.shape != (self.nodes.size, 3):
+            raise ModelError(
+                f"coordinates of shape {self.coordinates.shape} for {self.nodes.size} nodes"
+            )
+        if (np.diff(self.nodes) <= 0).any():
+            raise ModelError("the nodes of a mesh must ascend")
+        if not np.isfinite(self.coordinates).all():
+            raise ModelError("a coordinate of the mesh is not a finite number")
+
+    def rows(self, nodes: Integers) -> Integers:
+        """Rows of these node numbers, any shape. Raises ModelError for a node not in the mesh."""
+        found = np.searchsorted(self.nodes, nodes)
+        inside = np.minimum(found, max(self.nodes.size - 1, 0))
+        if self.nodes.size == 0 or (self.nodes[inside] != nodes).any():
+            raise ModelError("a node is asked for that is not in the mesh")
+        return found.astype(np.int64)

@@ -1,0 +1,1 @@
+"""The cases of the reference thesis, run from beginning to end."""

@@ -1,0 +1,1 @@
+"""What a campaign leaves to look at."""

@@ -1,0 +1,1 @@
+"""modetune's Prefect server: started, deployed to, shown on."""
