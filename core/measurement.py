@@ -66,3 +66,8 @@ class Measurement:
     geometry: TestGeometry | None = None
     frfs: MeasuredFrfs | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there are neither modes, geometry nor response functions."""
+        return self.modes is None and self.geometry is None and self.frfs is None

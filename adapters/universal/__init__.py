@@ -1,0 +1,1 @@
+"""Universal files (UFF, UNV) of test systems, read and written through pyuff."""

@@ -1,0 +1,112 @@
+"""One universal file read through pyuff.
+
+pyuff reads whole files by name. It gets a tidied copy of the datasets that matter (`tidy.py`), and
+what it returns is checked against the counts that the dataset itself gives. A dataset that neither
+can read is passed over with a note.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyuff
+
+from modetune.adapters.universal.blocks import Block, read_blocks
+from modetune.adapters.universal.contents import Content, Place, UniversalFile
+from modetune.adapters.universal.convert import (
+    drawing_of_elements,
+    drawing_of_trace,
+    function,
+    node_table,
+    systems_2420,
+    systems_of_points,
+    units,
+)
+from modetune.adapters.universal.shapes import shape_55, shape_2414
+from modetune.adapters.universal.tidy import tidy
+from modetune.core.errors import CampaignError
+
+#: How what pyuff returns for each dataset becomes what modetune knows.
+CONVERT: dict[int, Callable[[Place, Block, Any], Content | None]] = {
+    15: node_table,
+    18: systems_of_points,
+    55: shape_55,
+    58: function,
+    82: drawing_of_trace,
+    164: units,
+    2411: node_table,
+    2412: drawing_of_elements,
+    2414: shape_2414,
+    2420: systems_2420,
+}
+#: Datasets whose content is not needed: a header with names and dates.
+UNUSED = {151}
+
+
+def read_file(path: Path) -> UniversalFile:
+    """A file's datasets. Raises CampaignError where it is cut short or nothing can be read."""
+    blocks = read_blocks(path)
+    notes: list[str] = []
+    unknown: dict[str, list[int]] = {}
+    passed: dict[str, list[Place]] = {}
+    wanted: list[tuple[Place, Block, bytes]] = []
+    for block in blocks:
+        place = Place(path, block.line, block.name)
+        if block.kind not in CONVERT:
+            if block.kind not in UNUSED:
+                unknown.setdefault(block.name, []).append(block.line)
+            continue
+        try:
+            wanted.append((place, block, tidy(block)))
+        except ValueError as problem:
+            passed.setdefault(str(problem), []).append(place)
+    for name, lines in unknown.items():
+        notes.append(f"{path}: dataset {name} ({_lines(lines)}) is not one that is read here")
+    contents = _contents(wanted, passed)
+    for reason, places in passed.items():
+        more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
+        notes.append(f"{places[0]} {reason}; passed over{more}")
+    if not contents:
+        raise CampaignError([f"{path} holds nothing of a test that can be read", *notes])
+    return UniversalFile(path, tuple(block.name for block in blocks), tuple(contents), tuple(notes))
+
+
+def _contents(
+    wanted: Sequence[tuple[Place, Block, bytes]], passed: dict[str, list[Place]]
+) -> list[Content]:
+    """What datasets say; those that cannot be read are put into `passed` by the reason."""
+    contents: list[Content] = []
+    with tempfile.TemporaryDirectory(prefix="modetune-") as folder:
+        copy = Path(folder) / "tidy.uff"
+        copy.write_bytes(b"".join(text for _, _, text in wanted))
+        file = pyuff.UFF(str(copy))
+        kinds = [block.kind for _, block, _ in wanted]
+        if kinds and file.get_set_types().tolist() != kinds:  # a mark by chance amid binary values
+            raise CampaignError(
+                f"{wanted[0][0].path}: its binary values look like marks of datasets; export the "
+                "file again with text values (dataset 58 instead of 58b)"
+            )
+        for index, (place, block, _) in enumerate(wanted):
+            try:
+                content = CONVERT[block.kind](place, block, _read_set(file, index))
+            except ValueError as problem:
+                passed.setdefault(str(problem), []).append(place)
+                continue
+            if content is not None:
+                contents.append(content)
+    return contents
+
+
+def _read_set(file: Any, index: int) -> Any:
+    try:
+        return file.read_sets(index)
+    except Exception as error:  # pyuff raises nothing more precise, whatever is wrong
+        raise ValueError("is not in the form of its number") from error
+
+
+def _lines(lines: Sequence[int]) -> str:
+    shown = ", ".join(map(str, lines[:5])) + (", ..." if len(lines) > 5 else "")
+    return f"line {shown}" if len(lines) == 1 else f"{len(lines)} times, lines {shown}"
