@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from modetune.core.errors import ModelError
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import Floats, Integers, ModeSet
 
 #: Shapes of cells by the names of meshio; their nodes stand in the order of VTK.
 CellKind = Literal[
@@ -20,6 +20,11 @@ CORNERS: dict[CellKind, int] = {
     "vertex": 1, "line": 2, "line3": 2, "triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4,
     "tetra": 4, "tetra10": 4, "pyramid": 5, "pyramid13": 5, "wedge": 6, "wedge15": 6,
     "hexahedron": 8, "hexahedron20": 8,
+}  # fmt: skip
+#: How many nodes a cell has.
+NODES: dict[CellKind, int] = {
+    **CORNERS, "line3": 3, "triangle6": 6, "quad8": 8, "tetra10": 10, "pyramid13": 13,
+    "wedge15": 15, "hexahedron20": 20,
 }  # fmt: skip
 
 
@@ -67,3 +72,18 @@ class Mesh:
         if self.nodes.size == 0 or (self.nodes[inside] != nodes).any():
             raise ModelError("a node is asked for that is not in the mesh")
         return found.astype(np.int64)
+
+
+def global_shapes(mesh: Mesh, modes: ModeSet) -> Floats:
+    """Translations (n_modes, n_nodes, 3) at the mesh's nodes in global axes.
+
+    Zero where the modes have no result. modes: real, in the frames of the mesh.
+    """
+    shapes = np.zeros((modes.n_modes, mesh.nodes.size, 3))
+    inside = np.isin(modes.nodes, mesh.nodes) & (modes.components <= 3)
+    rows: Integers = mesh.rows(modes.nodes[inside])
+    shapes[:, rows, modes.components[inside] - 1] = modes.mode_shapes[inside].real.T
+    for node, axes in mesh.frames.items():
+        row = int(mesh.rows(np.array([node]))[0])
+        shapes[:, row] = shapes[:, row] @ axes  # rows of `axes` are the node's own directions
+    return shapes

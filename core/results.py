@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -38,6 +38,11 @@ class ModalResult:
             raise ModesError("an eigenvalue is not a finite number")
         if self.strain_energies.shape != (len(self.groups), n_modes):
             raise ModesError("the strain energies do not fit their groups and modes")
+
+    def at(self, nodes: tuple[int, ...]) -> ModalResult:
+        """The same modes with shapes at these nodes only."""
+        rows = np.flatnonzero(np.isin(self.modes.nodes, np.array(nodes, dtype=np.int64)))
+        return self if rows.size == self.modes.n_dof else replace(self, modes=self.modes.rows(rows))
 
     @property
     def n_rigid(self) -> int:

@@ -12,9 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import KDTree
 
 from modetune.core.errors import ModesError
+from modetune.core.mesh import CORNERS, CellKind, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet
+
+#: Corners of a solid's first face, around which its edges are taken.
+FACE: dict[CellKind, int] = {
+    "tetra": 3, "tetra10": 3, "wedge": 3, "wedge15": 3,
+    "pyramid": 4, "pyramid13": 4, "hexahedron": 4, "hexahedron20": 4,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +73,12 @@ class SensorMap:
     def observe(self, modes: ModeSet) -> ModeSet:
         """Computed modes as the test's sensors see them, named by the test. Raises ModesError."""
         seen = self.matrix(modes.nodes, modes.components) @ modes.mode_shapes
-        return replace(modes, mode_shapes=np.asarray(seen), nodes=self.nodes, components=self.components)
+        return replace(
+            modes,
+            mode_shapes=np.asarray(seen),
+            nodes=self.nodes,
+            components=self.components,
+        )
 
 
 def by_number(nodes: Integers, components: Integers) -> SensorMap:
@@ -78,3 +91,58 @@ def by_number(nodes: Integers, components: Integers) -> SensorMap:
         turns=components > 3,
         distances=np.zeros(nodes.size),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class NextNodes:
+    """The two model nodes next to each of some places.
+
+    nodes: (n, 2), numbers, nearest first. distances: (n, 2); infinite where the mesh has one node.
+    """
+
+    nodes: Integers
+    distances: Floats
+
+
+def next_nodes(places: Floats, mesh: Mesh) -> NextNodes:
+    """The nodes of a mesh, with at least one, next to places (n, 3) in its axes and length."""
+    distances, rows = KDTree(mesh.coordinates).query(places, k=2)
+    return NextNodes(
+        mesh.nodes[np.minimum(rows, mesh.nodes.size - 1)], np.asarray(distances, np.float64)
+    )
+
+
+def result_directions(nodes: Integers, directions: Floats, mesh: Mesh) -> Floats:
+    """Directions (n, 3) in global axes, in the axes in which each node's results stand."""
+    turned = [
+        mesh.frames[node] @ direction if node in mesh.frames else direction
+        for node, direction in zip(nodes.tolist(), directions, strict=True)
+    ]
+    return np.array(turned).reshape(-1, 3)
+
+
+def global_directions(nodes: Integers, directions: Floats, mesh: Mesh) -> Floats:
+    """Directions (n, 3) in the axes of the results at these nodes, turned into the global ones."""
+    return np.array(
+        [
+            direction @ mesh.frames[node] if node in mesh.frames else direction
+            for node, direction in zip(nodes.tolist(), directions, strict=True)
+        ]
+    ).reshape(-1, 3)
+
+
+def mean_edge(mesh: Mesh) -> float:
+    """Mean distance between neighbouring corners of the elements; 0 where all are points.
+
+    Of a solid the edges of its first face stand for all.
+    """
+    lengths = [np.zeros(0)]
+    for cells in mesh.cells:
+        n_corners = FACE.get(cells.kind, CORNERS[cells.kind])
+        if n_corners < 2 or cells.nodes.size == 0:
+            continue
+        corners = mesh.coordinates[mesh.rows(cells.nodes[:, :n_corners])]
+        edges = np.diff(corners, axis=1) if n_corners == 2 else corners - np.roll(corners, 1, 1)
+        lengths.append(np.linalg.norm(edges, axis=2).ravel())
+    every = np.concatenate(lengths)
+    return float(every.mean()) if every.size else 0.0

@@ -6,45 +6,43 @@ All problems are collected and told at once, each with file and line, before any
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from pydantic import ValidationError
 
-from modetune.adapters.modes_csv import read_modes_csv
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignError, ModelError
-from modetune.core.modes import COMPONENTS, Floats, MeasuredModes
+from modetune.core.measurement import Measurement
+from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.residual import Weighting
+from modetune.core.sensors import SensorMap
 from modetune.core.store import Store
+from modetune.core.surface import Surface, display_surface
 from modetune.flows.schema import (
     STORE_VARIABLE,
     CampaignFile,
+    ReportSection,
     RunSection,
     SensitivitySection,
     SolverName,
     Units,
     UpdateSection,
 )
+from modetune.flows.sensor_mapping import Mapping
 from modetune.flows.settings import override
 from modetune.flows.solvers import bind_solver, model_deck
+from modetune.flows.test_side import map_test, pairing_nodes, read_test, used_modes
+from modetune.flows.units import unit_problems
 
-#: Nodes whose shapes are kept where the test has no sensors, to track modes by.
-TRACKING_NODES = 500
 #: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
 EXTRA_MODES = 4
 RIGID_MODES = 6
-KILOGRAMS: dict[Units, float] = {
-    "m-kg-s": 1.0, "mm-t-s": 1e3, "in-slinch-s": 175.126835, "ft-slug-s": 14.5939029,
-}  # fmt: skip
-METRES: dict[Units, float] = {
-    "m-kg-s": 1.0, "mm-t-s": 1e-3, "in-slinch-s": 0.0254, "ft-slug-s": 0.3048,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +55,17 @@ class Campaign:
     solver: Solver
     units: Units
     parameters: ParameterSet
+    measurement: Measurement
     test: MeasuredModes
+    mapping: Mapping
+    surface: Surface
     weighting: Weighting
     tolerances: Tolerances
     update: UpdateSection
     sensitivity: SensitivitySection
     run: RunSection
     store: Store
+    report: ReportSection
     nodes: tuple[int, ...]
     settings: tuple[str, ...] = ()
     begin: tuple[float, ...] | None = None
@@ -72,6 +74,16 @@ class Campaign:
     def start(self) -> Floats:
         """Parameters (n_parameters,) that updating starts from."""
         return self.parameters.initial if self.begin is None else np.array(self.begin)
+
+    @property
+    def sensors(self) -> SensorMap:
+        """How the test's sensors see the model."""
+        return self.mapping.sensors
+
+    @property
+    def result_nodes(self) -> tuple[int, ...]:
+        """Nodes at which the modes of the whole model are wanted: for pairing, and to look at."""
+        return tuple(sorted({*self.nodes, *self.surface.nodes.tolist()}))
 
     @property
     def n_modes(self) -> int:
@@ -103,16 +115,19 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
     except ValidationError as error:
         raise CampaignError([_problem(source, item) for item in error.errors()]) from None
     problems: list[str] = []
-    test = _read_test(source, file, problems)
+    measurement = read_test(source, file, problems)
     parameters = _parameters(file)
     store = Store(_store_folder(source, file))
     solver = _read_model(source, file, store, parameters, problems)
-    if test is not None and solver is not None:
-        problems += _disagreements(source, file, test, solver)
+    mapping = None
+    if measurement is not None and solver is not None:
+        mapping = map_test(source, file, measurement, solver, problems)
+        problems += _method_problems(source, file, solver)
     problems += _core_problems(source, run) + _licence_problems(source, file.run)
-    if problems or test is None or solver is None:
+    if problems or measurement is None or solver is None or mapping is None:
         raise CampaignError(problems)
-    shapes = file.residuals.shape_weight
+    used = used_modes(file, measurement)
+    test = replace(used, modes=used.modes.rows(mapping.rows))
     return Campaign(
         name=file.name,
         file=path,
@@ -120,19 +135,23 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
         solver=solver,
         units=file.model.units,
         parameters=parameters,
+        measurement=measurement,
         test=test,
+        mapping=mapping,
+        surface=display_surface(solver.mesh(), file.report.nodes),
         weighting=Weighting(
             file.residuals.frequency_deviation,
             file.residuals.shape_deviation,
             file.residuals.frequency_weight,
-            shapes,
+            file.residuals.shape_weight,
         ),
         tolerances=Tolerances(file.update.e1.frequency, file.update.e1.mac),
         update=file.update,
         sensitivity=file.sensitivity,
         run=run,
         store=store,
-        nodes=_result_nodes(test, solver),
+        report=file.report,
+        nodes=pairing_nodes(test, mapping.sensors, solver),
         settings=tuple(settings or ()),
     )
 
@@ -200,29 +219,6 @@ def _parameters(file: CampaignFile) -> ParameterSet:
     )
 
 
-def _read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> MeasuredModes | None:
-    try:
-        test = read_modes_csv(source.path.parent / file.test.modes)
-    except CampaignError as error:
-        where = source.where(("test", "modes"))
-        problems += [f"{problem} (named in {where})" for problem in error.problems]
-        return None
-    wanted = file.test.use if file.test.use is not None else test.numbers
-    missing = [str(number) for number in wanted if number not in test.numbers]
-    if missing:
-        problems.append(
-            f"{source.where(('test', 'use'))}: mode {', '.join(missing)} is asked for, but "
-            f"{file.test.modes} has modes {', '.join(map(str, test.numbers))}"
-        )
-        return None
-    if file.residuals.shape_weight > 0.0 and not test.has_shapes:
-        problems.append(
-            f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
-            f"{file.test.modes} holds frequencies only"
-        )
-    return test.use(wanted)
-
-
 def _read_model(
     source: YamlFile,
     file: CampaignFile,
@@ -245,46 +241,8 @@ def _read_model(
         place = source.where(("parameters",))
         problems += [f"{place}: {said}" for said in solver.problems(parameters.parameters)]
     if not problems:
-        problems += _unit_problems(source.where(("model", "units")), file.model.units, solver)
+        problems += unit_problems(source.where(("model", "units")), file.model.units, solver)
     return solver
-
-
-def _unit_problems(where: str, units: Units, solver: Solver) -> list[str]:
-    """Sound travels at 500 to 20,000 m/s in what structures are made of; wrong units show there."""
-    found = []
-    for material, speed in solver.wave_speeds().items():
-        metres = speed * METRES[units]
-        if not 500.0 <= metres <= 20_000.0:
-            fitting = [name for name, scale in METRES.items() if 500.0 <= speed * scale <= 20_000.0]
-            hint = f"; {' or '.join(fitting)} would fit" if fitting else ""
-            found.append(
-                f"{where}: in units {units} sound would travel at {metres:.3g} m/s in material "
-                f"{material} (root of E over density){hint}"
-            )
-    return found
-
-
-def _disagreements(
-    source: YamlFile, file: CampaignFile, test: MeasuredModes, solver: Solver
-) -> list[str]:
-    """What is wrong between model, test and settings."""
-    found = []
-    absent = sorted(set(test.modes.nodes.tolist()) - solver.model.node_ids)
-    if absent:
-        found.append(
-            f"{source.path.parent / file.test.modes}: sensor node "
-            f"{', '.join(map(str, absent[:5]))}{', ...' if len(absent) > 5 else ''} is not in the "
-            f"model {solver.model.name} (named in {source.where(('test', 'modes'))})"
-        )
-    strange = sorted(set(test.modes.components.tolist()) - solver.model.components)
-    if strange:
-        has = ", ".join(COMPONENTS[number - 1] for number in sorted(solver.model.components))
-        found.append(
-            f"{source.path.parent / file.test.modes}: sensors measure "
-            f"{', '.join(COMPONENTS[number - 1] for number in strange)}, but results of "
-            f"{solver.name} have {has} (named in {source.where(('test', 'modes'))})"
-        )
-    return found + _method_problems(source, file, solver)
 
 
 def _method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
@@ -313,17 +271,3 @@ def _method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> li
         for item in _parameters(file).parameters
         if not solver.problems((item,)) and not solver.energy_sets(item)
     ]
-
-
-def _result_nodes(test: MeasuredModes, solver: Solver) -> tuple[int, ...]:
-    """Sensor nodes, or where there are none a spread of nodes to track modes by."""
-    if test.has_shapes:
-        return tuple(np.unique(test.modes.nodes).tolist())
-    return tracking_nodes(solver.model.node_ids)
-
-
-def tracking_nodes(node_ids: frozenset[int]) -> tuple[int, ...]:
-    """A spread of nodes whose shapes tell modes apart."""
-    nodes = np.array(sorted(node_ids))
-    spread = np.linspace(0, nodes.size - 1, min(TRACKING_NODES, nodes.size)).round()
-    return tuple(nodes[np.unique(spread.astype(np.int64))].tolist())

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 from modetune.core.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.estimation import Step
-from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.modes import Floats, ModeSet
 from modetune.core.pairing import Pairing, pair_by_order, pair_by_shape, pair_by_tracking
-from modetune.core.residual import Residual, Weighting, residual
+from modetune.core.residual import Residual, residual
 from modetune.core.results import ModalResult
+from modetune.flows.campaign import Campaign
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +24,17 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """A model state compared with the test."""
+    """A model state compared with the test.
+
+    modal: at the nodes that pairing and derivatives need; seen: its elastic modes as the test's
+    sensors see them; field: the elastic modes at every node that was asked for.
+    """
 
     theta: Floats
     key: str
     modal: ModalResult
+    seen: ModeSet
+    field: ModeSet
     pairing: Pairing
     residual: Residual
     errors: Floats
@@ -42,11 +49,10 @@ class Evaluation:
 
 
 def compare(
+    campaign: Campaign,
     theta: Floats,
     key: str,
-    modal: ModalResult,
-    test: MeasuredModes,
-    weighting: Weighting,
+    result: ModalResult,
     previous: Evaluation | None,
 ) -> Evaluation:
     """Pair the modes of a model state with the test. Raises LostMode, ModesError.
@@ -54,20 +60,23 @@ def compare(
     Measured shapes decide where there are some; else the pairs of `previous` are tracked, and at
     first the order of frequencies decides.
     """
-    elastic = modal.elastic
+    test, modal = campaign.test, result.at(campaign.nodes)
+    seen = campaign.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
     if test.has_shapes:
-        pairing = pair_by_shape(test.modes, elastic)
+        pairing = pair_by_shape(test.modes, seen)
     elif previous is None:
-        pairing = pair_by_order(test.modes, elastic)
+        pairing = pair_by_order(test.modes, seen)
     else:
-        pairing = pair_by_tracking(previous.pairing, previous.modal.elastic, elastic)
+        pairing = pair_by_tracking(previous.pairing, previous.modal.elastic, modal.elastic)
     return Evaluation(
         theta=theta,
         key=key,
         modal=modal,
+        seen=seen,
+        field=result.elastic,
         pairing=pairing,
-        residual=residual(test.modes, elastic, pairing, weighting),
-        errors=frequency_errors(test.modes, elastic, pairing),
+        residual=residual(test.modes, seen, pairing, campaign.weighting),
+        errors=frequency_errors(test.modes, seen, pairing),
     )
 
 

@@ -69,7 +69,7 @@ def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
         for item in campaign.parameters.parameters
         if solver.capabilities.strain_energies and solver.energy_sets(item)
     )
-    return ModalAnalysis(campaign.n_modes, campaign.nodes, groups)
+    return ModalAnalysis(campaign.n_modes, campaign.result_nodes, groups)
 
 
 class Evaluator:
@@ -104,8 +104,7 @@ class Evaluator:
             modal = self.engine.result(Job(self._values(theta), self.analysis))
             assert isinstance(modal, ModalResult)
             try:
-                evaluation = compare(theta, key, modal, self.campaign.test,
-                                     self.campaign.weighting, previous)  # fmt: skip
+                evaluation = compare(self.campaign, theta, key, modal, previous)
                 break
             except LostMode as error:
                 if widening == WIDENINGS:
@@ -157,8 +156,8 @@ class Evaluator:
             raise next(iter(reasons.values()))
         values = np.zeros((evaluation.residual.values.size, len(names)))
         values[:, sorted(set(range(len(names))) - set(reasons))] = residual_sensitivity(
-            self.campaign.test.modes, evaluation.modal.elastic, evaluation.pairing,
-            self.campaign.weighting, derivatives,
+            self.campaign.test.modes, evaluation.seen, evaluation.pairing,
+            self.campaign.weighting, self._seen(evaluation, derivatives),
         )  # fmt: skip
         keys = tuple(
             outcome.key for item in done if not isinstance(item, ModetuneError) for outcome in item
@@ -217,6 +216,16 @@ class Evaluator:
             raise next(iter(reasons.values()))
         return stack_derivatives([parts[column] for column in sorted(parts)])
 
+    def _seen(self, evaluation: Evaluation, derivatives: ModeDerivatives) -> ModeDerivatives:
+        """Derivatives of shapes as the test's sensors see them."""
+        if self.campaign.weighting.shape_weight == 0.0:
+            return derivatives
+        modes = evaluation.modal.modes
+        observer = self.campaign.sensors.matrix(modes.nodes, modes.components)
+        shapes = derivatives.mode_shapes
+        seen = observer @ shapes.reshape(shapes.shape[0], -1)
+        return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
+
     def _works(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
         plans = self._sensitivities()
         shared = plans.shared(theta, methods)
@@ -246,7 +255,7 @@ class Evaluator:
             parameters=self.campaign.parameters,
             settings=self.campaign.sensitivity,
             with_shapes=self.campaign.weighting.shape_weight > 0.0,
-            modal=self.analysis,
+            modal=replace(self.analysis, nodes=self.campaign.nodes),
         )
 
 

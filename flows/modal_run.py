@@ -8,10 +8,11 @@ from typing import TypedDict
 
 from modetune.core.errors import CampaignError
 from modetune.core.results import ModalResult
-from modetune.flows.campaign import KILOGRAMS, Campaign
+from modetune.flows.campaign import Campaign
 from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.execution.engine import Job
 from modetune.flows.running import job_engine
+from modetune.flows.units import KILOGRAMS
 
 
 class ModalSummary(TypedDict):

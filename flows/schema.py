@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from modetune.core.estimation import StepForm
 from modetune.core.parameters import TARGETS, Quantity, TargetKind
 from modetune.flows.execution.site import DaskSection, Engine, SlurmSection, with_site
+from modetune.flows.sensor_section import SensorSection
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -21,6 +22,7 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
 SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
+LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 NastranDialect = Literal["msc", "nx"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
 #: Names the store's folder for all campaigns.
@@ -33,31 +35,39 @@ Targets = str | int | tuple[str | int, ...]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class GeneratorSection(_Section):
-    """A model that modetune makes itself: garteur in solids, or garteur_shell, a Nastran deck."""
+    """A model that modetune makes itself: garteur and fixture in solids for CalculiX, or
+    garteur_shell, a Nastran deck."""
 
-    case: Literal["garteur", "garteur_shell"]
+    case: Literal["garteur", "garteur_shell", "fixture"]
+    """`garteur`, `fixture`: solids, for CalculiX; `garteur_shell`: a Nastran deck."""
     mesh: Literal["coarse", "fine"] = "fine"
+    """How fine the solids are meshed."""
 
 
 class ModelSection(_Section):
     """The finite element model: a deck, or one of modetune's own generators."""
 
     deck: str | None = None
+    """Path of the deck, relative to the campaign file; its includes are followed."""
     generator: GeneratorSection | None = None
+    """A model that modetune makes itself, instead of a deck."""
     solver: SolverName = "calculix"
+    """The program that runs the deck; `calculix` runs Nastran decks too, by translation."""
     dialect: NastranDialect = "msc"
+    """Which Nastran: MSC, or Simcenter (NX)."""
     units: Units
+    """The consistent units that the deck is written in."""
 
     @model_validator(mode="after")
     def _one_source(self) -> ModelSection:
         if (self.deck is None) == (self.generator is None):
             raise ValueError("give either `deck` or `generator`")
         if self.generator is not None and self.solver != "calculix":
-            solid = self.generator.case == "garteur"
+            solid = self.generator.case != "garteur_shell"
             if solid or self.solver == "matrices":
                 raise ValueError(f"the generator writes no deck for {self.solver}")
         return self
@@ -68,8 +78,15 @@ class TestSection(_Section):
 
     __test__ = False
 
-    modes: str
+    modes: str | Annotated[tuple[str, ...], Field(min_length=1)]
+    """Path of the measured modes (CSV, universal file, HDF5), relative to the campaign file; or a
+    list of files that belong together: modes, geometry, response functions."""
+    length: LengthUnit | None = None
+    """Unit of the test's coordinates, where its files do not tell."""
+    sensors: SensorSection = SensorSection()
+    """How the test's points are laid over the model."""
     use: tuple[int, ...] | None = Field(default=None, min_length=1)
+    """Numbers of the modes that are used; without it all of them."""
 
     @model_validator(mode="after")
     def _different(self) -> TestSection:
@@ -82,16 +99,27 @@ class ParameterSection(_Section):
     """One updating parameter; bounds, deviation and initial are relative to the deck's value."""
 
     name: Name
+    """What the parameter is called in tables, in the record and in `--at`."""
     quantity: Quantity
+    """What of the model it scales."""
     item: Annotated[int, Field(ge=0)] = 0
+    """Which of a card's numbers: a ply, a dimension, a direction; 0: the one, or all."""
     material: Targets | None = None
+    """Material, or a list of them tied together."""
     elset: Targets | None = None
+    """Element set (CalculiX) or element (`matrices`), or a list of them tied together."""
     property: Targets | None = None
+    """Number of a Nastran property, or a list of them tied together."""
     element: Targets | None = None
+    """Number or range (`101-120`) of Nastran elements, or a list of them tied together."""
     part: Targets | None = None
+    """Part of a model of matrices, or a list of them tied together."""
     bounds: tuple[Positive, Positive] = (0.5, 2.0)
+    """Least and largest value [of the deck's value]"""
     deviation: Positive = 0.2
+    """How uncertain the value is beforehand: its standard deviation [of the deck's value]"""
     initial: Positive = 1.0
+    """The value that updating starts from [of the deck's value]"""
 
     @model_validator(mode="after")
     def _sound(self) -> ParameterSection:
@@ -118,70 +146,107 @@ class ParameterSection(_Section):
         return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
 
 
+class ReportSection(_Section):
+    """What is kept and made to look at."""
+
+    page: bool = True
+    """Whether `update` leaves report.html in its run folder."""
+    nodes: Annotated[int, Field(ge=0, le=100_000)] = 4000
+    """Shapes are kept at the sensors and at no more than so many nodes of the model's surface."""
+
+
 class ResidualSection(_Section):
     """What is compared: emphasis of frequencies and shapes, and how exactly they were measured."""
 
     frequency_weight: NotNegative = 1.0
+    """Emphasis of frequencies; 0 leaves them out."""
     shape_weight: NotNegative = 0.0
+    """Emphasis of mode shapes; 0 leaves them out."""
     frequency_deviation: Positive = 0.002
+    """Standard deviation of measured frequencies [of the frequency]"""
     shape_deviation: Positive = 0.05
+    """Standard deviation of measured shape entries [of the shape's rms]"""
 
 
 class E1Section(_Section):
     """Agreement that ends updating: relative frequency error, and least MAC."""
 
     frequency: Positive = 0.01
+    """Largest frequency error of a model that agrees [of the measured frequency]"""
     mac: Share = 0.9
+    """Least MAC of a model that agrees, wherever shapes were measured."""
 
 
 class UpdateSection(_Section):
-    """The updating steps. e2 of 0 computes the sensitivity in every iteration."""
+    """The updating steps."""
 
     start: Literal["deck", "last"] = "deck"
+    """Begin at the deck's values, or where the run before ended."""
     step: StepForm = "regularised"
+    """How the step follows from residual and sensitivity (see the theory)."""
     regularisation: NotNegative | Literal["l_curve"] = 1.0
+    """Factor on the parameters' own weights, or the corner of the L-curve."""
     e1: E1Section = E1Section()
+    """Agreement that ends updating."""
     e2: NotNegative = 0.002
+    """Change of the residual a parameter, below which a sensitivity is skipped; 0: never."""
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
+    """Steps that are taken at most."""
     step_limit: Positive = 0.2
+    """Largest change of a parameter in one step [of the deck's value]"""
 
 
 class SensitivitySection(_Section):
     """How sensitivities are computed, and what is used in between."""
 
     method: Method = "auto"
+    """How derivatives are computed; `auto`: the cheapest exact way for each parameter."""
     between: Literal["keep", "broyden"] = "broyden"
+    """While e2 skips: the old matrix as it is, or with Broyden's correction."""
     difference: Literal["forward", "central"] = "forward"
+    """Which finite differences: one job a parameter, or two."""
     step: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
+    """Step of finite differences [of the parameter's value]"""
 
 
 class RetriesSection(_Section):
     """How often a job is tried again, by what became of it; a plain number goes for all."""
 
     stopped: Retries = 2
+    """A job that was killed or broke off."""
     timeout: Retries = 1
+    """A job that ran longer than `timeout_s`."""
     no_result: Retries = 1
+    """A job that ended well and left what is no result."""
 
 
 class RunSection(_Section):
-    """How jobs run. parallel 0: as many as there are cores; threads 0: the cores, shared out.
-
-    licences: jobs that may run at the same time on each solver, by its name, over all campaigns
-    of the machine.
-    """
+    """How jobs run."""
 
     parallel: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Jobs at the same time; 0: as many as there are cores."""
     threads: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Threads of each job; 0: the cores, shared out among parallel jobs."""
     licences: dict[Name, Annotated[int, Field(ge=1, le=10_000)]] = {}
+    """Jobs of a solver that may run at the same time on the machine, by its name."""
     retries: RetriesSection = RetriesSection()
+    """How often a job is tried again, by what became of it; one number goes for all."""
     failed_column: Literal["leave_out", "stop"] = "leave_out"
+    """A sensitivity column that cannot be had: go on without it this time, or stop."""
     timeout_s: Positive = 3600.0
+    """Longest run of one job [s]"""
     licence_pause_s: Positive = 30.0
+    """First pause of a job that got no licence; it grows by half each time [s]"""
     licence_wait_s: Positive = 86400.0
+    """After this wait for a licence the job is given up [s]"""
     keep_jobs: bool = False
+    """Keep the folders of good jobs; those of failed ones are always kept."""
     engine: Engine = "local"
+    """Where jobs run: here, under Slurm, or on a Dask cluster."""
     slurm: SlurmSection = SlurmSection()
+    """What Slurm is told."""
     dask: DaskSection = DaskSection()
+    """The Dask cluster."""
 
     @property
     def here(self) -> bool:
@@ -204,14 +269,25 @@ class CampaignFile(_Section):
     """A whole campaign file."""
 
     name: Name
+    """Names the run folder, `runs/<name>`."""
     model: ModelSection
+    """The finite element model."""
     test: TestSection
+    """What was measured."""
     parameters: tuple[ParameterSection, ...] = Field(min_length=1)
+    """What of the model may change."""
     residuals: ResidualSection = ResidualSection()
+    """What is compared, and how exactly it was measured."""
     update: UpdateSection = UpdateSection()
+    """The updating steps."""
     sensitivity: SensitivitySection = SensitivitySection()
+    """How derivatives are computed."""
+    report: ReportSection = ReportSection()
+    """What is kept and made to look at."""
     run: RunSection = RunSection()
+    """How jobs run."""
     store: str | None = None
+    """Folder of results; else MODETUNE_STORE, or `.modetune/store` beside the campaign."""
 
     @model_validator(mode="after")
     def _different(self) -> CampaignFile:

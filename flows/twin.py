@@ -19,8 +19,9 @@ from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.pairing import Pairing, pair_by_shape
 from modetune.core.results import ModalResult
-from modetune.flows.campaign import EXTRA_MODES, Campaign, load_campaign, tracking_nodes
+from modetune.flows.campaign import EXTRA_MODES, Campaign, load_campaign
 from modetune.flows.modal_run import model_modes, parse_values
+from modetune.flows.test_side import tracking_nodes
 
 
 @dataclass(frozen=True, slots=True)

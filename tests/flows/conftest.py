@@ -29,22 +29,28 @@ from modetune.adapters.solver import (
 from modetune.core.criteria import Tolerances
 from modetune.core.errors import LicenceDenied, SolverCrashed, SolverRejected
 from modetune.core.keys import Json
+from modetune.core.measurement import Measurement
+from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet, Quantity, Values
 from modetune.core.record import IterationRecord
 from modetune.core.residual import Weighting
 from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
 from modetune.core.store import Store
+from modetune.core.surface import display_surface
 from modetune.flows.campaign import Campaign
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.running import job_engine
 from modetune.flows.schema import (
     E1Section,
+    ReportSection,
     RetriesSection,
     RunSection,
     SensitivitySection,
     UpdateSection,
 )
+from modetune.flows.sensor_mapping import map_sensors
+from modetune.flows.sensor_section import SensorSection
 
 SPRINGS = np.array([1500.0, 1600.0, 1400.0, 6500.0, 1300.0, 1500.0, 1300.0])
 MASSES = np.array([1.8, 2.4, 1.6, 1.2, 1.1, 0.9])
@@ -122,6 +128,12 @@ class ScriptedSolver:
     @property
     def model(self) -> ModelSummary:
         return ModelSummary("chain", frozenset(range(1, 7)), frozenset({1}), 13, solid_shapes=True)
+
+    def mesh(self) -> Mesh:
+        nodes = np.arange(1, 7)
+        places = np.stack([100.0 * nodes, np.zeros(6), np.zeros(6)], axis=1)
+        links = Cells("line", np.arange(2, 7), np.stack([nodes[:-1], nodes[1:]], axis=1))
+        return Mesh(nodes, places, (links,))
 
     def version(self) -> str:
         return "1"
@@ -272,16 +284,21 @@ class Bench:
             step="weighted_least_squares", e1=E1Section(frequency=1e-8, mac=0.0), e2=0.0,
             step_limit=0.5,
         )  # fmt: skip
+        test = MeasuredModes(modes, self.measured(truth, modes, shapes))
+        solver = self.solver(energies)
         return Campaign(
             name="chain",
             file=self.folder / "chain.yaml",
             text="name: chain",
-            solver=self.solver(energies),
+            solver=solver,
             units="m-kg-s",
             parameters=ParameterSet(
                 tuple(Parameter(n, q, "part", (n,), *bounds, 0.3) for n, q in names.items())
             ),
-            test=MeasuredModes(modes, self.measured(truth, modes, shapes)),
+            measurement=Measurement(test),
+            test=test,
+            mapping=map_sensors(test.modes, None, solver.mesh(), SensorSection(), 1.0),
+            surface=display_surface(solver.mesh()),
             weighting=Weighting(0.002, 0.02, 1.0, 1.0 if shapes else 0.0),
             tolerances=Tolerances(update.e1.frequency, update.e1.mac),
             update=update,
@@ -293,6 +310,7 @@ class Bench:
                 licence_wait_s=licence_wait_s,
             ),
             store=Store(self.folder / "store"),
+            report=ReportSection(page=False),
             nodes=(1, 2, 3, 4, 5, 6),
         )
 

@@ -126,13 +126,13 @@ def test_two_parameters_on_one_number_are_refused(folder: Path) -> None:
 def test_a_sensor_outside_the_model_is_named(folder: Path) -> None:
     (folder / "measured.csv").write_text(TEST + "8.x,1,2\n77.z,1,2\n")
     said = problems(folder)
-    assert "sensor node 77 is not in the model" in said
+    assert "sensor 77: the model has no results at a node 77" in said
     assert "campaign.yaml, line 6" in said
 
 
 def test_a_component_that_the_solver_does_not_give_is_named(folder: Path) -> None:
     (folder / "measured.csv").write_text(TEST + "8.x,1,2\n8.rz,1,2\n")
-    assert "sensors measure rz, but results of calculix have x, y, z" in problems(folder)
+    assert "sensor 8.rz: the model's results have no rz" in problems(folder)
 
 
 def test_nan_in_the_test_names_file_and_line(folder: Path) -> None:

@@ -1,0 +1,95 @@
+"""The test of a campaign: read, cut to the modes that are used, and laid over the model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modetune.adapters.measurements import read_measurement
+from modetune.adapters.solver import Solver
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.errors import CampaignError
+from modetune.core.measurement import Measurement
+from modetune.core.mesh import Mesh
+from modetune.core.modes import MeasuredModes
+from modetune.core.sensors import SensorMap
+from modetune.flows.schema import CampaignFile
+from modetune.flows.sensor_mapping import Mapping, map_sensors
+from modetune.flows.units import LENGTH_METRES, METRES
+
+#: Nodes whose shapes are kept where the test has no sensors, to track modes by.
+TRACKING_NODES = 500
+
+
+def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Measurement | None:
+    """The test, if it has the modes that are asked for."""
+    names = (file.test.modes,) if isinstance(file.test.modes, str) else file.test.modes
+    metres = None if file.test.length is None else LENGTH_METRES[file.test.length]
+    try:
+        measurement = read_measurement([source.path.parent / name for name in names], metres)
+    except CampaignError as error:
+        where = source.where(("test", "modes"))
+        problems += [f"{problem} (named in {where})" for problem in error.problems]
+        return None
+    said = ", ".join(names)
+    test = measurement.modes
+    if test is None:
+        problems.append(f"{source.where(('test', 'modes'))}: {said} holds no modes")
+        return None
+    wanted = file.test.use if file.test.use is not None else test.numbers
+    missing = [str(number) for number in wanted if number not in test.numbers]
+    if missing:
+        problems.append(
+            f"{source.where(('test', 'use'))}: mode {', '.join(missing)} is asked for, but "
+            f"{said} has modes {', '.join(map(str, test.numbers))}"
+        )
+        return None
+    if file.residuals.shape_weight > 0.0 and not test.has_shapes:
+        problems.append(
+            f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
+            f"{said} holds frequencies only"
+        )
+    return measurement
+
+
+def used_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes:
+    """The modes that the campaign uses."""
+    assert measurement.modes is not None
+    numbers = file.test.use if file.test.use is not None else measurement.modes.numbers
+    return measurement.modes.use(numbers)
+
+
+def map_test(
+    source: YamlFile,
+    file: CampaignFile,
+    measurement: Measurement,
+    solver: Solver,
+    problems: list[str],
+) -> Mapping | None:
+    """Where the test's sensors are on the model."""
+    mesh, geometry = solver.mesh(), measurement.geometry
+    if mesh.nodes.size == 0:  # matrices alone have no places
+        nodes = np.array(sorted(solver.model.node_ids), dtype=np.int64)
+        mesh, geometry = Mesh(nodes, np.zeros((nodes.size, 3)), ()), None
+    try:
+        return map_sensors(
+            used_modes(file, measurement).modes, geometry, mesh, file.test.sensors,
+            METRES[file.model.units], solver.model.components,
+        )  # fmt: skip
+    except CampaignError as error:
+        where = source.where(("test",))
+        problems += [f"{problem} (named in {where})" for problem in error.problems]
+        return None
+
+
+def pairing_nodes(test: MeasuredModes, sensors: SensorMap, solver: Solver) -> tuple[int, ...]:
+    """Sensor nodes, or where there are none a spread of nodes to track modes by."""
+    if test.has_shapes:
+        return tuple(np.unique(sensors.model_nodes).tolist())
+    return tracking_nodes(solver.model.node_ids)
+
+
+def tracking_nodes(node_ids: frozenset[int]) -> tuple[int, ...]:
+    """A spread of nodes whose shapes tell modes apart."""
+    nodes = np.array(sorted(node_ids))
+    spread = np.linspace(0, nodes.size - 1, min(TRACKING_NODES, nodes.size)).round()
+    return tuple(nodes[np.unique(spread.astype(np.int64))].tolist())
