@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint format clean
+.PHONY: demo test lint format docs clean
 
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
@@ -20,6 +20,10 @@ format: $(VENV)/.ready-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+docs: $(VENV)/.ready-dev
+	$(BIN)/python tools/reference_pages.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 $(VENV)/.ready: pyproject.toml tools/setup.sh
 	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) .
 	touch $@
@@ -30,4 +34,4 @@ $(VENV)/.ready-dev: $(VENV)/.ready tools/mystran.sh
 	touch $@
 
 clean:
-	rm -rf $(VENV) demo runs .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo runs site .mypy_cache .pytest_cache .ruff_cache .hypothesis

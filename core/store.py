@@ -42,6 +42,8 @@ FORMAT = 2
 #: The first block of an entry: a line that names the format, the checksum of all after the block.
 BLOCK = 512
 SEAL = b"modetune store entry 2\nsha256 "
+#: What the system says where a folder may not be written, or is a file.
+REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +203,7 @@ def storage_errors(path: Path, remedy: str = "name another place") -> Iterator[N
                 f"the disk that holds {path.parent} is full; nothing stored before was harmed; "
                 "free some space and run the same command again: finished jobs are not repeated"
             ) from error
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR):
+        if error.errno in REFUSED:
             raise StorageUnavailable(
                 f"{path.parent} cannot be written ({error.strerror}); give write permission, or "
                 f"{remedy}"

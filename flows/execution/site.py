@@ -35,16 +35,20 @@ Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.,:@+-]*$", max_l
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class SlurmSection(_Section):
     """What `srun` is told besides threads and licences; time: of one job, in Slurm's notation."""
 
     partition: Label | None = None
+    """Partition that jobs go to."""
     account: Label | None = None
+    """Account that they are charged to."""
     time: Label | None = None
+    """Time limit of one job in Slurm's notation; without it `run.timeout_s`."""
     options: tuple[Word, ...] = ()
+    """More options of `srun`, one a word."""
 
 
 class DaskSection(_Section):
@@ -55,15 +59,25 @@ class DaskSection(_Section):
     """
 
     scheduler: Annotated[str, Field(pattern=r"^(tcp|tls)://\S+:\d+$")] | None = None
+    """Address of a scheduler that runs, `tcp://host:8786` or `tls://...`."""
     cluster: Literal["local", "slurm", "pbs", "lsf"] = "local"
+    """What workers are started on: this machine, or a queue."""
     workers: Annotated[int, Field(ge=1, le=1024)] = 2
+    """How many workers."""
     memory: Label | None = None
+    """What a job of the queue may use, `4GB`."""
     walltime: Label | None = None
+    """How long it may run, `02:00:00`."""
     queue: Label | None = None
+    """Queue or partition that it goes to."""
     account: Label | None = None
+    """Account that it is charged to."""
     interface: Label | None = None
+    """Network interface that workers speak over."""
     directives: tuple[Word, ...] = ()
+    """More lines of the batch script's head, one a line."""
     prologue: tuple[Word, ...] = ()
+    """Shell lines that the batch script runs before the worker."""
 
     @model_validator(mode="after")
     def _sound(self) -> DaskSection:
@@ -83,17 +97,24 @@ class SiteRun(_Section):
     """What a site may say of `run`."""
 
     engine: Engine = "local"
+    """Where jobs run."""
     slurm: SlurmSection = SlurmSection()
+    """What Slurm is told."""
     dask: DaskSection = DaskSection()
+    """The Dask cluster."""
     parallel: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Jobs at the same time; 0: as many as the engine takes."""
     threads: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Threads of each job; 0: shared out."""
     licences: dict[Label, Annotated[int, Field(ge=1, le=10_000)]] = {}
+    """Jobs of a solver that may run at the same time, by the solver's name."""
 
 
 class SiteFile(_Section):
     """A whole site file."""
 
     run: SiteRun = SiteRun()
+    """What holds for the jobs of all campaigns of the site."""
 
 
 def site_path() -> Path:
