@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from modetune.core.keys import Json
+from modetune.core.mesh import Mesh
 from modetune.core.parameters import Parameter, Values
 from modetune.core.results import Result
 
@@ -96,6 +97,15 @@ class Solver(Protocol):
 
     @property
     def model(self) -> ModelSummary: ...
+
+    def mesh(self) -> Mesh:
+        """Where the nodes that carry results lie, and the elements between them.
+
+        Built when first asked for and kept. It holds every node of `model.node_ids`, but is empty
+        for a model that has no geometry (matrices). Shapes stand in global axes except at nodes
+        of `Mesh.frames`. Raises ModelError.
+        """
+        ...
 
     def version(self) -> str:
         """The program's version. Raises SolverMissing."""

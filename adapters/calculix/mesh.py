@@ -47,7 +47,7 @@ def read_mesh(deck: Deck) -> Mesh:
     used: set[int] = set()
     for card in deck.named("*ELEMENT"):
         fresh: dict[int, Element] = {}
-        for position, (number, *corners) in _element_rows(deck, card):
+        for position, (number, *corners) in element_rows(deck, card):
             fresh[number] = Element(card.option("TYPE"), position)
             used.update(corners)
             if _nodes_of(card) and not nodes.issuperset(corners):
@@ -82,7 +82,7 @@ def _nodes_of(card: Card) -> int:
     return int(family.group(1)) if family else 0
 
 
-def _element_rows(deck: Deck, card: Card) -> Iterable[tuple[int, list[int]]]:
+def element_rows(deck: Deck, card: Card) -> Iterable[tuple[int, list[int]]]:
     """Position of the first line, and number and nodes of each element of a card.
 
     As ccx does, lines are read on until an element has its nodes, trailing comma or not. Only

@@ -29,6 +29,8 @@ DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBU
 
 #: Elements whose printed strain energy is zero (SPRINGA) or lacks the hourglass part.
 WITHOUT_ENERGY = re.compile(r"SPRINGA|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
+#: Elements that leave the unknowns of the stored matrices at the nodes of the deck.
+UNEXPANDED = re.compile(r"C3D.*|SPRING[12A]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ class CalculixModel:
     @property
     def summary(self) -> ModelSummary:
         elements = self.mesh.elements.values()
-        solid = all(element.kind.startswith("C3D") for element in elements)
+        solid = all(UNEXPANDED.fullmatch(element.kind) for element in elements)
         # A dependent or reference node carries results without belonging to an element.
         free = not self.deck.named(*DEPENDENT)
         return ModelSummary(

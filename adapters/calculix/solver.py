@@ -13,6 +13,8 @@ from functools import cached_property
 from pathlib import Path
 
 from modetune.adapters.calculix.deck import read_deck, write_edited
+from modetune.adapters.calculix.frd import with_frd
+from modetune.adapters.calculix.geometry import read_geometry
 from modetune.adapters.calculix.job import job_text
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.results import (
@@ -38,6 +40,7 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.keys import Json
+from modetune.core.mesh import Mesh
 from modetune.core.parameters import Parameter, Quantity, Values
 from modetune.core.results import Result
 
@@ -59,6 +62,8 @@ class CalculixSolver:
     deck: CalculixModel
     parameters: tuple[Parameter, ...]
     program: str
+    #: Whether modal jobs leave their shapes in job.frd too, for pictures.
+    with_frd: bool = False
 
     name = "calculix"
     #: Raised by hand when the same ccx output is read to other numbers.
@@ -68,6 +73,13 @@ class CalculixSolver:
     @property
     def model(self) -> ModelSummary:
         return self.deck.summary
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return read_geometry(self.deck.deck, self.model.node_ids)
+
+    def mesh(self) -> Mesh:
+        return self._mesh
 
     @cached_property
     def _version(self) -> str:
@@ -117,7 +129,7 @@ class CalculixSolver:
         return parameter.quantity in LINEAR
 
     def content(self, values: Values, analysis: Analysis) -> Json:
-        text = job_text(self.deck, self._changed(values), analysis)
+        text = self._text(values, analysis)
         modal = isinstance(analysis, ModalAnalysis)
         return {
             "solver": self.name,
@@ -132,7 +144,7 @@ class CalculixSolver:
         }
 
     def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
-        text = job_text(self.deck, self._changed(values), analysis)
+        text = self._text(values, analysis)
         (folder / f"{JOB}.inp").write_bytes(text.encode("utf-8", "surrogateescape"))
 
     def command(self, threads: int) -> Command:
@@ -163,6 +175,10 @@ class CalculixSolver:
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         return write_edited(self.deck.deck, self._changed(values), folder)
+
+    def _text(self, values: Values, analysis: Analysis) -> str:
+        text = job_text(self.deck, self._changed(values), analysis)
+        return with_frd(text) if self.with_frd and isinstance(analysis, ModalAnalysis) else text
 
     def _changed(self, values: Values) -> dict[int, str]:
         return self.deck.edit((p, values[p.name]) for p in self.parameters if p.name in values)

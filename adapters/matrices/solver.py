@@ -6,6 +6,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import scipy
 
 from modetune.adapters.matrices.deck import MatrixDeck, read_deck, write_updated
@@ -20,6 +21,7 @@ from modetune.adapters.solver import (
 )
 from modetune.core.errors import ModelError
 from modetune.core.keys import Json
+from modetune.core.mesh import Mesh
 from modetune.core.parameters import Parameter, Values
 from modetune.core.results import Result
 
@@ -46,6 +48,10 @@ class MatricesSolver:
             n_elements=len(model.parts),
             solid_shapes=True,  # every unknown is one of a node, under one name
         )
+
+    def mesh(self) -> Mesh:
+        """Empty: matrices have unknowns, but no places."""
+        return Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), ())
 
     def version(self) -> str:
         """SciPy's: its solvers are what gives the numbers."""

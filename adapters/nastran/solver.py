@@ -14,6 +14,7 @@ from modetune.adapters.nastran.deck import read_deck, with_lines, write_edited
 from modetune.adapters.nastran.design_sensitivity import read_dscm2
 from modetune.adapters.nastran.dialect import DECK, DIALECTS, Dialect, DialectName
 from modetune.adapters.nastran.f06 import F06, FatalMessage, licence_denied, read_f06
+from modetune.adapters.nastran.geometry import read_geometry
 from modetune.adapters.nastran.job import job_text
 from modetune.adapters.nastran.model import NastranModel, understand
 from modetune.adapters.nastran.op2 import read_op2
@@ -36,6 +37,7 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.keys import Json
+from modetune.core.mesh import Mesh
 from modetune.core.parameters import Parameter, Values
 from modetune.core.results import ModalResult, ModeDerivatives, Result
 
@@ -77,6 +79,13 @@ class NastranSolver:
     @cached_property
     def model(self) -> ModelSummary:
         return self.deck.summary
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return read_geometry(self.deck.bulk)
+
+    def mesh(self) -> Mesh:
+        return self._mesh
 
     def version(self) -> str:
         return self.dialect.version(self.program)

@@ -23,6 +23,7 @@ from modetune.adapters.calculix.solver import PROGRAM_VARIABLE, CalculixSolver
 from modetune.adapters.nastran import model as nastran_model
 from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck, write_edited
+from modetune.adapters.nastran.geometry import read_geometry
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import Analysis, Capabilities, Command, ModalAnalysis, ModelSummary
 from modetune.adapters.translation.cards import refused_commands
@@ -30,6 +31,7 @@ from modetune.adapters.translation.shells import KINDS as SHELLS
 from modetune.adapters.translation.translate import Translation, translate
 from modetune.core.errors import ModelError
 from modetune.core.keys import Json
+from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.parameters import Parameter, Values
 from modetune.core.results import ModalResult, Result
@@ -78,6 +80,14 @@ class TranslatedSolver:
             components=nominal.solver.model.components,
             solid_shapes=nominal.solver.model.solid_shapes,
         )
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return read_geometry(self.deck.bulk)
+
+    def mesh(self) -> Mesh:
+        """The user's own mesh, not the translated one."""
+        return self._mesh
 
     def version(self) -> str:
         return self._at({}).solver.version()

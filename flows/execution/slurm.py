@@ -26,6 +26,7 @@ from modetune.core.errors import (
     SolverTimeout,
 )
 from modetune.core.keys import Json
+from modetune.core.mesh import Mesh
 from modetune.core.parameters import Parameter, Values
 from modetune.core.results import Result
 from modetune.flows.execution.engine import JobEngine
@@ -73,6 +74,9 @@ class SlurmSolver:
     @property
     def model(self) -> ModelSummary:
         return self.solver.model
+
+    def mesh(self) -> Mesh:
+        return self.solver.mesh()
 
     def version(self) -> str:
         return self.solver.version()

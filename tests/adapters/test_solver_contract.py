@@ -19,6 +19,7 @@ from scipy import linalg
 
 from modetune.adapters.calculix.solver import PROGRAM_VARIABLE, calculix_solver
 from modetune.adapters.matrices.solver import matrices_solver
+from modetune.adapters.paraview import unstructured_grid
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
 from modetune.core.errors import (
@@ -253,6 +254,25 @@ def test_frequencies_mass_and_rigid_modes_are_right(
     )
     assert result.mass == pytest.approx(case.mass, rel=1e-6)  # printed with seven digits
     assert sorted(set(result.modes.nodes.tolist())) == sorted(case.nodes)
+
+
+def test_the_mesh_holds_all_nodes_with_results_and_cells_of_a_size(
+    harness: Harness, case: Case, tmp_path: Path
+) -> None:
+    solver = solver_of(harness, case, tmp_path)
+    mesh = solver.mesh()
+    assert solver.mesh() is mesh  # read once
+    assert solver.model.node_ids <= set(mesh.nodes.tolist())
+    sizes = unstructured_grid(mesh).compute_cell_sizes()
+    for cells in mesh.cells:
+        mesh.rows(cells.nodes)  # raises for a node that is not there
+    solid = {"hexahedron": ("Volume", WIDTH * HEIGHT * LENGTH), "quad": ("Area", SIDE**2)}
+    for cells in mesh.cells:
+        if cells.kind in solid:
+            name, expected = solid[cells.kind]
+            assert (sizes[name] > 0.0).all()
+            assert sizes[name].sum() == pytest.approx(expected)
+    assert sum(cells.elements.size for cells in mesh.cells) == solver.model.n_elements
 
 
 def test_strain_energies_balance_and_groups_sum_to_the_total(
@@ -531,6 +551,11 @@ def matrices_chain(case: Case) -> str:
 
 
 MATRICES = Harness("matrices", sys.executable, matrices_solver, matrices_chain, "# ")
+
+
+def test_the_embedded_solver_has_no_mesh(tmp_path: Path) -> None:
+    mesh = solver_of(MATRICES, MATRICES_CHAIN, tmp_path).mesh()
+    assert (mesh.nodes.size, mesh.cells) == (0, ())
 
 
 def test_the_embedded_solver_tells_its_version(tmp_path: Path) -> None:

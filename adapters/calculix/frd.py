@@ -1,0 +1,122 @@
+"""The .frd file of a modal job: asked for, checked, and converted by ccx2paraview.
+
+ccx2paraview takes missing lines for zeros, so lines are counted before it sees them. It runs as a
+program of its own (`convert.py`).
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modetune.adapters.paraview import ELEMENT, NODE, SHAPE
+from modetune.adapters.process import LOG, run_process
+from modetune.adapters.solver import Command
+from modetune.core.errors import NoResult
+from modetune.core.modes import Integers
+
+if TYPE_CHECKING:
+    import pyvista
+
+END = "*END STEP\n"
+#: Runs ccx2paraview.
+CONVERTER = "modetune.adapters.calculix.convert"
+#: ccx2paraview's name for displacements.
+DISPLACEMENT = "U"
+#: Far above what files take that fit a disk: about a minute for a million nodes and a mode.
+TIMEOUT_S = 24 * 3600.0
+REMEDY = "remove its folder and run the same command again, which takes the shapes from the store"
+
+
+@dataclass(frozen=True, slots=True)
+class FrdContents:
+    """Numbers of nodes (n,) and elements (n_elements,) in their order, and how many modes."""
+
+    nodes: Integers
+    elements: Integers
+    n_modes: int
+
+
+def with_frd(text: str) -> str:
+    """The text of a modal job that writes shapes to its .frd file too.
+
+    Shells and beams as they stand in the deck, not expanded, and all in global axes.
+    """
+    return text.removesuffix(END) + f"*NODE FILE, OUTPUT=2D, GLOBAL=YES\nU\n{END}"
+
+
+def convert_frd(frd: Path, n_modes: int, folder: Path) -> Iterator[pyvista.UnstructuredGrid]:
+    """The grid of each mode with its shape, as ccx2paraview makes it of a modal job's .frd.
+
+    folder: empty, for files in between. Raises NoResult where the file is not whole.
+    """
+    import pyvista
+
+    contents = count_frd(frd)
+    if contents.n_modes < n_modes:
+        raise NoResult(f"{frd} holds {contents.n_modes} modes, {n_modes} were computed: {REMEDY}")
+    command = Command((sys.executable, "-P", "-m", CONVERTER, str(frd.resolve())))
+    finished = run_process(command, folder, TIMEOUT_S, threading.Event())
+    for mode in range(1, n_modes + 1):
+        path = folder / f"{mode}.vtu"
+        if finished.return_code != 0 or not path.is_file():
+            said = (folder / LOG).read_text(errors="replace").strip().rpartition("\n")[2]
+            raise NoResult(f"ccx2paraview could not convert {frd} ({said.strip()}): {REMEDY}")
+        grid = pyvista.read(path)
+        assert isinstance(grid, pyvista.UnstructuredGrid)
+        yield _named(grid, contents, frd)
+
+
+def _named(
+    grid: pyvista.UnstructuredGrid, contents: FrdContents, frd: Path
+) -> pyvista.UnstructuredGrid:
+    """A grid of ccx2paraview's with the names that all of modetune's have."""
+    shape = np.asarray(grid.point_data[DISPLACEMENT]) if DISPLACEMENT in grid.point_data else None
+    sizes = grid.n_points, grid.n_cells
+    if shape is None or sizes != (contents.nodes.size, contents.elements.size):
+        raise NoResult(f"ccx2paraview made something else of {frd}: {REMEDY}")
+    grid.clear_data()
+    grid.point_data[SHAPE] = shape
+    grid.point_data[NODE] = contents.nodes
+    grid.cell_data[ELEMENT] = contents.elements
+    return grid
+
+
+def count_frd(frd: Path) -> FrdContents:
+    """What a .frd file holds. Raises NoResult where it cannot be read or is cut short."""
+    blocks: dict[str, list[int]] = {"2C": [], "3C": []}
+    n_modes, rows, inside, line = 0, 0, "", ""
+    try:
+        with frd.open(encoding="latin-1") as source:
+            for line in source:
+                word = line[:6].strip()
+                if inside in blocks and line.startswith(" -1"):
+                    blocks[inside].append(int(line[3:13]))
+                elif inside == "100C" and line.startswith(" -1"):
+                    rows += 1
+                elif word in ("2C", "3C", "100C"):
+                    inside, rows = word, 0
+                elif word == "-3" and inside == "100C":
+                    n_modes, inside = n_modes + 1, ""
+                    _check_rows(frd, n_modes, rows, len(blocks["2C"]))
+                elif word == "-3":
+                    inside = ""
+    except (OSError, ValueError) as error:
+        raise NoResult(f"{frd} cannot be read ({error}): {REMEDY}") from error
+    if line.strip() != "9999" or inside or not all(blocks.values()):
+        raise NoResult(f"{frd} ends before its closing line: {REMEDY}")
+    nodes, elements = (np.array(blocks[name], dtype=np.int64) for name in ("2C", "3C"))
+    if (np.diff(nodes) <= 0).any():  # ccx2paraview takes results in ascending order
+        raise NoResult(f"{frd}: the nodes do not ascend: {REMEDY}")
+    return FrdContents(nodes, elements, n_modes)
+
+
+def _check_rows(frd: Path, mode: int, rows: int, expected: int) -> None:
+    if rows != expected:
+        raise NoResult(f"{frd}: mode {mode} has shapes at {rows} of {expected} nodes: {REMEDY}")

@@ -1,0 +1,107 @@
+"""Mode shapes on a mesh as ParaView reads them: a .vtu file a mode, and a .pvd file over them.
+
+Whatever solver they come from, the files have the same names in them: `mode_shape` (three
+components, global axes, mass-normalised) and `node` at points, `element` at cells, and `mode`,
+`frequency_hz` and `TimeValue` as fields. The time of a step is the number of its mode, since
+frequencies may repeat.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from modetune.core.mesh import CellKind, Mesh, global_shapes
+from modetune.core.modes import Floats, ModeSet
+from modetune.core.store import storage_errors
+
+if TYPE_CHECKING:
+    import pyvista
+
+#: VTK's numbers of cell types (vtkCellType.h).
+VTK_TYPES: dict[CellKind, int] = {
+    "vertex": 1, "line": 3, "line3": 21, "triangle": 5, "triangle6": 22, "quad": 9, "quad8": 23,
+    "tetra": 10, "tetra10": 24, "pyramid": 14, "pyramid13": 27, "wedge": 13, "wedge15": 26,
+    "hexahedron": 12, "hexahedron20": 25,
+}  # fmt: skip
+#: Names of data at points and cells.
+SHAPE, NODE, ELEMENT = "mode_shape", "node", "element"
+#: Names of fields: the mode's number, its frequency, and what ParaView takes for the time.
+MODE, FREQUENCY, TIME = "mode", "frequency_hz", "TimeValue"
+
+
+def unstructured_grid(mesh: Mesh) -> pyvista.UnstructuredGrid:
+    """The mesh as VTK has it; points are its nodes, cells stand block by block."""
+    import pyvista
+
+    none = np.zeros(0, dtype=np.int64)
+    blocks = [
+        np.insert(mesh.rows(cells.nodes), 0, cells.nodes.shape[1], axis=1).ravel()
+        for cells in mesh.cells
+    ]
+    kinds = [np.full(cells.elements.size, VTK_TYPES[cells.kind]) for cells in mesh.cells]
+    grid = pyvista.UnstructuredGrid(
+        np.concatenate([none, *blocks]),
+        np.concatenate([none, *kinds]).astype(np.uint8),
+        mesh.coordinates,
+    )
+    grid.point_data[NODE] = mesh.nodes
+    grid.cell_data[ELEMENT] = np.concatenate([none, *(cells.elements for cells in mesh.cells)])
+    return grid
+
+
+def mode_grids(mesh: Mesh, modes: ModeSet) -> Iterator[pyvista.UnstructuredGrid]:
+    """The mesh with the shape of one mode after another."""
+    grid = unstructured_grid(mesh)
+    for shape in global_shapes(mesh, modes):
+        grid.point_data[SHAPE] = shape
+        yield grid
+
+
+def write_series(
+    folder: Path, name: str, grids: Iterable[pyvista.UnstructuredGrid], frequencies_hz: Floats
+) -> Path:
+    """Write NAME.pvd and NAME/mode_*.vtu; what stood there is replaced once all is written.
+
+    grids: one a mode, in the order of frequencies_hz (n_modes,). Returns the .pvd file.
+    Raises StorageUnavailable, and what making the grids raises.
+    """
+    part, place, series = folder / f"{name}.part", folder / name, folder / f"{name}.pvd"
+    digits = len(str(frequencies_hz.size))
+    lines = []
+    with storage_errors(folder):
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        try:
+            for mode, (grid, hz) in enumerate(
+                zip(grids, frequencies_hz.tolist(), strict=True), start=1
+            ):
+                grid.field_data[MODE] = np.array([mode])
+                grid.field_data[FREQUENCY] = np.array([hz])
+                grid.field_data[TIME] = np.array([float(mode)])
+                file = f"mode_{mode:0{digits}}.vtu"
+                grid.save(part / file)
+                label = quoteattr(f"mode {mode}: {hz:.6g} Hz")
+                lines.append(
+                    f'    <DataSet timestep="{mode}" part="0" name={label} '
+                    f"file={quoteattr(f'{name}/{file}')}/>"
+                )
+        except BaseException:
+            shutil.rmtree(part, ignore_errors=True)
+            raise
+        shutil.rmtree(place, ignore_errors=True)
+        part.rename(place)
+        series.write_text("\n".join([PVD_HEAD, *lines, PVD_TAIL]) + "\n", encoding="utf-8")
+    return series
+
+
+PVD_HEAD = (
+    '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+    "  <Collection>"
+)
+PVD_TAIL = "  </Collection>\n</VTKFile>"
