@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import threading
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,23 +45,30 @@ SENSORS: tuple[tuple[float, float, float], ...] = (
 )  # fmt: skip
 
 
-def truth_modes() -> ModeSet:
-    """The first elastic modes of the aircraft with the true moduli, by CalculiX."""
+def truth_modes(
+    places: Iterable[tuple[float, float, float]] = SENSORS,
+    n_modes: int = N_MEASURED,
+    truth: Mapping[str, float] = TRUTH,
+) -> ModeSet:
+    """The first elastic modes of the aircraft with the true moduli, by CalculiX.
+
+    At the nodes next to these places, mm; mass-normalised.
+    """
     parameters = tuple(
         Parameter(g, "youngs_modulus", "material", (g,), 0.5, 2.0, 0.2) for g in GROUPS
     )
-    nodes = tuple(sorted(set(node_at(aircraft(COARSE), SENSORS))))
-    analysis = ModalAnalysis(6 + N_MEASURED + 2, nodes)
+    nodes = tuple(sorted(set(node_at(aircraft(COARSE), places))))
+    analysis = ModalAnalysis(6 + n_modes + 2, nodes)
     with tempfile.TemporaryDirectory(prefix="modetune-") as name:
         folder = Path(name)
         deck = folder / "twin.inp"
         deck.write_text(calculix_deck(COARSE))
         solver = calculix_solver(deck, parameters)
-        solver.write(TRUTH, analysis, folder)
+        solver.write(truth, analysis, folder)
         finished = run_process(solver.command(1), folder, 600.0, threading.Event())
-        result = solver.read(TRUTH, analysis, folder, finished.return_code)
+        result = solver.read(truth, analysis, folder, finished.return_code)
     assert isinstance(result, ModalResult)
-    return result.elastic.select(range(N_MEASURED))
+    return result.elastic.select(range(n_modes))
 
 
 def noisy(modes: ModeSet) -> ModeSet:

@@ -1,0 +1,138 @@
+"""Makes what a test lab would send of the coarse aircraft: its points and response functions.
+
+    python -m modetune.configs.garteur.lab FOLDER
+
+writes lab.unv, a universal file: accelerances at 39 sensors from two shakers, 1 % noise, seed 2026,
+from CalculiX's modes of the aircraft with moduli that the campaign does not know (TRUTH).
+The lab numbers its points from 1, measures in metres from the tail forwards, and knows its points
+to 2 mm; one accelerometer at the nose is tilted by 30 degrees.
+"""
+
+from __future__ import annotations
+
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from modetune.adapters.universal.write import write_universal
+from modetune.configs.garteur.aircraft import COARSE, aircraft, node_at
+from modetune.configs.garteur.twin import truth_modes
+from modetune.core.frf import Complexes
+from modetune.core.geometry import TestGeometry
+from modetune.core.measurement import MeasuredFrfs, Measurement
+from modetune.core.modes import Floats, Integers, ModeSet
+
+#: Young's moduli relative to the nominal 71,000 MPa.
+TRUTH = {"FUSELAGE": 1.15, "WING": 0.9, "FIN": 0.8, "TAILPLANE": 0.9, "DRUMS": 1.0}
+SEED = 2026
+NOISE = 0.01
+POINT_NOISE_MM = 2.0
+#: Modes that the responses are made of; those above the measured band are the residual.
+N_MODES = 20
+DAMPING = 0.004
+LINES_HZ = np.arange(3.0, 60.0, 0.03125)
+#: Of each point: its place, mm, and the directions measured there.
+POINTS: tuple[tuple[float, float, float, str], ...] = (
+    *((x, side * y, 85.0, "z") for y in (300.0, 600.0, 875.0)
+      for side in (-1, 1) for x in (550.0, 650.0)),
+    *((x, side * 950.0, 95.0, "xz") for side in (-1, 1) for x in (400.0, 800.0)),
+    (0.0, 25.0, 75.0, "z"),
+    *((x, 25.0, 75.0, "yz") for x in (375.0, 1000.0, 1500.0)),
+    *((x, 5.0, z, "y") for z in (225.0, 375.0) for x in (1400.0, 1500.0)),
+    *((x, side * 200.0, 385.0, "xz") for side in (-1, 1) for x in (1400.0, 1500.0)),
+)  # fmt: skip
+#: Points joined by lines: edges of the wing, drums, fuselage, fin, tailplane.
+OUTLINE = (
+    (13, 9, 5, 1, 3, 7, 11, 15), (14, 10, 6, 2, 4, 8, 12, 16), (13, 14), (15, 16),
+    (17, 18, 19, 20), (20, 22, 24, 23, 21), (25, 23, 27), (26, 24, 28), (25, 26), (27, 28),
+)  # fmt: skip
+#: The lab's axes as rows in the aircraft's: x forwards, y to starboard, z upwards; from the tail.
+LAB_AXES = np.diag((-1.0, -1.0, 1.0))
+TAIL = np.array((1500.0, 0.0, 0.0))
+#: The point whose accelerometer is tilted about the aircraft's y axis, and by how much.
+TILTED, TILT_DEGREES = 17, 30.0
+#: Shakers: at a drum's end upwards, at the fin's top sideways; point numbers and components.
+SHAKERS = ((16, 3), (23, 2))
+
+
+def lab_measurement() -> Measurement:
+    """Points and response functions as the lab sends them."""
+    random = np.random.default_rng(SEED)
+    places = np.array([point[:3] for point in POINTS])
+    nodes = node_at(aircraft(COARSE), [tuple(place) for place in places.tolist()])
+    modes = truth_modes([tuple(place) for place in places.tolist()], N_MODES, TRUTH)
+    names = [
+        (number, "xyz".index(direction) + 1)
+        for number, point in enumerate(POINTS, start=1)
+        for direction in point[3]
+    ]
+    frames = np.tile(LAB_AXES.T, (len(POINTS), 1, 1))  # sensors look along the aircraft's axes
+    tilt = Rotation.from_euler("y", TILT_DEGREES, degrees=True).as_matrix()
+    frames[TILTED - 1] = tilt @ frames[TILTED - 1]
+    at = dict(zip(range(1, len(POINTS) + 1), nodes, strict=True))
+    shapes = np.array(
+        [_motion(modes, at[number], component, number) for number, component in names]
+    )
+    forces = [names.index(shaker) for shaker in SHAKERS]
+    columns = [_accelerances(modes, shapes, shapes[row]) for row in forces]
+    moved = places + POINT_NOISE_MM * random.standard_normal(places.shape)
+    return Measurement(
+        geometry=TestGeometry(
+            nodes=np.arange(1, len(POINTS) + 1),
+            coordinates=1e-3 * (moved - TAIL) @ LAB_AXES.T,
+            frames=frames,
+            lines=np.array([pair for line in OUTLINE for pair in pairwise(line)]),
+            faces=np.zeros((0, 3), dtype=np.int64),
+            metres=1.0,
+        ),
+        frfs=_functions(np.concatenate(columns, axis=1), names, random),
+    )
+
+
+def _motion(modes: ModeSet, node: int, number: int, component: int) -> Floats:
+    """Motion (n_modes,) along a sensor."""
+    direction = np.eye(3)[component - 1]
+    if number == TILTED:
+        tilt = Rotation.from_euler("y", TILT_DEGREES, degrees=True).as_matrix()
+        direction = tilt[component - 1]
+    rows = [np.flatnonzero((modes.nodes == node) & (modes.components == k))[0] for k in (1, 2, 3)]
+    return np.asarray(direction @ modes.mode_shapes[rows])
+
+
+def _accelerances(modes: ModeSet, shapes: Floats, force: Floats) -> Complexes:
+    """(n_lines, n_sensors) from mass-normalised modes, t and mm."""
+    lam, omega = modes.eigenvalues, 2.0 * np.pi * LINES_HZ[:, None]
+    gains = 1.0 / (lam - omega**2 + 2j * DAMPING * np.sqrt(lam) * omega)
+    return np.asarray(-(omega**2) * ((gains * force) @ shapes.T))
+
+
+def _functions(
+    values: Complexes, names: list[tuple[int, int]], random: np.random.Generator
+) -> MeasuredFrfs:
+    noise = random.standard_normal(values.shape) + 1j * random.standard_normal(values.shape)
+    rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=0))
+    nodes, components = _column(names, 0), _column(names, 1)
+    count, shakers = len(names), np.array(SHAKERS)
+    return MeasuredFrfs(
+        kind="accelerance",
+        frequencies_hz=LINES_HZ,
+        values=values + NOISE * rms * noise / np.sqrt(2.0),
+        nodes=np.tile(nodes, len(shakers)),
+        components=np.tile(components, len(shakers)),
+        signs=np.ones(len(shakers) * count),
+        reference_nodes=np.repeat(shakers[:, 0], count),
+        reference_components=np.repeat(shakers[:, 1], count),
+        reference_signs=np.ones(len(shakers) * count),
+        coherences=np.zeros((0, 0)),
+    )
+
+
+def _column(names: list[tuple[int, int]], place: int) -> Integers:
+    return np.array([name[place] for name in names], dtype=np.int64)
+
+
+if __name__ == "__main__":
+    write_universal(Path(sys.argv[1]) / "lab.unv", lab_measurement())
