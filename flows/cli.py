@@ -16,17 +16,24 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from modetune import __version__
-from modetune.core.errors import CampaignStopped, ModetuneError
+from modetune.core.errors import ModetuneError
+from modetune.flows.commands import check as check_command
+from modetune.flows.commands import correlate as correlate_command
+from modetune.flows.commands import identify as identify_command
+from modetune.flows.commands import paraview as paraview_command
+from modetune.flows.commands import report as report_command
+from modetune.flows.commands import schema as schema_commands
+from modetune.flows.commands import sensors as sensors_command
 from modetune.flows.commands import store as store_commands
+from modetune.flows.commands import test_data as test_data_commands
 from modetune.flows.commands.server import register
+from modetune.flows.commands.stopping import stoppable
 
 app = typer.Typer(
     add_completion=False,
@@ -35,6 +42,13 @@ app = typer.Typer(
     help="Finite element models that agree with vibration tests.",
 )
 store_commands.register(app)
+check_command.register(app)
+correlate_command.register(app)
+paraview_command.register(app)
+report_command.register(app)
+identify_command.register(app)
+test_data_commands.register(app)
+sensors_command.register(app)
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 Settings = Annotated[
@@ -59,50 +73,10 @@ def update(
 ) -> None:
     """Update the campaign's model until it agrees with its test."""
     if dry_run:
-        with _stoppable():
+        with stoppable():
             store_commands.show_dry_run(campaign_file, settings or [], runs, as_json)
         return
     _update(campaign_file, settings or [], runs, not no_prefect, as_json)
-
-
-@app.command()
-def check(
-    campaign_file: CampaignPath,
-    settings: Settings = None,
-    against: store_commands.Against = None,
-    record: store_commands.Record = None,
-    state: store_commands.BaselineState = "updated",
-    frequency_band: store_commands.FrequencyBand = 0.01,
-    mac_band: store_commands.MacBand = 0.05,
-    as_json: AsJson = False,
-) -> None:
-    """Read campaign, model and test, and tell every problem, without running a solver.
-
-    With --against the model is solved at the deck's values and compared with a baseline.
-    """
-    if against is not None or record is not None:
-        bands = frequency_band, mac_band
-        with _stoppable():
-            store_commands.show_check(
-                campaign_file, settings or [], against, record, state, bands, as_json
-            )
-        return
-    from modetune.flows.campaign import load_campaign
-
-    campaign = load_campaign(campaign_file, settings or [])
-    model = campaign.solver.model
-    told: dict[str, Any] = {
-        "status": "good",
-        "name": campaign.name,
-        "model": model.name,
-        "nodes": len(model.node_ids),
-        "elements": model.n_elements,
-        "parameters": list(campaign.parameters.names),
-        "test_modes": list(campaign.test.numbers),
-        "sensors": int(campaign.test.modes.n_dof),
-        "store": str(campaign.store.folder),
-    }
-    _tell(told, as_json)
 
 
 @app.command()
@@ -116,7 +90,7 @@ def modes(
     from modetune.flows.modal_run import modal_summary, model_modes, parse_values
 
     campaign = _load(campaign_file, settings or [])
-    with _stoppable():
+    with stoppable():
         result = model_modes(campaign, parse_values(campaign, at or []))
     told = modal_summary(campaign, result)
     if as_json:
@@ -144,7 +118,7 @@ def twin(
 
     from modetune.flows.twin import run_twin, twin_summary
 
-    with _stoppable():
+    with stoppable():
         compared = run_twin(campaign_file, solvers.split(","), at or [], settings or [])
     if as_json:
         _tell(twin_summary(compared), True)
@@ -157,7 +131,7 @@ def twin(
 
 @app.command()
 def demo(
-    case: Annotated[str, typer.Argument(help="Which case: garteur or six-mass.")] = "garteur",
+    case: Annotated[str, typer.Argument(help="Which case: garteur, six-mass or fixture.")] = "garteur",
     as_json: AsJson = False,
 ) -> None:
     """Run a case of the reference thesis from beginning to end, in ./demo."""
@@ -171,7 +145,7 @@ def demo(
     for file in chosen.files:
         shutil.copyfile(file, folder / file.name)
     campaign = folder / chosen.campaign
-    with _stoppable():
+    with stoppable():
         run = _run_update(campaign, [], folder / "runs", chosen.with_prefect)
         compared = chosen.compare(run, folder)
     if as_json:
@@ -190,6 +164,7 @@ def version() -> None:
     typer.echo(__version__)
 
 
+schema_commands.register(app)
 register(app)
 
 
@@ -198,7 +173,7 @@ def _update(
 ) -> None:
     from modetune.flows.recording import summary
 
-    with _stoppable():
+    with stoppable():
         run = _run_update(campaign_file, settings, runs, with_prefect)
     if as_json:
         _tell(store_commands.with_forecast(summary(run.record, run.folder), run.forecast), True)
@@ -211,6 +186,7 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
     from rich.console import Console
 
     from modetune.flows.display import ConsoleProgress
+    from modetune.flows.report.drawing import draw_report
     from modetune.flows.running import update_campaign
     from modetune.flows.server.process import use_server
 
@@ -219,9 +195,12 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
     server = use_server() if with_prefect else None
     try:
         with ConsoleProgress(Console(stderr=True)).shown() as progress:
-            return update_campaign(
+            run = update_campaign(
                 campaign, runs / campaign.name, progress, server, progress.forecast
             )
+            progress.working("report")
+            draw_report(run.record, run.folder)
+            return run
     finally:
         if server is not None:
             server.close()
@@ -233,16 +212,6 @@ def _show(run: Any) -> None:
     from modetune.flows.display import show_run
 
     show_run(Console(), run)
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise CampaignStopped(
-            "stopped; finished jobs are in the store, the same command goes on from there"
-        ) from None
 
 
 def _load(campaign_file: Path, settings: list[str]) -> Any:
