@@ -104,6 +104,12 @@ def _generated(generator: GeneratorSection) -> tuple[str, str]:
         from modetune.configs.garteur import shell
 
         return "garteur_shell.bdf", shell.nastran_deck()
+    if generator.case == "fixture":
+        from modetune.configs.fixture import fixture
+
+        return f"fixture_{generator.mesh}.inp", fixture.calculix_deck(
+            fixture.MESHES[generator.mesh]
+        )
     from modetune.configs.garteur import aircraft
 
     return f"garteur_{generator.mesh}.inp", aircraft.calculix_deck(aircraft.MESHES[generator.mesh])

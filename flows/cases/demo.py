@@ -17,6 +17,7 @@ from modetune.configs.six_mass import system
 from modetune.core.keys import Json
 from modetune.core.modes import Floats
 from modetune.core.record import CampaignRecord
+from modetune.flows.cases.fixture import compare_fixture
 from modetune.flows.cases.six_mass import (
     Claim,
     Outcome,
@@ -214,5 +215,11 @@ CASES = {
         ),
         False,  # seconds of work: over before a server is up
         compare_six_mass,
+    ),
+    "fixture": Case(
+        "fixture.yaml",
+        tuple(CONFIGS / "fixture" / name for name in ("fixture.yaml", "measured.csv")),
+        False,
+        compare_fixture,
     ),
 }
