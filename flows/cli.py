@@ -29,6 +29,7 @@ from modetune.flows.commands import identify as identify_command
 from modetune.flows.commands import paraview as paraview_command
 from modetune.flows.commands import report as report_command
 from modetune.flows.commands import schema as schema_commands
+from modetune.flows.commands import screen as screen_command
 from modetune.flows.commands import sensors as sensors_command
 from modetune.flows.commands import store as store_commands
 from modetune.flows.commands import test_data as test_data_commands
@@ -49,6 +50,7 @@ report_command.register(app)
 identify_command.register(app)
 test_data_commands.register(app)
 sensors_command.register(app)
+screen_command.register(app)
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 Settings = Annotated[
@@ -131,10 +133,10 @@ def twin(
 
 @app.command()
 def demo(
-    case: Annotated[str, typer.Argument(help="Which case: garteur, six-mass or fixture.")] = "garteur",
+    case: Annotated[str, typer.Argument(help="garteur, six-mass, fixture or lab.")] = "garteur",
     as_json: AsJson = False,
 ) -> None:
-    """Run a case of the reference thesis from beginning to end, in ./demo."""
+    """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
     from modetune.core.errors import CampaignError
     from modetune.flows.cases.demo import CASES
 
@@ -144,6 +146,8 @@ def demo(
     folder.mkdir(parents=True, exist_ok=True)
     for file in chosen.files:
         shutil.copyfile(file, folder / file.name)
+    if chosen.prepare is not None:
+        chosen.prepare(folder)
     campaign = folder / chosen.campaign
     with stoppable():
         run = _run_update(campaign, [], folder / "runs", chosen.with_prefect)

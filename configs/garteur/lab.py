@@ -58,12 +58,17 @@ TILTED, TILT_DEGREES = 17, 30.0
 SHAKERS = ((16, 3), (23, 2))
 
 
+def true_modes() -> ModeSet:
+    """The modes that the responses are made of, at the lab's points."""
+    return truth_modes([point[:3] for point in POINTS], N_MODES, TRUTH)
+
+
 def lab_measurement() -> Measurement:
     """Points and response functions as the lab sends them."""
     random = np.random.default_rng(SEED)
     places = np.array([point[:3] for point in POINTS])
-    nodes = node_at(aircraft(COARSE), [tuple(place) for place in places.tolist()])
-    modes = truth_modes([tuple(place) for place in places.tolist()], N_MODES, TRUTH)
+    nodes = node_at(aircraft(COARSE), [point[:3] for point in POINTS])
+    modes = true_modes()
     names = [
         (number, "xyz".index(direction) + 1)
         for number, point in enumerate(POINTS, start=1)
@@ -73,9 +78,7 @@ def lab_measurement() -> Measurement:
     tilt = Rotation.from_euler("y", TILT_DEGREES, degrees=True).as_matrix()
     frames[TILTED - 1] = tilt @ frames[TILTED - 1]
     at = dict(zip(range(1, len(POINTS) + 1), nodes, strict=True))
-    shapes = np.array(
-        [_motion(modes, at[number], component, number) for number, component in names]
-    )
+    shapes = np.array([_motion(modes, at[point], point, component) for point, component in names])
     forces = [names.index(shaker) for shaker in SHAKERS]
     columns = [_accelerances(modes, shapes, shapes[row]) for row in forces]
     moved = places + POINT_NOISE_MM * random.standard_normal(places.shape)
@@ -134,5 +137,10 @@ def _column(names: list[tuple[int, int]], place: int) -> Integers:
     return np.array([name[place] for name in names], dtype=np.int64)
 
 
+def write_lab(folder: Path) -> None:
+    """Write lab.unv."""
+    write_universal(folder / "lab.unv", lab_measurement())
+
+
 if __name__ == "__main__":
-    write_universal(Path(sys.argv[1]) / "lab.unv", lab_measurement())
+    write_lab(Path(sys.argv[1]))

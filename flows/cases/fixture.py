@@ -23,7 +23,7 @@ from modetune.core.keys import Json
 from modetune.core.modes import Floats
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign import load_campaign
-from modetune.flows.cases.six_mass import Claim
+from modetune.flows.cases.claims import Claim, claim_table, told_claims
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.report.figures import frequency_figure, parameter_figure, save
@@ -73,10 +73,7 @@ class FixtureComparison:
 
     def told(self) -> dict[str, Json]:
         return {
-            "claims": [
-                {"claim": item.text, "holds": item.holds, "evidence": item.evidence}
-                for item in self.claims
-            ],
+            "claims": told_claims(self.claims),
             "figures": [str(path) for path in self.figures],
         }
 
@@ -196,16 +193,6 @@ def truth_table(record: CampaignRecord) -> Table:
             name, f"{record.updated[place]:.3f}", f"{_truth(record, place):.3f}",
             f"{record.standard_errors[place]:.3f}",
         )  # fmt: skip
-    return table
-
-
-def claim_table(found: tuple[Claim, ...]) -> Table:
-    """What is asked, and whether it holds."""
-    table = Table(title="Claims", title_justify="left")
-    for heading in ("the thesis's case", "holds", "by"):
-        table.add_column(heading)
-    for claim in found:
-        table.add_row(claim.text, "yes" if claim.holds else "NO", claim.evidence)
     return table
 
 

@@ -31,6 +31,7 @@ from modetune.core.factorisation import Matrix, symmetric_matrix
 from modetune.core.frf import Complexes, NormalModes, modal_frf
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.record import CampaignRecord
+from modetune.flows.cases.claims import Claim
 from modetune.flows.report.figures import (
     ResponseCurve,
     frequency_figure,
@@ -101,15 +102,6 @@ class Outcome:
     def frequency_errors(self) -> Floats:
         """Relative, (6,)."""
         return self.after.frequencies_hz / self.test.frequencies_hz - 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """Something the thesis says, whether it holds here, and by what numbers."""
-
-    text: str
-    holds: bool
-    evidence: str
 
 
 def system_of(stiffness: Matrix, mass: Matrix) -> System:

@@ -20,7 +20,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.record import IterationRecord
 from modetune.flows.campaign import load_campaign
-from modetune.flows.cases.demo import CASES, compare_six_mass
+from modetune.flows.cases.demo import CASES
 from modetune.flows.cases.six_mass import (
     EXACT,
     Outcome,
@@ -28,6 +28,7 @@ from modetune.flows.cases.six_mass import (
     direct_outcomes,
     eigensensitivity_outcome,
 )
+from modetune.flows.cases.six_mass_comparison import compare_six_mass
 from modetune.flows.running import CampaignRun, update_campaign
 
 PNG = b"\x89PNG\r\n\x1a\n"
