@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from modetune.core.correlation import Shapes, mac, subspace_mac
@@ -92,14 +93,24 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
                    np.array(spaces), tuple(reasons))  # fmt: skip
 
 
-def pair_by_order(measured: ModeSet, computed: ModeSet) -> Pairing:
+def pair_by_order(
+    measured: ModeSet, computed: ModeSet, others_hz: ArrayLike = ()
+) -> Pairing:
     """Pair the measured modes, in ascending frequency, with the lowest computed ones.
 
-    For tests without shapes: the analyst's statement that no mode was missed.
+    others_hz: frequencies of measured modes that are not to be paired, yet have their place in the
+    order. For tests without shapes: the analyst's statement that no mode was missed.
     """
     _enough(measured, computed)
-    order = np.argsort(measured.frequencies_hz, kind="stable")
-    ranks = np.argsort(order, kind="stable")
+    known = np.concatenate([measured.frequencies_hz, np.asarray(others_hz, dtype=np.float64)])
+    order = np.argsort(known, kind="stable")
+    ranks = np.argsort(order, kind="stable")[: measured.n_modes]
+    if ranks.max(initial=0) >= computed.n_modes:
+        raise LostMode(
+            f"the measured mode at {known[ranks.argmax()]:.4g} Hz is number {ranks.max() + 1} in "
+            f"the order of frequency, but there are {computed.n_modes} computed elastic modes: "
+            "compute more modes"
+        )
     by_frequency = np.argsort(computed.frequencies_hz, kind="stable")
     unknown = np.full(measured.n_modes, np.nan)
     reasons = tuple(

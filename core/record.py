@@ -1,14 +1,32 @@
 """The campaign's record, campaign.h5: every iteration, readable with h5py alone.
 
     /                     attributes: format, name, status, reason, solver, solver_version,
-                          modetune_version, campaign (the file's text), settings (what --set
-                          put over it, a line each), wall_s,
+                          modetune_version, versions (of Python and packages, a line each), units,
+                          deck_digest (SHA-256 of the deck's content), e1_frequency, e1_mac, e2,
+                          campaign (the file's text), settings (what --set put over it, a line
+                          each), wall_s, configurations (their names, a line each; a
+                          mode's number is then 1000 k + its own in the test of the k-th),
                           runs_modal, runs_sensitivity, runs_reused, core_s, licence_s
-    /parameters/          names, quantities, deck_values, initial, lower, upper, updated,
+    /parameters/          names, quantities, by, targets (a line each), items, deviations,
+                          deck_values, initial, lower, upper, updated,
                           standard_errors                                    (n_parameters,)
                           correlation                                        (n_par, n_par)
-    /test/                numbers, frequencies_hz (n_modes,), mode_shapes (n_dof, n_modes),
-                          nodes, components (n_dof,)
+    /test/                numbers, frequencies_hz, damping_ratios (n_modes,; empty if unknown),
+                          mode_shapes (n_dof, n_modes), nodes, components (n_dof,)
+    /test/geometry/       nodes (n,), coordinates (n, 3), frames (n, 3, 3), lines (n_lines, 2),
+                          faces (n_faces, 3); attribute metres
+    /test/frfs/           kind (attribute), frequencies_hz (n_lines,), values (n_lines, n),
+                          coherences; nodes, components, signs, reference_nodes,
+                          reference_components, reference_signs (n,)
+    /sensors/             nodes, components, model_nodes, turns, distances (n_sensors,),
+                          directions (n_sensors, 3)
+    /sensor_places/       coordinates, directions (n_sensors, 3), on the model, global axes
+    /model/               nodes (n,), coordinates (n, 3), triangles (n_triangles, 3), edges
+                          (n_edges, 2): the surface that is shown; rows of `nodes`, float32
+    /trust/               how far the parameters can be trusted: `core/trust_file.py`
+    /held_out/            numbers, test_hz, initial_hz, updated_hz, error_initial, error_updated,
+                          mac_initial, mac_updated, worse (n_held_out,): modes that were not used,
+                          before and after updating (`core/held_out.py`)
     /iterations/000/...   one group an evaluated parameter set, in order:
         attributes        accepted, decision, slope (e2; NaN at first), sensitivity_skipped
                           (by e2, at this set), worst_error, misfit, modal_key (in the store),
@@ -20,32 +38,39 @@
                           regularisation, condition (of the weighted sensitivity)
         sensitivity       (n_residuals, n_parameters), of that step; empty at 000
         sensitivity_keys  keys of the jobs behind it, in the store
-        frequencies_hz    (n_elastic,), all computed elastic modes
+        frequencies_hz    (n_elastic,), all computed elastic modes; attribute normalisation
         mode_shapes       (n_dof, n_pairs), of the paired modes at the record's sensors
+        elastic_shapes    (n_dof, n_elastic), of all of them
         pair_measured, pair_computed   positions (from 0) of the pairs
         pair_mac, pair_subspace_mac (against close modes together), frequency_errors (n_pairs,)
         pair_reasons      text
-        residual, weights (n_residuals,)
+        residual, weights, variances (n_residuals,)
+        field/            shapes of the paired modes at the nodes of /model/, float32: nodes,
+                          components, mode_shapes, frequencies_hz; of the first and of the best
+                          accepted iteration only
 
-Relative values and lengths as in the campaign; frequencies in Hz. The file is written anew,
-aside and renamed, after each iteration.
+Relative values and lengths as in the campaign; frequencies in Hz. Groups and attributes that a
+file lacks, since it is older or has nothing to tell there, read as empty. The file is written
+anew, aside and renamed, after each iteration; `core/record_file.py` writes and reads it.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 
-import h5py
 import numpy as np
 
-from modetune.core.modes import Floats, MeasuredModes, ModeSet
+from modetune.core.geometry import TestGeometry
+from modetune.core.held_out import HeldOut
+from modetune.core.measurement import MeasuredFrfs
+from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.pairing import Pairing
 from modetune.core.parameters import ParameterSet
 from modetune.core.residual import Residual
-from modetune.core.store import writing
-
-FORMAT = 1
+from modetune.core.sensors import SensorMap
+from modetune.core.surface import Surface
+from modetune.core.trust import Trust
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +106,22 @@ class RunCounts:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorPlaces:
+    """Where the sensors are on the model, and which way they look, both in global axes.
+
+    coordinates, directions: (n_sensors, 3), in the order of the record's sensors.
+    """
+
+    coordinates: Floats
+    directions: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class IterationRecord:
-    """One evaluated parameter set; `core/record.py` says what each field is in the file."""
+    """One evaluated parameter set; the module's docstring says what each field is in the file.
+
+    field: the paired modes at the nodes of the displayed surface; empty where there is none.
+    """
 
     number: int
     parameters: Floats
@@ -104,6 +143,7 @@ class IterationRecord:
     modal_key: str
     runs: RunCounts
     wall_s: float
+    field: ModeSet = dataclasses.field(default_factory=lambda: mode_set([]))
 
     @property
     def worst_error(self) -> float:
@@ -112,7 +152,14 @@ class IterationRecord:
 
 @dataclass(frozen=True, slots=True)
 class CampaignRecord:
-    """A campaign from its start to where it stands."""
+    """A campaign from its start to where it stands.
+
+    surface, geometry, sensors, places, frfs: of model and test, None where the campaign has none.
+    e1_frequency, e1_mac, e2: the campaign's tolerances. versions: what it ran with, `name number`.
+    trust: None while the campaign runs, and where no sensitivity was computed. held_out: None while
+    it runs, and where nothing was held out. configurations: their names where there are several;
+    number 1003 of a mode is then mode 3 of the test of the first one.
+    """
 
     name: str
     campaign_text: str
@@ -131,102 +178,22 @@ class CampaignRecord:
     correlation: Floats
     runs: RunCounts
     wall_s: float
+    surface: Surface | None = None
+    geometry: TestGeometry | None = None
+    sensors: SensorMap | None = None
+    places: SensorPlaces | None = None
+    frfs: MeasuredFrfs | None = None
+    units: str = ""
+    e1_frequency: float = float("nan")
+    e1_mac: float = float("nan")
+    e2: float = float("nan")
+    versions: tuple[str, ...] = ()
+    deck_digest: str = ""
+    trust: Trust | None = None
+    held_out: HeldOut | None = None
+    configurations: tuple[str, ...] = ()
 
     @property
     def best(self) -> IterationRecord:
         """The last accepted iteration, each being better than the one before: the answer."""
         return [iteration for iteration in self.iterations if iteration.accepted][-1]
-
-
-def write_record(path: Path, record: CampaignRecord) -> None:
-    """Write the record whole or not at all. Raises StorageUnavailable."""
-    with writing(path) as part, h5py.File(part, "w") as file:
-        file.attrs.update(
-            format=FORMAT,
-            name=record.name,
-            status=record.status,
-            reason=record.reason,
-            solver=record.solver,
-            solver_version=record.solver_version,
-            modetune_version=record.modetune_version,
-            campaign=record.campaign_text,
-            settings="\n".join(record.settings),
-            wall_s=record.wall_s,
-            runs_modal=record.runs.modal,
-            runs_sensitivity=record.runs.sensitivity,
-            runs_reused=record.runs.reused,
-            core_s=record.runs.core_s,
-            licence_s=record.runs.licence_s,
-        )
-        _write_parameters(file.create_group("parameters"), record)
-        test = file.create_group("test")
-        test["numbers"] = np.array(record.test.numbers)
-        _write_arrays(test, record.test.modes)
-        iterations = file.create_group("iterations")
-        for iteration in record.iterations:
-            _write_iteration(iterations.create_group(f"{iteration.number:03d}"), iteration)
-
-
-def _write_arrays(group: h5py.Group, modes: ModeSet) -> None:
-    group["frequencies_hz"] = modes.frequencies_hz
-    group["mode_shapes"] = modes.mode_shapes
-    group["nodes"] = modes.nodes
-    group["components"] = modes.components
-
-
-def _write_parameters(group: h5py.Group, record: CampaignRecord) -> None:
-    parameters = record.parameters
-    text = h5py.string_dtype()
-    group.create_dataset("names", data=list(parameters.names), dtype=text)
-    group.create_dataset(
-        "quantities", data=[item.quantity for item in parameters.parameters], dtype=text
-    )
-    group["deck_values"] = record.deck_values
-    group["initial"] = parameters.initial
-    group["lower"] = parameters.lower
-    group["upper"] = parameters.upper
-    group["updated"] = record.updated
-    group["standard_errors"] = record.standard_errors
-    group["correlation"] = record.correlation
-
-
-def _write_iteration(group: h5py.Group, iteration: IterationRecord) -> None:
-    group.attrs.update(
-        accepted=iteration.accepted,
-        decision=iteration.decision,
-        slope=iteration.slope,
-        sensitivity_skipped=iteration.sensitivity_skipped,
-        sensitivity_methods=", ".join(iteration.sensitivity_methods),
-        sensitivity_age=iteration.sensitivity_age,
-        worst_error=iteration.worst_error,
-        misfit=iteration.residual.misfit,
-        regularisation=iteration.regularisation,
-        condition=iteration.condition,
-        modal_key=iteration.modal_key,
-        runs_modal=iteration.runs.modal,
-        runs_sensitivity=iteration.runs.sensitivity,
-        runs_reused=iteration.runs.reused,
-        core_s=iteration.runs.core_s,
-        licence_s=iteration.runs.licence_s,
-        wall_s=iteration.wall_s,
-    )
-    pairing = iteration.pairing
-    group["parameters"] = iteration.parameters
-    group["step"] = iteration.step
-    group["pair_measured"] = pairing.measured
-    group["pair_computed"] = pairing.computed
-    group["pair_mac"] = pairing.mac
-    group["pair_subspace_mac"] = pairing.subspace_mac
-    group.create_dataset("pair_reasons", data=list(pairing.reasons), dtype=h5py.string_dtype())
-    group["frequency_errors"] = iteration.frequency_errors
-    group["residual"] = iteration.residual.values
-    group["weights"] = iteration.residual.weights
-    group["sensitivity"] = iteration.sensitivity
-    group.create_dataset(
-        "sensitivity_keys", data=list(iteration.sensitivity_keys), dtype=h5py.string_dtype()
-    )
-    group["frequencies_hz"] = iteration.computed.frequencies_hz
-    shapes = iteration.computed.select(pairing.computed)
-    group["mode_shapes"] = shapes.mode_shapes
-    group["nodes"] = shapes.nodes
-    group["components"] = shapes.components

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import h5py
 import numpy as np
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.pairing import LostMode
 from modetune.core.record import RunCounts
+from modetune.core.record_file import read_record
 from modetune.flows.campaign import Campaign
 from modetune.flows.deck_texts import keep_text
 from modetune.flows.evaluation import Evaluation
@@ -82,27 +82,16 @@ class BaselineCheck:
 
 def read_agreement(path: Path, state: State) -> Agreement:
     """How far the model of a record is from its test. Raises CampaignError."""
-    try:
-        with h5py.File(path, "r") as file:
-            group = file["iterations"]
-            ordered = [group[name] for name in sorted(group, key=int)]
-            iterations = [item for item in ordered if item.attrs["accepted"]]
-            chosen = iterations[-1] if state == "updated" else iterations[0]
-            measured = chosen["pair_measured"][()]
-            macs = np.fmax(chosen["pair_mac"][()], chosen["pair_subspace_mac"][()])
-            return Agreement(
-                numbers=tuple(file["test/numbers"][()][measured].tolist()),
-                test_hz=file["test/frequencies_hz"][()][measured],
-                errors=chosen["frequency_errors"][()],
-                macs=macs,
-            )
-    except FileNotFoundError as error:
-        raise CampaignError(f"{path} is not there; a baseline is a campaign.h5") from error
-    except (OSError, KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
-        raise CampaignError(
-            f"{path} is no record of a campaign (a baseline is a campaign.h5 as `modetune update` "
-            "leaves it)"
-        ) from error
+    record = read_record(path)
+    accepted = [item for item in record.iterations if item.accepted]
+    chosen = accepted[-1] if state == "updated" else accepted[0]
+    measured = chosen.pairing.measured
+    return Agreement(
+        numbers=tuple(record.test.numbers[place] for place in measured.tolist()),
+        test_hz=record.test.modes.frequencies_hz[measured],
+        errors=chosen.frequency_errors,
+        macs=chosen.pairing.judged_mac,
+    )
 
 
 def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> BaselineCheck:

@@ -37,7 +37,13 @@ from modetune.flows.schema import (
 from modetune.flows.sensor_mapping import Mapping
 from modetune.flows.settings import override
 from modetune.flows.solvers import bind_solver, model_deck
-from modetune.flows.test_side import map_test, pairing_nodes, read_test, used_modes
+from modetune.flows.test_side import (
+    held_out_modes,
+    map_test,
+    pairing_nodes,
+    read_test,
+    used_modes,
+)
 from modetune.flows.units import unit_problems
 
 #: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
@@ -47,7 +53,10 @@ RIGID_MODES = 6
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """A campaign that can run: settings checked, model and test read."""
+    """A campaign that can run: settings checked, model and test read.
+
+    test: the modes that are used; held_out: those that are only judged by.
+    """
 
     name: str
     file: Path
@@ -69,6 +78,7 @@ class Campaign:
     nodes: tuple[int, ...]
     settings: tuple[str, ...] = ()
     begin: tuple[float, ...] | None = None
+    held_out: MeasuredModes | None = None
 
     @property
     def start(self) -> Floats:
@@ -88,7 +98,8 @@ class Campaign:
     @property
     def n_modes(self) -> int:
         """Modes asked of the solver: the measured ones, rigid ones and some to spare."""
-        return len(self.test.numbers) + EXTRA_MODES + RIGID_MODES
+        measured = len(self.test.numbers) + (len(self.held_out.numbers) if self.held_out else 0)
+        return measured + EXTRA_MODES + RIGID_MODES
 
     @property
     def parallel(self) -> int:
@@ -128,6 +139,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
         raise CampaignError(problems)
     used = used_modes(file, measurement)
     test = replace(used, modes=used.modes.rows(mapping.rows))
+    held = held_out_modes(file, measurement)
     return Campaign(
         name=file.name,
         file=path,
@@ -153,6 +165,7 @@ def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
         report=file.report,
         nodes=pairing_nodes(test, mapping.sensors, solver),
         settings=tuple(settings or ()),
+        held_out=replace(held, modes=held.modes.rows(mapping.rows)) if held else None,
     )
 
 

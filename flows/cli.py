@@ -71,9 +71,14 @@ def update(
     runs: Annotated[Path, typer.Option(help="Where run folders go.")] = Path("runs"),
     no_prefect: Annotated[bool, typer.Option("--no-prefect", help="Plain threads only.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run.")] = False,
+    starts: Annotated[
+        int | None, typer.Option(help="Update from so many starts; as `--set update.starts=N`.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Update the campaign's model until it agrees with its test."""
+    if starts is not None:
+        settings = [*(settings or []), f"update.starts={starts}"]
     if dry_run:
         with stoppable():
             store_commands.show_dry_run(campaign_file, settings or [], runs, as_json)
@@ -191,15 +196,15 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
 
     from modetune.flows.display import ConsoleProgress
     from modetune.flows.report.drawing import draw_report
-    from modetune.flows.running import update_campaign
     from modetune.flows.server.process import use_server
+    from modetune.flows.trust_starts import update_from_starts
 
     campaign = _load(campaign_file, settings)
     campaign.solver.version()
     server = use_server() if with_prefect else None
     try:
         with ConsoleProgress(Console(stderr=True)).shown() as progress:
-            run = update_campaign(
+            run = update_from_starts(
                 campaign, runs / campaign.name, progress, server, progress.forecast
             )
             progress.working("report")

@@ -14,8 +14,10 @@ from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElaps
 from rich.table import Table
 from rich.text import Text
 
+from modetune.core.judgement import trust_sentences
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.forecast import Forecast, cost_text, forecast_text
+from modetune.flows.report.drawing import PAGE
 from modetune.flows.running import CampaignRun
 from modetune.flows.twin import Twin
 
@@ -127,7 +129,7 @@ def parameter_table(record: CampaignRecord) -> Table:
     """Parameters before and after, relative to the deck and in its units."""
     table = Table(title="Parameters", title_justify="left")
     table.add_column("parameter")
-    for heading in ("deck value", "updated", "change %", "std. error %", "bounds"):
+    for heading in ("deck value", "updated", "change %", "std. error %", "by test %", "bounds"):
         table.add_column(heading, justify="right")
     stuck = record.parameters.at_bounds(record.updated)
     for place, item in enumerate(record.parameters.parameters):
@@ -138,9 +140,18 @@ def parameter_table(record: CampaignRecord) -> Table:
             f"{record.deck_values[place] * record.updated[place]:.6g}",
             f"{100 * (record.updated[place] - 1):+.2f}",
             f"{100 * error:.2f}" if np.isfinite(error) else "not known",
+            "-" if record.trust is None else f"{100 * record.trust.parameters[place].test_share:.0f}",
             f"{item.lower:g} .. {item.upper:g}" + (" (on it)" if item.name in stuck else ""),
         )
     return table
+
+
+def trust_lines(record: CampaignRecord) -> list[str]:
+    """How far the parameters can be trusted: the verdict, then what is flagged, a line each."""
+    if record.trust is None:
+        return []
+    flagged = [item.sentence for item in record.trust.flagged]
+    return [*trust_sentences(record.trust), *(f"- {line}" for line in flagged)]
 
 
 def show_run(console: Console, run: CampaignRun) -> None:
@@ -150,6 +161,8 @@ def show_run(console: Console, run: CampaignRun) -> None:
     for line in pairing_lines(record):
         console.print(Text(line), soft_wrap=True)
     console.print(parameter_table(record))
+    for line in trust_lines(record):
+        console.print(Text(line), soft_wrap=True)
     runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
     console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)
     console.print(
@@ -164,6 +177,8 @@ def show_run(console: Console, run: CampaignRun) -> None:
     )
     console.print(Text(f"record       {run.folder / 'campaign.h5'}"), soft_wrap=True)
     console.print(Text(f"updated deck {run.updated_deck}"), soft_wrap=True)
+    if (page := run.folder / PAGE).exists():
+        console.print(Text(f"report       {page}"), soft_wrap=True)
 
 
 def show_twin(console: Console, twin: Twin) -> None:

@@ -16,6 +16,7 @@ from modetune.core.errors import (
     SolverError,
     SolverMissing,
 )
+from modetune.core.held_out import HeldOut
 from modetune.core.modes import Floats
 from modetune.core.pairing import LostMode
 from modetune.core.record import RunCounts
@@ -23,7 +24,7 @@ from modetune.core.residual import residual_sensitivity
 from modetune.core.results import ModalResult, ModeDerivatives
 from modetune.core.sensitivity import stack_derivatives
 from modetune.flows.campaign import Campaign
-from modetune.flows.evaluation import Evaluation, compare
+from modetune.flows.evaluation import Evaluation, compare, judged
 from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 from modetune.flows.execution.work import Done, Execution, Work
 from modetune.flows.semi_analytic import UnlikeMatrices
@@ -123,6 +124,10 @@ class Evaluator:
         """The sensitivity at an evaluated set."""
         done = self._run(number, self._works(evaluation.theta, self.methods))
         return self._assemble(number, evaluation, done)
+
+    def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:
+        """The modes that are only judged by, before and after; nothing is run for them."""
+        return judged(self.campaign, initial, updated)
 
     def planned(self, theta: Floats) -> list[Work]:
         """The work of an iteration at a set, with sensitivities."""

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from modetune import __version__
 from modetune.core.estimation import parameter_covariance
-from modetune.core.keys import Json
+from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.modes import Floats
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.flows.campaign import Campaign
-from modetune.flows.evaluator import Matrix
+from modetune.flows.evaluator import Matrix, campaign_analysis
+from modetune.flows.showing import sensor_places, shown_surface
+from modetune.flows.trust import campaign_trust, trust_summary
+
+#: Mode n of the test of the k-th configuration has the number 1000 k + n.
+CONFIGURATION = 1000
+#: Packages whose arithmetic a campaign's numbers hang on, beside the solver's.
+PACKAGES = ("numpy", "scipy", "h5py")
 
 
 def campaign_record(
@@ -48,7 +57,34 @@ def campaign_record(
         correlation=correlation,
         runs=runs,
         wall_s=wall_s,
+        surface=shown_surface(campaign),
+        geometry=campaign.measurement.geometry,
+        sensors=campaign.sensors if campaign.sensors.n_sensors else None,
+        places=sensor_places(campaign),
+        frfs=campaign.measurement.frfs,
+        units=campaign.units,
+        e1_frequency=campaign.tolerances.frequency,
+        e1_mac=campaign.tolerances.mac,
+        e2=campaign.update.e2,
+        versions=_versions(),
+        # A large deck takes a moment to digest, so only the record that stays tells it.
+        deck_digest="" if status == "running" else _deck_digest(campaign),
+        trust=None if status == "running" else campaign_trust(
+            campaign, iterations, matrix, errors, status == "converged"
+        ),
     )
+
+
+def _versions() -> tuple[str, ...]:
+    python = f"Python {platform.python_version()}"
+    return (python, *(f"{name} {version(name)}" for name in PACKAGES), platform.platform())
+
+
+def _deck_digest(campaign: Campaign) -> str:
+    """SHA-256 of the deck's content at its own values, with the modes asked of it."""
+    values = campaign.parameters.values(np.ones(len(campaign.parameters)))
+    content = campaign.solver.content(values, campaign_analysis(campaign))
+    return content_key(canonical_json(content))
 
 
 def _trust(
@@ -98,6 +134,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         "modes": [_mode(record, first, last, pair) for pair in range(len(record.test.numbers))],
         "mean_error_initial": _number(np.abs(first.frequency_errors).mean()),
         "mean_error_updated": _number(np.abs(last.frequency_errors).mean()),
+        "held_out": held_out_summary(record),
         "sensitivity_skipped": sum(item.sensitivity_skipped for item in record.iterations),
         "wall_s": round(record.wall_s, 3),
         "core_minutes": round(record.runs.core_s / 60.0, 4),
@@ -105,6 +142,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         "run_dir": str(run_dir),
         "solver": record.solver,
         "solver_version": record.solver_version,
+        "trust": trust_summary(record.trust),
     }
 
 
@@ -114,6 +152,9 @@ def _mode(
     before, after = first.pairing, last.pairing
     return {
         "mode": record.test.numbers[int(before.measured[pair])],
+        "configuration": configuration_of(
+            record, record.test.numbers[int(before.measured[pair])]
+        ),
         "test_hz": _number(record.test.modes.frequencies_hz[before.measured[pair]]),
         "initial_hz": _number(first.computed.frequencies_hz[before.computed[pair]]),
         "updated_hz": _number(last.computed.frequencies_hz[after.computed[pair]]),
@@ -123,6 +164,34 @@ def _mode(
         "mac_updated": _number(after.mac[pair]),
         "pairing": after.reasons[pair],
     }
+
+
+def held_out_summary(record: CampaignRecord) -> list[Json]:
+    """What was held out, before and after."""
+    held = record.held_out
+    if held is None:
+        return []
+    return [
+        {
+            "test": int(held.numbers[mode]),
+            "configuration": configuration_of(record, int(held.numbers[mode])),
+            "test_hz": _number(held.test_hz[mode]),
+            "initial_hz": _number(held.initial_hz[mode]),
+            "updated_hz": _number(held.updated_hz[mode]),
+            "error_initial": _number(held.error_initial[mode]),
+            "error_updated": _number(held.error_updated[mode]),
+            "mac_initial": _number(held.mac_initial[mode]),
+            "mac_updated": _number(held.mac_updated[mode]),
+            "worse": bool(held.worse[mode]),
+        }
+        for mode in range(held.numbers.size)
+    ]
+
+
+def configuration_of(record: CampaignRecord, number: int) -> str | None:
+    """The configuration whose test a mode is of, None where there is one only."""
+    place = number // CONFIGURATION - 1
+    return record.configurations[place] if 0 <= place < len(record.configurations) else None
 
 
 def _number(value: float) -> float | None:

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from modetune.core.errors import CampaignRunning
-from modetune.core.record import CampaignRecord, write_record
+from modetune.core.errors import CampaignRunning, ModetuneError
+from modetune.core.record import CampaignRecord
+from modetune.core.record_file import write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
 from modetune.flows.deck_texts import keep_text
@@ -31,7 +32,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class CampaignRun:
-    """A campaign's end: its record, its folder, the updated deck there.
+    """A campaign's end: its record, its folder, the updated deck and the report's page there.
 
     forecast: what it was expected to cost, where that was asked for.
     """
@@ -40,6 +41,7 @@ class CampaignRun:
     folder: Path
     updated_deck: Path
     forecast: Forecast | None = None
+    page: Path | None = None
 
 
 def job_engine(campaign: Campaign) -> JobEngine:
@@ -92,12 +94,13 @@ def update_campaign(
                 f"another run of this campaign is under way in {folder}; wait for it, or name "
                 "another place for run folders with --runs"
             )
-        with _solving_engine(campaign) as engine:
+        with solving_engine(campaign) as engine:
             return _update(campaign, engine, folder, progress, server, forecast)
 
 
 @contextmanager
-def _solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
+def solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
+    """The engine that solves a campaign's jobs where the campaign wants them to run."""
     if campaign.run.engine != "dask":
         yield job_engine(campaign)
         return
@@ -139,7 +142,21 @@ def _update(
     deck = campaign.solver.write_updated(values, folder / "updated")
     with storage_errors(unfinished):
         unfinished.replace(folder / "campaign.h5")
-    return CampaignRun(record, folder, deck, forecaster.first if forecaster else None)
+    page = _drawn(record, folder / "report.html", progress) if campaign.report.page else None
+    return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)
+
+
+def _drawn(record: CampaignRecord, path: Path, progress: Progress) -> Path | None:
+    """The report's page. What goes wrong in drawing is told, and harms no campaign."""
+    from modetune.flows.report.page import write_page
+
+    progress.working("drawing the report")
+    try:
+        return write_page(record, path)
+    except (ModetuneError, ArithmeticError, LookupError, TypeError, ValueError) as error:
+        logger.warning("the report could not be drawn (%s: %s); `modetune report %s` tries again",
+                       type(error).__name__, error, path.parent)  # fmt: skip
+        return None
 
 
 def _answering(

@@ -86,12 +86,21 @@ class TestSection(_Section):
     sensors: SensorSection = SensorSection()
     """How the test's points are laid over the model."""
     use: tuple[int, ...] | None = Field(default=None, min_length=1)
-    """Numbers of the modes that are used; without it all of them."""
+    """Numbers of the modes that are used; without it all of them that are not held out."""
+    hold_out: tuple[int, ...] = ()
+    """Numbers of modes that are not used, and judged before and after updating."""
 
     @model_validator(mode="after")
     def _different(self) -> TestSection:
-        if self.use is not None and len(set(self.use)) != len(self.use):
-            raise ValueError("`use` names a mode twice")
+        for key, numbers in (("use", self.use or ()), ("hold_out", self.hold_out)):
+            if len(set(numbers)) != len(numbers):
+                raise ValueError(f"`{key}` names a mode twice")
+        both = sorted(set(self.use or ()) & set(self.hold_out))
+        if both:
+            raise ValueError(
+                f"`hold_out` names mode {', '.join(map(str, both))}, which `use` names too; a mode "
+                "is used or held out"
+            )
         return self
 
 
@@ -182,6 +191,11 @@ class UpdateSection(_Section):
 
     start: Literal["deck", "last"] = "deck"
     """Begin at the deck's values, or where the run before ended."""
+    starts: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Updates from so many starts, the campaign's own and others within the bounds; the best is
+    the answer."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the starts that are drawn."""
     step: StepForm = "regularised"
     """How the step follows from residual and sensitivity (see the theory)."""
     regularisation: NotNegative | Literal["l_curve"] = 1.0

@@ -125,21 +125,28 @@ class SemiAnalytic:
         return {column: stacked.column(place) for place, column in enumerate(columns)}
 
     def _from_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
-        base = self._matrices(self.base_job(point.theta))
-        changes = {column: self._change(point.theta, column, base) for column in columns}
+        base, changes = self.matrices(point.theta, columns)
+        return self._of_modes(point, base, changes)
+
+    def matrices(
+        self, theta: Floats, columns: Sequence[int]
+    ) -> tuple[MatrixResult, dict[int, Change]]:
+        """K and M at these values, and dK/dp and dM/dp of these columns."""
+        base = self._matrices(self.base_job(theta))
+        changes = {column: self._change(theta, column, base) for column in columns}
         stiffness, mass = base.stiffness, base.mass
         if self.constant:
             # K and M at theta follow from the reference model's, so no further job is needed.
             for column, parameter in enumerate(self.parameters.parameters):
-                move = float(point.theta[column] - parameter.initial)
+                move = float(theta[column] - parameter.initial)
                 if move == 0.0:
                     continue
-                dk, dm = changes.get(column) or self._change(point.theta, column, base)
+                dk, dm = changes.get(column) or self._change(theta, column, base)
                 stiffness, mass = stiffness + move * dk, mass + move * dm
         base = MatrixResult(
             sparse.csr_array(stiffness), sparse.csr_array(mass), base.nodes, base.components
         )
-        return self._of_modes(point, base, changes)
+        return base, changes
 
     def _change(self, theta: Floats, column: int, base: MatrixResult, pair: int = 0) -> Change:
         """dK/dp and dM/dp by differences of stored matrices; exact where they are linear in p."""

@@ -35,13 +35,22 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
     if test is None:
         problems.append(f"{source.where(('test', 'modes'))}: {said} holds no modes")
         return None
-    wanted = file.test.use if file.test.use is not None else test.numbers
-    missing = [str(number) for number in wanted if number not in test.numbers]
-    if missing:
-        problems.append(
-            f"{source.where(('test', 'use'))}: mode {', '.join(missing)} is asked for, but "
-            f"{said} has modes {', '.join(map(str, test.numbers))}"
-        )
+    has = ", ".join(map(str, test.numbers))
+    unknown = False
+    for key, wanted in (("use", file.test.use or ()), ("hold_out", file.test.hold_out)):
+        missing = [str(number) for number in wanted if number not in test.numbers]
+        if missing:
+            unknown = True
+            asked = "asked for" if key == "use" else "to be held out"
+            problems.append(
+                f"{source.where(('test', key))}: mode {', '.join(missing)} is {asked}, but {said} "
+                f"has modes {has}"
+            )
+    if unknown:
+        return None
+    if not used_numbers(file, test):
+        problems.append(f"{source.where(('test', 'hold_out'))}: all modes of {said} ({has}) are "
+                        "held out, so nothing is left to update with")  # fmt: skip
         return None
     if file.residuals.shape_weight > 0.0 and not test.has_shapes:
         problems.append(
@@ -51,11 +60,23 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
     return measurement
 
 
+def used_numbers(file: CampaignFile, test: MeasuredModes) -> tuple[int, ...]:
+    """Numbers of the modes that the campaign uses."""
+    if file.test.use is not None:
+        return file.test.use
+    return tuple(number for number in test.numbers if number not in file.test.hold_out)
+
+
 def used_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes:
     """The modes that the campaign uses."""
     assert measurement.modes is not None
-    numbers = file.test.use if file.test.use is not None else measurement.modes.numbers
-    return measurement.modes.use(numbers)
+    return measurement.modes.use(used_numbers(file, measurement.modes))
+
+
+def held_out_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes | None:
+    """The modes that are only judged by, None where there are none."""
+    assert measurement.modes is not None
+    return measurement.modes.use(file.test.hold_out) if file.test.hold_out else None
 
 
 def map_test(

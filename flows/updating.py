@@ -30,6 +30,7 @@ from modetune.flows.campaign import Campaign
 from modetune.flows.evaluation import Evaluation, expects_agreement
 from modetune.flows.evaluator import Evaluator, Matrix
 from modetune.flows.recording import campaign_record
+from modetune.flows.showing import shown_field
 
 logger = logging.getLogger(__name__)
 
@@ -95,6 +96,7 @@ class Updating:
         self.save = save
         self.iterations: list[IterationRecord] = []
         self.last_matrix: Matrix | None = None
+        self.kept: list[Evaluation] = []
         self.number = 0
         self.started = self.lap = time.monotonic()
         self.counted = RunCounts()
@@ -276,7 +278,7 @@ class Updating:
             number=self.number,
             parameters=evaluation.theta,
             step=step.change if step else np.zeros(len(parameters)),
-            computed=evaluation.modal.elastic,
+            computed=evaluation.seen,
             pairing=evaluation.pairing,
             frequency_errors=evaluation.errors,
             residual=evaluation.residual,
@@ -293,8 +295,11 @@ class Updating:
             modal_key=evaluation.key,
             runs=runs,
             wall_s=wall_s,
+            field=shown_field(self.campaign, evaluation),
         )
         self.iterations.append(record)
+        if accepted:
+            self.kept = [*self.kept[:1], evaluation]
         self.progress.iteration(record)
         self.save(self._record("running", ""))
 
@@ -305,7 +310,8 @@ class Updating:
         )  # fmt: skip
 
     def _end(self, status: str, reason: str) -> CampaignRecord:
-        record = self._record(status, reason)
+        held_out = self.evaluator.held_out(self.kept[0], self.kept[-1])
+        record = replace(self._record(status, reason), held_out=held_out)
         at_bounds = self.campaign.parameters.at_bounds(record.updated)
         if at_bounds:
             record = replace(record, reason=f"{reason}; on a bound: {', '.join(at_bounds)}")

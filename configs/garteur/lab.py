@@ -106,10 +106,10 @@ def _motion(modes: ModeSet, node: int, number: int, component: int) -> Floats:
 
 
 def _accelerances(modes: ModeSet, shapes: Floats, force: Floats) -> Complexes:
-    """(n_lines, n_sensors) from mass-normalised modes, t and mm."""
+    """(n_lines, n_sensors), (m/s^2)/N, from mass-normalised modes, t and mm."""
     lam, omega = modes.eigenvalues, 2.0 * np.pi * LINES_HZ[:, None]
     gains = 1.0 / (lam - omega**2 + 2j * DAMPING * np.sqrt(lam) * omega)
-    return np.asarray(-(omega**2) * ((gains * force) @ shapes.T))
+    return np.asarray(-1e-3 * omega**2 * ((gains * force) @ shapes.T))  # 1/t is 1e-3/kg
 
 
 def _functions(

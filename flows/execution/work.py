@@ -7,7 +7,7 @@ the execution that shows each piece as a task run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
@@ -50,16 +50,25 @@ def solve_work(engine: JobEngine, work: Work) -> Done:
 
 @dataclass(frozen=True, slots=True)
 class ThreadExecution:
-    """A bounded pool of threads; each waits for its external solver."""
+    """A bounded pool of threads; each waits for its external solver.
+
+    told: hears what became of each piece, in the order of the work.
+    """
 
     engine: JobEngine
     parallel: int
+    told: Callable[[Done], None] | None = None
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
         with ThreadPoolExecutor(self.parallel, thread_name_prefix="modetune") as pool:
             futures = [pool.submit(solve_work, self.engine, piece) for piece in work]
+            done: list[Done] = []
             try:
-                return [future.result() for future in futures]
+                for future in futures:
+                    done.append(future.result())
+                    if self.told is not None:
+                        self.told(done[-1])
+                return done
             except BaseException:
                 self.engine.cancelled.set()
                 for future in futures:

@@ -17,19 +17,20 @@ from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from modetune.core.frf import Complexes
 from modetune.core.modes import Floats
 from modetune.core.store import writing
+from modetune.flows.report.palette import AFTER, BEFORE, PARAMETER_COLOURS, TEST
 
 DPI = 150
 #: Colour, line and width of each kind of curve.
 STYLES: dict[str, tuple[str, str, float]] = {
-    "test": ("#000000", "-", 2.2),
-    "before": ("#56B4E9", "-", 1.3),
-    "after": ("#D55E00", "--", 1.5),
+    "test": (TEST, "-", 2.2),
+    "before": (BEFORE, "-", 1.3),
+    "after": (AFTER, "--", 1.5),
 }
-PARAMETER_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 #: Side of a MAC bar, of the unit square it stands on.
 BAR = 0.66
 
@@ -150,10 +151,119 @@ def response_figure(
     return figure
 
 
+def mac_map_figure(
+    title: str, tables: Sequence[tuple[str, Floats]], numbers: Sequence[int]
+) -> Figure:
+    """MAC matrices as maps side by side, values written in while there is room.
+
+    tables: heading and MAC (n_computed, n_measured); numbers: of the measured modes.
+    """
+    n_rows, n_columns = tables[0][1].shape
+    figure = _figure(len(tables) * (1.4 + 0.42 * n_columns) + 0.8, 1.5 + 0.36 * n_rows)
+    for place, (heading, mac) in enumerate(tables, start=1):
+        axes = figure.add_subplot(1, len(tables), place)
+        image = axes.imshow(mac, origin="lower", vmin=0.0, vmax=1.0, cmap="viridis", aspect="auto")
+        axes.set_xticks(range(n_columns), [str(number) for number in numbers])
+        axes.set_yticks(range(n_rows), [str(row + 1) for row in range(n_rows)])
+        axes.set_xlabel("test mode")
+        axes.set_ylabel("computed mode")
+        axes.set_title(heading, fontsize=10)
+        for (row, column), value in np.ndenumerate(mac) if mac.size <= 150 else ():
+            axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=7,
+                      color="black" if value > 0.6 else "white")  # fmt: skip
+    figure.colorbar(image, ax=figure.axes, label="MAC", fraction=0.03)
+    figure.suptitle(title)
+    return figure
+
+
+def sensitivity_figure(
+    title: str,
+    numbers: Sequence[int],
+    names: Sequence[str],
+    matrices: Sequence[tuple[int, Floats]],
+) -> Figure:
+    """Normalised sensitivities, a chart a mode (as thesis, figures 49 to 51).
+
+    matrices: iteration and (n_modes, n_parameters), at most two of them.
+    """
+    across = min(3, len(numbers))
+    down = -(-len(numbers) // across)
+    figure = _figure(3.2 * across + 0.6, 2.1 * down + 1.0)
+    grid = figure.subplots(down, across, squeeze=False, sharey=True)
+    width = 0.8 / len(matrices)
+    colours = (STYLES["before"][0], STYLES["after"][0])
+    for mode, axes in enumerate(grid.ravel()):
+        if mode >= len(numbers):
+            axes.set_axis_off()
+            continue
+        for place, (iteration, values) in enumerate(matrices):
+            at = np.arange(len(names)) + (place - (len(matrices) - 1) / 2) * width
+            axes.bar(at, values[mode], width, color=colours[place],
+                     label=f"at iteration {iteration}")  # fmt: skip
+        axes.set_xticks(range(len(names)), list(names), rotation=40, ha="right", fontsize=7)
+        axes.set_title(f"mode {numbers[mode]}", fontsize=9)
+        axes.grid(alpha=0.3, axis="y")
+    figure.supylabel("(df/f) / (dp/p)", fontsize=9)
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    figure.suptitle(title)
+    return figure
+
+
+def convergence_figure(
+    title: str,
+    iterations: Sequence[int],
+    residuals: Floats,
+    slopes: Floats,
+    skipped: NDArray[np.bool_],
+    e2: float,
+) -> Figure:
+    """Residual and slope over iterations; rings where e2 skipped a sensitivity.
+
+    residuals, slopes, skipped: (n_iterations,); e2: NaN or 0 where there is none.
+    """
+    figure, numbers = _figure(8.0, 3.6), np.array(iterations)
+    left, right = figure.subplots(1, 2)
+    left.semilogy(numbers, np.where(residuals > 0.0, residuals, np.nan), "o-",
+                  color=STYLES["after"][0])  # fmt: skip
+    left.set_ylabel("residual |z|")
+    known = np.where(slopes > 0.0, slopes, np.nan)
+    right.semilogy(numbers, known, "o-", color=STYLES["after"][0], label="slope")
+    right.set_ylabel("slope |Δz| / L")
+    if skipped.any():
+        right.plot(numbers[skipped], known[skipped], "o", color=STYLES["test"][0], markersize=12,
+                   fillstyle="none", label="sensitivity skipped (e2)")  # fmt: skip
+    if e2 > 0.0:
+        right.axhline(e2, color="#808080", linestyle=":", label=f"e2 = {e2:g}")
+    for axes in (left, right):
+        axes.set_xlabel("iteration")
+        axes.set_xticks(numbers[:: max(1, numbers.size // 12)])
+        axes.grid(alpha=0.3)
+    right.legend()
+    figure.suptitle(title)
+    return figure
+
+
+def comac_figure(title: str, labels: Sequence[str], before: Floats, after: Floats) -> Figure:
+    """COMAC of each sensor before and after, (n_sensors,)."""
+    figure = _figure(max(6.4, min(0.14 * len(labels), 16.0)), 3.8)
+    axes, places = figure.add_subplot(), np.arange(len(labels))
+    axes.plot(places, before, "o", color=STYLES["before"][0], label="before")
+    axes.plot(places, after, "x", color=STYLES["after"][0], label="after", markeredgewidth=2.0)
+    every = max(1, len(labels) // 60)
+    axes.set_xticks(places[::every], list(labels)[::every], rotation=90, fontsize=7)
+    axes.set_ylabel("COMAC")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    axes.set_title(title)
+    return figure
+
+
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG. Raises StorageUnavailable."""
+    """Write a figure as PNG, or as SVG where the file is named so. Raises StorageUnavailable."""
+    form = "svg" if path.suffix == ".svg" else "png"
     with writing(path) as part:
-        figure.savefig(part, format="png", dpi=DPI)
+        # Without a date the same figure is the same file.
+        figure.savefig(part, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else {})
     return path
 
 

@@ -38,7 +38,8 @@ from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign import Campaign, load_campaign
 from modetune.flows.display import iteration_line
 from modetune.flows.execution.prefect import ended_state
-from modetune.flows.running import job_engine, update_campaign
+from modetune.flows.report.drawing import draw_report
+from modetune.flows.running import job_engine
 from modetune.flows.server.process import use_server
 from modetune.flows.server.starting import is_unchanged, read_earlier
 
@@ -77,7 +78,8 @@ def _update(campaign: Campaign, runs: Path) -> State[Any]:
     folder = runs / campaign.name
     earlier = read_earlier(folder)
     same = earlier is not None and is_unchanged(campaign, job_engine(campaign), earlier)
-    record = update_campaign(campaign, folder, LogProgress(), use_server()).record
+    record = update_from_starts(campaign, folder, LogProgress(), use_server()).record
+    draw_report(record, folder)
     if same and not record.runs.modal + record.runs.sensitivity:
         return Completed(name="Unchanged", message=_unchanged(record))
     return ended_state(record)

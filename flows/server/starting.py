@@ -11,11 +11,14 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-from modetune.core.modes import Floats
+from modetune.core.errors import CampaignError
+from modetune.core.modes import MeasuredModes
+from modetune.core.record_file import read_record
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.execution.engine import Job, JobEngine
@@ -33,7 +36,7 @@ class EarlierRun:
 
     campaign_text: str
     settings: str
-    test: tuple[Floats, ...]
+    test: tuple[NDArray[Any], ...]
     modal_key: str
     started: dict[str, float]
     updated: dict[str, float]
@@ -45,33 +48,28 @@ def read_earlier(folder: Path) -> EarlierRun | None:
     if not path.exists():
         return None
     try:
-        with h5py.File(path, "r") as file:
-            parameters, first = file["parameters"], file["iterations/000"]
-            names = [str(name) for name in parameters["names"].asstr()[()]]
-            values = parameters["updated"][()] * parameters["deck_values"][()]
-            return EarlierRun(
-                campaign_text=str(file.attrs["campaign"]),
-                settings=str(file.attrs["settings"]),
-                test=_test_arrays(file["test"]),
-                modal_key=str(first.attrs["modal_key"]),
-                started=dict(zip(names, first["parameters"][()].tolist(), strict=True)),
-                updated=dict(zip(names, values.tolist(), strict=True)),
-            )
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        logger.warning("the record %s of the run before cannot be read (%s)", path, error)
+        record = read_record(path)
+    except CampaignError as error:
+        logger.warning("%s", error)
         return None
+    names, first = record.parameters.names, record.iterations[0]
+    values = record.updated * record.deck_values
+    return EarlierRun(
+        campaign_text=record.campaign_text,
+        settings="\n".join(record.settings),
+        test=_test_arrays(record.test),
+        modal_key=first.modal_key,
+        started=dict(zip(names, first.parameters.tolist(), strict=True)),
+        updated=dict(zip(names, values.tolist(), strict=True)),
+    )
 
 
 def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> bool:
     """Whether campaign, settings, test, deck and solver are those of the run before."""
     if (campaign.text, "\n".join(campaign.settings)) != (earlier.campaign_text, earlier.settings):
         return False
-    modes = campaign.test.modes
-    test = (
-        np.array(campaign.test.numbers), modes.frequencies_hz, modes.mode_shapes,
-        modes.nodes, modes.components,
-    )  # fmt: skip
-    if not all(np.array_equal(now, then) for now, then in zip(test, earlier.test, strict=True)):
+    now = _test_arrays(campaign.test)
+    if not all(np.array_equal(one, then) for one, then in zip(now, earlier.test, strict=True)):
         return False
     # The key of the first job stands for all that the deck and the solver are.
     return engine.key(Job(earlier.started, campaign_analysis(campaign))) == earlier.modal_key
@@ -98,6 +96,9 @@ def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) 
     return replace(campaign, begin=tuple(begin))
 
 
-def _test_arrays(group: h5py.Group) -> tuple[Floats, ...]:
-    names = ("numbers", "frequencies_hz", "mode_shapes", "nodes", "components")
-    return tuple(group[name][()] for name in names)
+def _test_arrays(test: MeasuredModes) -> tuple[NDArray[Any], ...]:
+    modes = test.modes
+    return (
+        np.array(test.numbers), modes.frequencies_hz, modes.mode_shapes, modes.nodes,
+        modes.components,
+    )  # fmt: skip
