@@ -34,7 +34,7 @@ from modetune.flows.schema import (
     Units,
     UpdateSection,
 )
-from modetune.flows.sensor_mapping import Mapping
+from modetune.flows.sensors.mapping import Mapping
 from modetune.flows.settings import override
 from modetune.flows.solvers import bind_solver, model_deck
 from modetune.flows.test_side import (
@@ -117,11 +117,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def load_campaign(path: Path, settings: list[str] | None = None) -> Campaign:
-    """Read a campaign file. Raises CampaignError with all problems; StoreError."""
+def load_campaign(
+    path: Path, settings: list[str] | None = None, form: type[CampaignFile] = CampaignFile
+) -> Campaign:
+    """Read a campaign file of a form. Raises CampaignError with all problems; StoreError."""
     source = read_yaml(path, "a campaign")
     try:
-        file = CampaignFile.model_validate(override(source, settings or []))
+        file = form.model_validate(override(source, settings or []))
         run = file.run.on_site()
     except ValidationError as error:
         raise CampaignError([_problem(source, item) for item in error.errors()]) from None

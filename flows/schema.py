@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from modetune.core.estimation import StepForm
 from modetune.core.parameters import TARGETS, Quantity, TargetKind
 from modetune.flows.execution.site import DaskSection, Engine, SlurmSection, with_site
-from modetune.flows.sensor_section import SensorSection
+from modetune.flows.sensors.section import SensorSection
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]

@@ -12,8 +12,9 @@ from modetune.core.measurement import Measurement
 from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes
 from modetune.core.sensors import SensorMap
+from modetune.flows.model_file import NO_TEST, ModelFile
 from modetune.flows.schema import CampaignFile
-from modetune.flows.sensor_mapping import Mapping, map_sensors
+from modetune.flows.sensors.mapping import Mapping, map_sensors
 from modetune.flows.units import LENGTH_METRES, METRES
 
 #: Nodes whose shapes are kept where the test has no sensors, to track modes by.
@@ -22,6 +23,8 @@ TRACKING_NODES = 500
 
 def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Measurement | None:
     """The test, if it has the modes that are asked for."""
+    if isinstance(file, ModelFile):
+        return NO_TEST
     names = (file.test.modes,) if isinstance(file.test.modes, str) else file.test.modes
     metres = None if file.test.length is None else LENGTH_METRES[file.test.length]
     try:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from modetune.flows.campaign import Campaign
-    from modetune.flows.gate import GateReport
-    from modetune.flows.gate_model import ModelFacts
+    from modetune.flows.gate.judging import GateReport
+    from modetune.flows.gate.model import ModelFacts
 
 MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
@@ -58,7 +58,7 @@ def check(
             )
         return
     from modetune.flows.campaign import load_campaign
-    from modetune.flows.gate import check_campaign
+    from modetune.flows.gate.judging import check_campaign
 
     campaign = load_campaign(campaign_file, settings or [])
     with stoppable():

@@ -16,7 +16,7 @@ from modetune.flows.commands.stopping import stoppable
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from modetune.flows.correlating import Correlation, Orthogonality
+    from modetune.flows.correlation.correlate import Correlation, Orthogonality
 
 #: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
 WORST, SHOWN = 10, 14
@@ -72,7 +72,7 @@ def correlate(
     compared; a test stands first beside a model.
     """
     from modetune.core.errors import CampaignError
-    from modetune.flows.correlation_sides import correlate_sources, source
+    from modetune.flows.correlation.sides import correlate_sources, source
 
     if state not in ("updated", "initial"):
         raise CampaignError(f"--state {state!r}: expected updated or initial")
@@ -99,7 +99,7 @@ def correlate(
 
 def told(found: Correlation) -> dict[str, Any]:
     """The `--json` object of `modetune correlate`."""
-    from modetune.flows.correlating import dof_name
+    from modetune.flows.correlation.correlate import dof_name
 
     first, second = found.first, found.second
     return {
@@ -138,7 +138,7 @@ def told(found: Correlation) -> dict[str, Any]:
 
 
 def _told_orthogonality(found: Orthogonality | None) -> dict[str, Any] | None:
-    from modetune.flows.correlating import dof_name
+    from modetune.flows.correlation.correlate import dof_name
 
     if found is None:
         return None
@@ -157,7 +157,7 @@ def _write(found: Correlation, figures: Path | None, out: Path | None) -> list[P
 
         written += write_figures(found, figures)
     if out is not None:
-        from modetune.flows.correlating import dof_name
+        from modetune.flows.correlation.correlate import dof_name
 
         told_pairs = told(found)["pairs"]
         rows = [list(row.values()) for row in told_pairs]
@@ -198,8 +198,8 @@ def _show(found: Correlation) -> None:
 
 
 def _lines(found: Correlation) -> list[str]:
-    from modetune.flows.correlating import dof_name
-    from modetune.flows.gate_findings import listed
+    from modetune.flows.correlation.correlate import dof_name
+    from modetune.flows.gate.findings import listed
 
     lines = [f"{len(found.dofs)} common degrees of freedom"] if found.dofs else [
         "no shapes on one side: pairs follow the order of frequency"
@@ -258,7 +258,7 @@ def _matrix_table(found: Correlation) -> Table:
 def _sensor_table(found: Correlation) -> Table:
     from rich.table import Table
 
-    from modetune.flows.correlating import dof_name
+    from modetune.flows.correlation.correlate import dof_name
 
     table = Table(title="Least agreement", title_justify="left")
     for heading in ("sensor", "COMAC", "eCOMAC"):

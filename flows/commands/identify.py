@@ -12,7 +12,7 @@ import typer
 from modetune.flows.commands.stopping import stoppable
 
 if TYPE_CHECKING:
-    from modetune.flows.identification import Identification, IdentificationSettings
+    from modetune.flows.identification.identify import Identification, IdentificationSettings
 
 #: Functions that are named as the worst.
 WORST = 5
@@ -47,8 +47,8 @@ def identify(
     """Identify modes from measured response functions, and write them as a test file."""
     from modetune.adapters.measurements import read_measurement
     from modetune.core.errors import CampaignError
-    from modetune.flows.identification import identify as identify_modes
-    from modetune.flows.identification_files import check_out, write_modes
+    from modetune.flows.identification.files import check_out, write_modes
+    from modetune.flows.identification.identify import identify as identify_modes
 
     settings = _settings(band, order, poles, pick, criteria)
     if out is not None:
@@ -82,7 +82,7 @@ def _settings(
 ) -> IdentificationSettings:
     from modetune.core.errors import CampaignError
     from modetune.core.stabilisation import Criteria
-    from modetune.flows.identification import IdentificationSettings
+    from modetune.flows.identification.identify import IdentificationSettings
 
     picked = _numbers("--pick", pick) if pick else ()
     if poles not in ("auto", "pick") or ((poles == "pick") and not picked):

@@ -14,7 +14,7 @@ import typer
 
 if TYPE_CHECKING:
     from modetune.core.keys import Json
-    from modetune.flows.sensor_mapping import Mapping, SensorRow
+    from modetune.flows.sensors.mapping import Mapping, SensorRow
 
 
 def sensors(

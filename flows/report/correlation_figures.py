@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modetune.core.modes import Floats
-from modetune.flows.correlating import Correlation, Side, dof_name
+from modetune.flows.correlation.correlate import Correlation, Side, dof_name
 from modetune.flows.report.figures import STYLES, _figure, save
 
 #: Numbers in the cells are left out beyond this many modes, they would be dust.

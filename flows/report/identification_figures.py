@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from modetune.core.modes import Floats
 from modetune.core.stabilisation import OrderPoles, Stability
 from modetune.core.store import writing
-from modetune.flows.identification import Identification
+from modetune.flows.identification.identify import Identification
 from modetune.flows.report.figures import STYLES, ResponseCurve, _figure, response_figure, save
 
 #: Symbol, colour, size and name of a pole, by what it agrees in with the order before.

@@ -15,7 +15,7 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.core.store import writing
 from modetune.core.surface import display_surface
-from modetune.flows.sensor_mapping import Mapping, Verdict
+from modetune.flows.sensors.mapping import Mapping, Verdict
 
 #: Colours of Okabe and Ito (2008), as in the other figures.
 COLOURS: dict[Verdict, str] = {"good": "#0072B2", "doubtful": "#E69F00", "left out": "#D55E00"}
@@ -43,7 +43,7 @@ def save_sensor_picture(path: Path, mapping: Mapping, mesh: Mesh) -> None:
     plotter: Any = pv.Plotter(off_screen=True, window_size=list(PIXELS))
     try:
         plotter.set_background("white")
-        _draw_model(plotter, mesh)
+        draw_model(plotter, mesh)
         _draw_sensors(plotter, mapping, mesh)
         plotter.add_axes()
         plotter.view_isometric()
@@ -54,7 +54,8 @@ def save_sensor_picture(path: Path, mapping: Mapping, mesh: Mesh) -> None:
         plotter.close()
 
 
-def _draw_model(plotter: Any, mesh: Mesh) -> None:
+def draw_model(plotter: Any, mesh: Mesh) -> None:
+    """The mesh's surface, pale, beneath what is drawn on it."""
     skin = display_surface(mesh, DRAWN_NODES)
     if skin.triangles.size:
         poly_data: Any = pv.PolyData  # its types know no int64

@@ -49,8 +49,8 @@ from modetune.flows.schema import (
     SensitivitySection,
     UpdateSection,
 )
-from modetune.flows.sensor_mapping import map_sensors
-from modetune.flows.sensor_section import SensorSection
+from modetune.flows.sensors.mapping import map_sensors
+from modetune.flows.sensors.section import SensorSection
 
 SPRINGS = np.array([1500.0, 1600.0, 1400.0, 6500.0, 1300.0, 1500.0, 1300.0])
 MASSES = np.array([1.8, 2.4, 1.6, 1.2, 1.1, 0.9])

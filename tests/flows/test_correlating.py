@@ -19,8 +19,8 @@ from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import ModeSet, mode_set
 from modetune.core.record import CampaignRecord
 from modetune.flows.commands.correlate import register
-from modetune.flows.correlating import Side, correlate, dof_name
-from modetune.flows.correlation_sides import correlate_sources, source
+from modetune.flows.correlation.correlate import Side, correlate, dof_name
+from modetune.flows.correlation.sides import correlate_sources, source
 from modetune.flows.report.correlation_figures import heat_figure, write_figures
 from modetune.flows.running import update_campaign
 
@@ -271,7 +271,7 @@ def test_a_campaign_beside_a_record_is_run_and_seen_by_its_sensors(
     run_folder: Path, bench: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     campaign = bench.campaign({"k1": 1.2, "k2": 0.8}, shapes=True)
-    monkeypatch.setattr("modetune.flows.correlation_sides.load_campaign", lambda *_: campaign)
+    monkeypatch.setattr("modetune.flows.correlation.sides.load_campaign", lambda *_: campaign)
     (tmp_path / "chain.yaml").write_text("name: chain")
     before = bench.runs()
     found = correlate_sources(source(tmp_path / "chain.yaml"), source(run_folder), "initial")
@@ -315,7 +315,7 @@ def test_a_solver_without_matrices_gives_no_orthogonality(
 
     campaign = bench.campaign({"k1": 1.2}, shapes=True)
     campaign = replace(campaign, solver=Plain(campaign.solver))
-    monkeypatch.setattr("modetune.flows.correlation_sides.load_campaign", lambda *_: campaign)
+    monkeypatch.setattr("modetune.flows.correlation.sides.load_campaign", lambda *_: campaign)
     (tmp_path / "chain.yaml").write_text("name: chain")
     with pytest.raises(CampaignError, match="which scripted does not give for chain"):
         correlate_sources(source(tmp_path / "chain.yaml"), None, method="guyan")
@@ -336,7 +336,7 @@ def test_a_sensor_that_looks_backwards_keeps_modes_orthogonal(
     bench: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, method: Any
 ) -> None:
     campaign = sensors_turned(bench, [-1.0, 0.0, 0.0])
-    monkeypatch.setattr("modetune.flows.correlation_sides.load_campaign", lambda *_: campaign)
+    monkeypatch.setattr("modetune.flows.correlation.sides.load_campaign", lambda *_: campaign)
     (tmp_path / "chain.yaml").write_text("name: chain")
     found = correlate_sources(source(tmp_path / "chain.yaml"), None, method=method).orthogonality
     assert found is not None
@@ -347,7 +347,7 @@ def test_sensors_that_have_no_row_in_the_mass_matrix_are_named(
     bench: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     tilted = sensors_turned(bench, [1.0 - 1e-7, 1e-7, 0.0])
-    monkeypatch.setattr("modetune.flows.correlation_sides.load_campaign", lambda *_: tilted)
+    monkeypatch.setattr("modetune.flows.correlation.sides.load_campaign", lambda *_: tilted)
     (tmp_path / "chain.yaml").write_text("name: chain")
     with pytest.raises(CampaignError, match=r"sensor 3\.x looks along none of the model's axes"):
         correlate_sources(source(tmp_path / "chain.yaml"), None, method="guyan")
@@ -356,7 +356,7 @@ def test_sensors_that_have_no_row_in_the_mass_matrix_are_named(
     nodes[2] = 2
     sensors = replace(straight.sensors, model_nodes=nodes)
     twice = replace(straight, mapping=replace(straight.mapping, sensors=sensors))
-    monkeypatch.setattr("modetune.flows.correlation_sides.load_campaign", lambda *_: twice)
+    monkeypatch.setattr("modetune.flows.correlation.sides.load_campaign", lambda *_: twice)
     with pytest.raises(CampaignError, match="two sensors look along one direction at one node"):
         correlate_sources(source(tmp_path / "chain.yaml"), None, method="guyan")
 

@@ -22,13 +22,13 @@ from modetune.core.parameters import Quantity
 from modetune.core.results import ModalResult
 from modetune.core.sensors import by_number
 from modetune.flows.commands.check import register, told
-from modetune.flows.gate import NO_RUN, GateReport, check_campaign, judged
-from modetune.flows.gate_findings import Finding, worst
-from modetune.flows.gate_model import count_near_zero
-from modetune.flows.gate_test_data import data_findings
+from modetune.flows.gate.findings import Finding, worst
+from modetune.flows.gate.judging import NO_RUN, GateReport, check_campaign, judged
+from modetune.flows.gate.model import count_near_zero
+from modetune.flows.gate.test_data import data_findings
 from modetune.flows.running import update_campaign
 from modetune.flows.schema import SensitivitySection, UpdateSection
-from modetune.flows.sensor_mapping import SensorRow
+from modetune.flows.sensors.mapping import SensorRow
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
 N_SENSORS = 8

@@ -23,7 +23,7 @@ from modetune.core.frf import NormalModes, Response, modal_frf
 from modetune.core.measurement import MeasuredFrfs, Measurement
 from modetune.core.modes import Floats
 from modetune.core.stabilisation import Criteria
-from modetune.flows.identification import Identification, IdentificationSettings, identify
+from modetune.flows.identification.identify import Identification, IdentificationSettings, identify
 from modetune.flows.report.identification_figures import write_figures
 
 #: A damped system whose fourth and fifth modes are 1 % apart.

@@ -18,8 +18,8 @@ from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.flows.commands.sensors import sensor_lines, told_sensors
 from modetune.flows.report.sensor_figure import save_sensor_picture
-from modetune.flows.sensor_mapping import Mapping, map_sensors
-from modetune.flows.sensor_section import SensorSection
+from modetune.flows.sensors.mapping import Mapping, map_sensors
+from modetune.flows.sensors.section import SensorSection
 
 MM = 1e-3
 

@@ -1,0 +1,1 @@
+"""Two models, two tests, or one of each, side by side."""

@@ -1,0 +1,1 @@
+"""What `modetune check` looks at before anything costs a licence."""

@@ -1,0 +1,225 @@
+"""What a report tells of a campaign, worked out of its record: before beside after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.correlation import comac, mac
+from modetune.core.errors import ModesError
+from modetune.core.modes import COMPONENTS, Floats, Integers, common_dofs
+from modetune.core.record import CampaignRecord, IterationRecord
+
+#: Correlation of two estimated parameters from which the test can hardly tell them apart.
+ENTANGLED = 0.95
+#: A MAC that needs a look, and a share of the value that a standard error should stay below.
+DOUBTFUL_MAC, DOUBTFUL_ERROR = 0.8, 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class ModeRow:
+    """A measured mode and its partner before and after; errors are relative, a MAC may be NaN."""
+
+    number: int
+    test_hz: float
+    before_hz: float
+    after_hz: float
+    error_before: float
+    error_after: float
+    mac_before: float
+    mac_after: float
+    partner_before: int
+    partner_after: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class SensorAgreement:
+    """Coordinate MAC of each sensor, (n_sensors,), over the paired modes.
+
+    nodes, components: as the test names them.
+    """
+
+    nodes: Integers
+    components: Integers
+    before: Floats
+    after: Floats
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        names = zip(self.nodes.tolist(), self.components.tolist(), strict=True)
+        return tuple(f"{node}.{COMPONENTS[part - 1]}" for node, part in names)
+
+
+def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
+    """Every measured mode, in the order of the pairs."""
+    first, last, rows = record.iterations[0], record.best, []
+    for pair in range(first.pairing.measured.size):
+        before, after = int(first.pairing.computed[pair]), int(last.pairing.computed[pair])
+        measured = int(first.pairing.measured[pair])
+        rows.append(
+            ModeRow(
+                number=record.test.numbers[measured],
+                test_hz=float(record.test.modes.frequencies_hz[measured]),
+                before_hz=float(first.computed.frequencies_hz[before]),
+                after_hz=float(last.computed.frequencies_hz[after]),
+                error_before=float(first.frequency_errors[pair]),
+                error_after=float(last.frequency_errors[pair]),
+                mac_before=float(first.pairing.mac[pair]),
+                mac_after=float(last.pairing.mac[pair]),
+                partner_before=before + 1,
+                partner_after=after + 1,
+                reason=last.pairing.reasons[pair],
+            )
+        )
+    return tuple(rows)
+
+
+def mac_table(record: CampaignRecord, item: IterationRecord) -> Floats:
+    """MAC (n_computed, n_measured) up to the last computed mode that is paired in the campaign.
+
+    Zero where a shape rests at all sensors. Empty without measured shapes.
+    """
+    rows_c, rows_m = common_dofs(item.computed, record.test.modes)
+    if rows_c.size == 0:
+        return np.zeros((0, 0))
+    n = 1 + max(int(one.pairing.computed.max()) for one in (record.iterations[0], record.best))
+    computed = item.computed.mode_shapes[rows_c, :n]
+    measured = record.test.modes.mode_shapes[rows_m]
+    table = np.zeros((computed.shape[1], measured.shape[1]))
+    moving, used = computed.any(axis=0), measured.any(axis=0)
+    table[np.ix_(moving, used)] = mac(computed[:, moving], measured[:, used])
+    return table
+
+
+def sensor_agreement(record: CampaignRecord) -> SensorAgreement | None:
+    """COMAC before and after, None without measured shapes or where a pair has no common scale."""
+    rows_m, _ = common_dofs(record.test.modes, record.best.computed)
+    if rows_m.size == 0:
+        return None
+    try:
+        before, after = (_comac(record, item) for item in (record.iterations[0], record.best))
+    except ModesError:
+        return None
+    modes = record.test.modes
+    return SensorAgreement(modes.nodes[rows_m], modes.components[rows_m], before, after)
+
+
+def _comac(record: CampaignRecord, item: IterationRecord) -> Floats:
+    rows_m, rows_c = common_dofs(record.test.modes, item.computed)
+    measured = record.test.modes.mode_shapes[rows_m][:, item.pairing.measured]
+    return comac(measured, item.computed.mode_shapes[rows_c][:, item.pairing.computed])
+
+
+def fresh_matrices(record: CampaignRecord) -> tuple[tuple[int, Floats], ...]:
+    """Normalised frequency sensitivities at the first and the last set that a matrix was had at.
+
+    Of each: the set's iteration and (df/f) / (dp/p), (n_modes, n_parameters). The residual holds
+    (d lambda / dp) / lambda_test, so with lambda = (2 pi f)^2 it is half of that times p, times
+    (f_test / f)^2.
+    """
+    found: dict[int, Floats] = {}
+    for item in record.iterations[1:]:
+        if item.sensitivity_age or item.sensitivity.shape[0] == 0:
+            continue
+        start = [one for one in record.iterations if one.accepted and one.number < item.number][-1]
+        n = start.residual.n_frequencies
+        ratio = 1.0 / (1.0 + start.frequency_errors) ** 2
+        values = 0.5 * item.sensitivity[:n] * start.parameters * ratio[:, None]
+        found.setdefault(start.number, values)
+    ends = sorted(found)
+    return tuple((number, found[number]) for number in dict.fromkeys((*ends[:1], *ends[-1:])))
+
+
+def residual_norm(item: IterationRecord) -> float:
+    """Length of that part of the residual that takes part in updating."""
+    return float(np.linalg.norm(item.residual.values[item.residual.weights > 0.0]))
+
+
+def scaled_test(record: CampaignRecord, item: IterationRecord) -> tuple[Floats, Floats]:
+    """Paired shapes at the common sensors, test and model, (n_sensors, n_pairs) each.
+
+    The test's shape has length one and its own sign; the model's has the scale in which it is
+    nearest to the test's (the modal scale factor), so that both can be laid over each other.
+    """
+    rows_m, rows_c = common_dofs(record.test.modes, item.computed)
+    test = np.real(record.test.modes.mode_shapes[rows_m][:, item.pairing.measured])
+    model = np.real(item.computed.mode_shapes[rows_c][:, item.pairing.computed])
+    return _unit(test), model * model_scales(record, item)
+
+
+def model_scales(record: CampaignRecord, item: IterationRecord) -> Floats:
+    """What brings each computed shape nearest to the measured one of length one, (n_pairs,)."""
+    rows_m, rows_c = common_dofs(record.test.modes, item.computed)
+    test = _unit(np.real(record.test.modes.mode_shapes[rows_m][:, item.pairing.measured]))
+    model = np.real(item.computed.mode_shapes[rows_c][:, item.pairing.computed])
+    squares = np.sum(model**2, axis=0)
+    safe = np.where(squares > 0.0, squares, 1.0)
+    signs = np.where(np.sum(test * model, axis=0) < 0.0, -1.0, 1.0)
+    # Of a shape with nothing in common the nearest scale is zero: it keeps its own length then.
+    return np.asarray(signs * np.fmax(np.abs(np.sum(test * model, axis=0)) / safe,
+                                      0.1 / np.sqrt(safe)))  # fmt: skip
+
+
+def remarks(record: CampaignRecord) -> tuple[str, ...]:
+    """What a careful engineer would look at before handing the model on, a sentence each."""
+    found = list(_mode_remarks(record))
+    at_bounds = record.parameters.at_bounds(record.updated)
+    if at_bounds:
+        found.append(
+            f"On a bound: {', '.join(at_bounds)}. The test would take the value further than the "
+            "campaign allows; see whether the bound or something else of the model is wrong."
+        )
+    for name, value, error in zip(
+        record.parameters.names, record.updated, record.standard_errors, strict=True
+    ):
+        if error > DOUBTFUL_ERROR * abs(value):
+            found.append(
+                f"{name} is known to ±{100 * error / abs(value):.0f} % only: these modes hardly "
+                "depend on it."
+            )
+    found += [
+        f"{one} and {other} are entangled (correlation {value:+.2f}): the test tells their "
+        "combined effect, not each alone."
+        for one, other, value in entangled(record)
+    ]
+    return tuple(found)
+
+
+def _mode_remarks(record: CampaignRecord) -> list[str]:
+    found = []
+    for row in mode_rows(record):
+        if abs(row.error_after) > record.e1_frequency:
+            found.append(
+                f"Mode {row.number} is {100 * row.error_after:+.2f} % off in frequency, beyond the "
+                f"campaign's {100 * record.e1_frequency:g} %."
+            )
+        elif abs(row.error_after) > abs(row.error_before) + 1e-3:
+            found.append(
+                f"Mode {row.number} was nearer to the test before "
+                f"({100 * row.error_before:+.2f} %, now {100 * row.error_after:+.2f} %)."
+            )
+        if row.mac_after < DOUBTFUL_MAC:
+            found.append(f"Mode {row.number} has a MAC of {row.mac_after:.2f} only: {row.reason}.")
+        if row.partner_before != row.partner_after:
+            found.append(
+                f"Test mode {row.number} is the model's elastic mode {row.partner_after} now; it "
+                f"was mode {row.partner_before} before."
+            )
+    return found
+
+
+def entangled(record: CampaignRecord) -> list[tuple[str, str, float]]:
+    """Pairs of parameters whose estimates are nearly one, and their correlation."""
+    names, table = record.parameters.names, record.correlation
+    rows, columns = np.nonzero(np.triu(np.abs(np.nan_to_num(table)) > ENTANGLED, 1))
+    return [
+        (names[row], names[column], float(table[row, column]))
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+    ]
+
+
+def _unit(shapes: Floats) -> Floats:
+    lengths = np.linalg.norm(shapes, axis=0)
+    return np.asarray(shapes / np.where(lengths > 0.0, lengths, 1.0))

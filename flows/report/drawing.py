@@ -1,0 +1,34 @@
+"""The report at the end of a campaign, which may fail without the campaign failing."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from modetune.core.errors import ModetuneError
+from modetune.core.record import CampaignRecord
+
+logger = logging.getLogger(__name__)
+
+#: The page in a run folder.
+PAGE = "report.html"
+#: Whatever may go wrong while something is drawn; the campaign's result stands without it.
+FAILURES = (
+    ModetuneError, OSError, ImportError, ArithmeticError, AttributeError, LookupError, MemoryError,
+    RuntimeError, TypeError, ValueError,
+)  # fmt: skip
+
+
+def draw_report(record: CampaignRecord, folder: Path) -> Path | None:
+    """Write the run folder's report; None with a warning where that fails."""
+    try:
+        from modetune.flows.report.page import write_page  # drawing takes a moment to import
+
+        return write_page(record, folder / PAGE)
+    except FAILURES as error:
+        logger.warning(
+            "the report of %s could not be drawn (%s: %s); the record and the updated deck are "
+            "not touched by that, `modetune report %s` tries again",
+            record.name, type(error).__name__, error, folder,
+        )  # fmt: skip
+        return None

@@ -1,0 +1,1 @@
+"""Where a test's sensors are on the model."""
