@@ -22,8 +22,8 @@ from modetune.core.record_file import read_record
 from modetune.flows.campaign import Campaign
 from modetune.flows.deck_texts import keep_text
 from modetune.flows.evaluation import Evaluation
-from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution.work import ThreadExecution
+from modetune.flows.joint import evaluator_of
 from modetune.flows.running import job_engine
 
 #: Which model of a record: as updating left it, or as it started.
@@ -101,7 +101,7 @@ def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> Base
     """
     baseline = _fitting(campaign, path, state)
     engine = job_engine(campaign)
-    evaluator = Evaluator(campaign, engine, ThreadExecution(engine, 1))
+    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
     theta = np.ones(len(campaign.parameters))
     try:
         evaluation, _ = evaluator.evaluate(0, theta, None, alone=True)

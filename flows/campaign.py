@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -19,18 +18,26 @@ from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes
-from modetune.core.parameters import Parameter, ParameterSet
+from modetune.core.parameters import ParameterSet
 from modetune.core.residual import Weighting
 from modetune.core.sensors import SensorMap
 from modetune.core.store import Store
 from modetune.core.surface import Surface, display_surface
+from modetune.flows.configuration_files import configuration_files, number_problems
+from modetune.flows.configurations import (
+    JointPart,
+    JointSolver,
+    joint_test,
+    no_sensors,
+    no_surface,
+)
+from modetune.flows.refusals import core_problems, licence_problems, method_problems
 from modetune.flows.schema import (
     STORE_VARIABLE,
     CampaignFile,
     ReportSection,
     RunSection,
     SensitivitySection,
-    SolverName,
     Units,
     UpdateSection,
 )
@@ -55,7 +62,9 @@ RIGID_MODES = 6
 class Campaign:
     """A campaign that can run: settings checked, model and test read.
 
-    test: the modes that are used; held_out: those that are only judged by.
+    test: the modes that are used; held_out: those that are only judged by. configurations: where
+    there are several, each with a model and a test of its own; then `test` has the modes of all
+    that are used, and `solver` stands for all and runs nothing.
     """
 
     name: str
@@ -79,6 +88,7 @@ class Campaign:
     settings: tuple[str, ...] = ()
     begin: tuple[float, ...] | None = None
     held_out: MeasuredModes | None = None
+    configurations: tuple[Configuration, ...] = ()
 
     @property
     def start(self) -> Floats:
@@ -98,8 +108,12 @@ class Campaign:
     @property
     def n_modes(self) -> int:
         """Modes asked of the solver: the measured ones, rigid ones and some to spare."""
-        measured = len(self.test.numbers) + (len(self.held_out.numbers) if self.held_out else 0)
-        return measured + EXTRA_MODES + RIGID_MODES
+        return len(self.measured_numbers) + EXTRA_MODES + RIGID_MODES
+
+    @property
+    def measured_numbers(self) -> tuple[int, ...]:
+        """Numbers of all measured modes that count: used ones, and those that are held out."""
+        return self.test.numbers + (self.held_out.numbers if self.held_out else ())
 
     @property
     def parallel(self) -> int:
@@ -110,6 +124,23 @@ class Campaign:
     def threads(self) -> int:
         """Threads of each job: the machine's cores shared out among parallel jobs."""
         return self.run.threads or max(1, cores() // self.parallel)
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """One of several configurations of a structure.
+
+    place: from 1, in the order of the file; campaign: the one it would make alone, with those of
+    the whole campaign's parameters that it has; columns: their positions among all; weight: of its
+    residuals; hold_out: whether it is only judged by.
+    """
+
+    name: str
+    place: int
+    campaign: Campaign
+    columns: tuple[int, ...]
+    weight: float = 1.0
+    hold_out: bool = False
 
 
 def cores() -> int:
@@ -128,23 +159,33 @@ def load_campaign(
     except ValidationError as error:
         raise CampaignError([_problem(source, item) for item in error.errors()]) from None
     problems: list[str] = []
+    load = _load_joint if file.configurations else _load_one
+    campaign = load(source, file, run, problems)
+    problems += core_problems(source, run, cores()) + licence_problems(source, file.run)
+    if problems or campaign is None:
+        raise CampaignError(list(dict.fromkeys(problems)))
+    return replace(campaign, settings=tuple(settings or ()))
+
+
+def _load_one(
+    source: YamlFile, file: CampaignFile, run: RunSection, problems: list[str]
+) -> Campaign | None:
+    """A campaign of one model and one test; nothing where there are problems."""
     measurement = read_test(source, file, problems)
-    parameters = _parameters(file)
+    parameters = ParameterSet(tuple(item.parameter() for item in file.parameters))
     store = Store(_store_folder(source, file))
     solver = _read_model(source, file, store, parameters, problems)
     mapping = None
     if measurement is not None and solver is not None:
         mapping = map_test(source, file, measurement, solver, problems)
-        problems += _method_problems(source, file, solver)
-    problems += _core_problems(source, run) + _licence_problems(source, file.run)
+        problems += method_problems(source, file, solver)
     if problems or measurement is None or solver is None or mapping is None:
-        raise CampaignError(problems)
-    used = used_modes(file, measurement)
+        return None
+    used, held = used_modes(file, measurement), held_out_modes(file, measurement)
     test = replace(used, modes=used.modes.rows(mapping.rows))
-    held = held_out_modes(file, measurement)
     return Campaign(
         name=file.name,
-        file=path,
+        file=source.path,
         text=source.text,
         solver=solver,
         units=file.model.units,
@@ -166,9 +207,55 @@ def load_campaign(
         store=store,
         report=file.report,
         nodes=pairing_nodes(test, mapping.sensors, solver),
-        settings=tuple(settings or ()),
         held_out=replace(held, modes=held.modes.rows(mapping.rows)) if held else None,
     )
+
+
+def _load_joint(
+    source: YamlFile, file: CampaignFile, run: RunSection, problems: list[str]
+) -> Campaign | None:
+    """A campaign of several configurations; nothing where there are problems."""
+    made = _store_folder(source, file).parent
+    configurations = []
+    for place, item in enumerate(configuration_files(source, file, made, problems), start=1):
+        said: list[str] = []
+        campaign = _load_one(item.source, item.file, run, said) if item.columns else None
+        problems += said
+        if campaign is not None:
+            where, name = item.source.where(("test", "modes")), item.section.name
+            problems += number_problems(where, name, campaign.measured_numbers)
+            configurations.append(
+                Configuration(name, place, campaign, item.columns, item.section.weight,
+                              item.section.hold_out)
+            )  # fmt: skip
+    if problems:
+        return None
+    parameters = ParameterSet(tuple(item.parameter() for item in file.parameters))
+    return joined(tuple(configurations), parameters)
+
+
+def joined(configurations: tuple[Configuration, ...], parameters: ParameterSet) -> Campaign:
+    """The campaign of several configurations that share parameters, by the first one's settings.
+
+    What it tells of one model alone (sensors, surface, response functions) is empty.
+    """
+    used = [item for item in configurations if not item.hold_out]
+    test = joint_test([(item.place, item.campaign.test) for item in used])
+    return replace(
+        configurations[0].campaign,
+        solver=JointSolver(tuple(
+            JointPart(item.name, item.campaign.solver, item.campaign.parameters)
+            for item in configurations
+        )),
+        parameters=parameters,
+        measurement=Measurement(test),
+        test=test,
+        mapping=no_sensors(),
+        surface=no_surface(),
+        nodes=(),
+        held_out=None,
+        configurations=configurations,
+    )  # fmt: skip
 
 
 def _problem(source: YamlFile, item: object) -> str:
@@ -185,53 +272,12 @@ def _problem(source: YamlFile, item: object) -> str:
     return f"{source.where(place)}: {key or 'campaign'}: {said}"
 
 
-def _core_problems(source: YamlFile, run: RunSection) -> list[str]:
-    """Jobs in parallel times threads of each must not be more than the machine's cores."""
-    wanted = max(run.parallel, 1) * max(run.threads, 1)
-    if wanted <= cores() or not run.here:
-        return []
-    return [
-        f"{source.where(('run',))}: run: {max(run.parallel, 1)} jobs of {max(run.threads, 1)} "
-        f"threads want {wanted} cores, this machine has {cores()}; lower `parallel` or `threads`, "
-        "or leave them out"
-    ]
-
-
-def _licence_problems(source: YamlFile, run: RunSection) -> list[str]:
-    """A licence that no solver has would limit nothing, without a word."""
-    unknown = sorted(set(run.licences) - set(get_args(SolverName)))
-    if not unknown:
-        return []
-    return [
-        f"{source.where(('run', 'licences'))}: run.licences names {', '.join(unknown)}; licences "
-        f"go by the solver's name: {', '.join(get_args(SolverName))}"
-    ]
-
-
 def _store_folder(source: YamlFile, file: CampaignFile) -> Path:
     base = source.path.resolve().parent
     if file.store is not None:
         return base / file.store
     named = os.environ.get(STORE_VARIABLE)
     return Path(named) if named else base / ".modetune" / "store"
-
-
-def _parameters(file: CampaignFile) -> ParameterSet:
-    return ParameterSet(
-        tuple(
-            Parameter(
-                item.name,
-                item.quantity,
-                item.by(),
-                item.targets(),
-                *item.bounds,
-                item.deviation,
-                item.initial,
-                item.item,
-            )
-            for item in file.parameters
-        )
-    )
 
 
 def _read_model(
@@ -258,31 +304,3 @@ def _read_model(
     if not problems:
         problems += unit_problems(source.where(("model", "units")), file.model.units, solver)
     return solver
-
-
-def _method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
-    """Why the campaign's sensitivity method cannot be had."""
-    method, has = file.sensitivity.method, solver.capabilities
-    shapes = file.residuals.shape_weight > 0.0
-    place = source.where(("sensitivity", "method"))
-    offered = {
-        "strain_energy": has.strain_energies,
-        "semi_analytic": has.matrices,
-        "solver": has.shape_sensitivities if shapes else has.frequency_sensitivities,
-    }
-    if not offered.get(method, True):
-        return [f"{place}: {solver.name} does not offer {method} here; use `auto`"]
-    if method == "semi_analytic" and shapes and not solver.model.solid_shapes:
-        return [
-            f"{place}: shape sensitivities from matrices need a model of solids without dependent "
-            "nodes; use `auto` or finite_difference"
-        ]
-    if method != "strain_energy":
-        return []
-    if shapes:
-        return [f"{place}: strain energies give no shape sensitivities; use `auto`"]
-    return [
-        f"{place}: the stiffness is not proportional to {item.name} ({item.quantity}); use `auto`"
-        for item in _parameters(file).parameters
-        if not solver.problems((item,)) and not solver.energy_sets(item)
-    ]

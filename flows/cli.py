@@ -26,13 +26,17 @@ from modetune.core.errors import ModetuneError
 from modetune.flows.commands import check as check_command
 from modetune.flows.commands import correlate as correlate_command
 from modetune.flows.commands import identify as identify_command
+from modetune.flows.commands import localise as localise_command
 from modetune.flows.commands import paraview as paraview_command
+from modetune.flows.commands import pretest as pretest_command
 from modetune.flows.commands import report as report_command
+from modetune.flows.commands import sample as sample_command
 from modetune.flows.commands import schema as schema_commands
 from modetune.flows.commands import screen as screen_command
 from modetune.flows.commands import sensors as sensors_command
 from modetune.flows.commands import store as store_commands
 from modetune.flows.commands import test_data as test_data_commands
+from modetune.flows.commands import validate as validate_command
 from modetune.flows.commands.server import register
 from modetune.flows.commands.stopping import stoppable
 
@@ -45,12 +49,16 @@ app = typer.Typer(
 store_commands.register(app)
 check_command.register(app)
 correlate_command.register(app)
+localise_command.register(app)
 paraview_command.register(app)
 report_command.register(app)
+sample_command.register(app)
 identify_command.register(app)
 test_data_commands.register(app)
 sensors_command.register(app)
 screen_command.register(app)
+validate_command.register(app)
+pretest_command.register(app)
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 Settings = Annotated[
@@ -195,7 +203,6 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
     from rich.console import Console
 
     from modetune.flows.display import ConsoleProgress
-    from modetune.flows.report.drawing import draw_report
     from modetune.flows.server.process import use_server
     from modetune.flows.trust_starts import update_from_starts
 
@@ -207,8 +214,6 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
             run = update_from_starts(
                 campaign, runs / campaign.name, progress, server, progress.forecast
             )
-            progress.working("report")
-            draw_report(run.record, run.folder)
             return run
     finally:
         if server is not None:

@@ -17,6 +17,7 @@ from rich.text import Text
 from modetune.core.judgement import trust_sentences
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.forecast import Forecast, cost_text, forecast_text
+from modetune.flows.held_out_table import show_held_out
 from modetune.flows.report.drawing import PAGE
 from modetune.flows.running import CampaignRun
 from modetune.flows.twin import Twin
@@ -140,10 +141,15 @@ def parameter_table(record: CampaignRecord) -> Table:
             f"{record.deck_values[place] * record.updated[place]:.6g}",
             f"{100 * (record.updated[place] - 1):+.2f}",
             f"{100 * error:.2f}" if np.isfinite(error) else "not known",
-            "-" if record.trust is None else f"{100 * record.trust.parameters[place].test_share:.0f}",
+            _test_share(record, place),
             f"{item.lower:g} .. {item.upper:g}" + (" (on it)" if item.name in stuck else ""),
         )
     return table
+
+
+def _test_share(record: CampaignRecord, place: int) -> str:
+    share = None if record.trust is None else record.trust.parameters[place].test_share
+    return "-" if share is None else f"{100 * share:.0f}"
 
 
 def trust_lines(record: CampaignRecord) -> list[str]:
@@ -160,6 +166,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
     console.print(mode_table(record))
     for line in pairing_lines(record):
         console.print(Text(line), soft_wrap=True)
+    show_held_out(console, record.held_out, record.configurations)
     console.print(parameter_table(record))
     for line in trust_lines(record):
         console.print(Text(line), soft_wrap=True)

@@ -17,10 +17,10 @@ from modetune.core.keys import canonical_json, content_key
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign import Campaign
 from modetune.flows.deck_texts import Text, deck_text, kept_text
-from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 from modetune.flows.execution.work import Done, Work
 from modetune.flows.explain import Asked, Nearest, Texts, asked_by_note, nearest, stored_jobs
+from modetune.flows.joint import evaluator_of
 from modetune.flows.notes import job_note, model_digest
 from modetune.flows.running import job_engine
 from modetune.flows.server.starting import read_earlier, start_of
@@ -81,7 +81,10 @@ class Replay:
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
         """Outcomes from the store. Raises NotStored where a job has none."""
         pieces = [
-            [planned_job(self.engine, iteration, piece.name, job) for job in piece.jobs]
+            [
+                planned_job(piece.engine or self.engine, iteration, piece.name, job)
+                for job in piece.jobs
+            ]
             for piece in work
         ]
         jobs = [item for piece in pieces for item in piece]
@@ -125,7 +128,7 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
     campaign = start_of(campaign, engine, read_earlier(folder))
     while True:
         replay = Replay(engine)
-        evaluator = Evaluator(campaign, engine, replay)
+        evaluator = evaluator_of(campaign, engine, replay)
         updating = Updating(campaign, evaluator, _Silent(), lambda record: None)
         ended = None
         try:

@@ -48,7 +48,7 @@ class Matrix:
     """
 
     values: Floats
-    methods: tuple[Exact, ...]
+    methods: tuple[str, ...]
     keys: tuple[str, ...]
     age: int
     missing: tuple[int, ...] = ()

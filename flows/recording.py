@@ -11,16 +11,16 @@ import numpy as np
 
 from modetune import __version__
 from modetune.core.estimation import parameter_covariance
+from modetune.core.held_out import HeldOut
 from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.modes import Floats
+from modetune.core.numbering import configuration_of
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluator import Matrix, campaign_analysis
 from modetune.flows.showing import sensor_places, shown_surface
 from modetune.flows.trust import campaign_trust, trust_summary
 
-#: Mode n of the test of the k-th configuration has the number 1000 k + n.
-CONFIGURATION = 1000
 #: Packages whose arithmetic a campaign's numbers hang on, beside the solver's.
 PACKAGES = ("numpy", "scipy", "h5py")
 
@@ -66,12 +66,13 @@ def campaign_record(
         e1_frequency=campaign.tolerances.frequency,
         e1_mac=campaign.tolerances.mac,
         e2=campaign.update.e2,
+        configurations=tuple(item.name for item in campaign.configurations),
         versions=_versions(),
         # A large deck takes a moment to digest, so only the record that stays tells it.
         deck_digest="" if status == "running" else _deck_digest(campaign),
-        trust=None if status == "running" else campaign_trust(
-            campaign, iterations, matrix, errors, status == "converged"
-        ),
+        trust=None
+        if status == "running"
+        else campaign_trust(campaign, iterations, matrix, errors, status == "converged"),
     )
 
 
@@ -134,7 +135,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         "modes": [_mode(record, first, last, pair) for pair in range(len(record.test.numbers))],
         "mean_error_initial": _number(np.abs(first.frequency_errors).mean()),
         "mean_error_updated": _number(np.abs(last.frequency_errors).mean()),
-        "held_out": held_out_summary(record),
+        "held_out": held_out_summary(record.held_out, record.configurations),
         "sensitivity_skipped": sum(item.sensitivity_skipped for item in record.iterations),
         "wall_s": round(record.wall_s, 3),
         "core_minutes": round(record.runs.core_s / 60.0, 4),
@@ -153,7 +154,7 @@ def _mode(
     return {
         "mode": record.test.numbers[int(before.measured[pair])],
         "configuration": configuration_of(
-            record, record.test.numbers[int(before.measured[pair])]
+            record.configurations, record.test.numbers[int(before.measured[pair])]
         ),
         "test_hz": _number(record.test.modes.frequencies_hz[before.measured[pair]]),
         "initial_hz": _number(first.computed.frequencies_hz[before.computed[pair]]),
@@ -166,15 +167,14 @@ def _mode(
     }
 
 
-def held_out_summary(record: CampaignRecord) -> list[Json]:
-    """What was held out, before and after."""
-    held = record.held_out
+def held_out_summary(held: HeldOut | None, configurations: tuple[str, ...]) -> list[Json]:
+    """What was held out, before and after, as JSON."""
     if held is None:
         return []
     return [
         {
             "test": int(held.numbers[mode]),
-            "configuration": configuration_of(record, int(held.numbers[mode])),
+            "configuration": configuration_of(configurations, int(held.numbers[mode])),
             "test_hz": _number(held.test_hz[mode]),
             "initial_hz": _number(held.initial_hz[mode]),
             "updated_hz": _number(held.updated_hz[mode]),
@@ -186,12 +186,6 @@ def held_out_summary(record: CampaignRecord) -> list[Json]:
         }
         for mode in range(held.numbers.size)
     ]
-
-
-def configuration_of(record: CampaignRecord, number: int) -> str | None:
-    """The configuration whose test a mode is of, None where there is one only."""
-    place = number // CONFIGURATION - 1
-    return record.configurations[place] if 0 <= place < len(record.configurations) else None
 
 
 def _number(value: float) -> float | None:

@@ -10,18 +10,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from modetune.core.errors import CampaignRunning, ModetuneError
+from modetune.core.errors import CampaignRunning
 from modetune.core.record import CampaignRecord
 from modetune.core.record_file import write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
 from modetune.flows.deck_texts import keep_text
-from modetune.flows.evaluator import Evaluator, campaign_analysis
+from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
 from modetune.flows.execution.limits import CORES, Limit, MachineLimits
 from modetune.flows.execution.slurm import on_slurm
 from modetune.flows.execution.work import Execution, ThreadExecution
 from modetune.flows.forecast import Forecast, Forecaster
+from modetune.flows.joint import evaluator_of
+from modetune.flows.report.drawing import draw_report
 from modetune.flows.schema import STORE_REMEDY
 from modetune.flows.server.process import SharedServer, answers, server_home
 from modetune.flows.server.starting import read_earlier, start_of
@@ -128,35 +130,30 @@ def _update(
         if server is not None:
             engine = _counted(engine, campaign, server)
             execution, run = _as_flow(engine, campaign, folder)
+        # What several models cost side by side nobody has worked out yet.
+        if campaign.configurations:
+            forecast = None
         forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
         updating = Updating(
-            campaign, Evaluator(campaign, engine, execution), forecaster or progress,
+            campaign, evaluator_of(campaign, engine, execution), forecaster or progress,
             lambda record: write_record(unfinished, record),
         )  # fmt: skip
         record = run(updating)
     except BaseException:
         engine.cancelled.set()  # jobs of other threads end with the campaign
         raise
-    keep_text(campaign.store, campaign.solver)
+    for item in (each.campaign for each in campaign.configurations) or (campaign,):
+        keep_text(item.store, item.solver)
     values = campaign.parameters.values(record.updated)
     deck = campaign.solver.write_updated(values, folder / "updated")
     with storage_errors(unfinished):
         unfinished.replace(folder / "campaign.h5")
-    page = _drawn(record, folder / "report.html", progress) if campaign.report.page else None
+    if campaign.report.page:
+        progress.working("drawing the report")
+        page = draw_report(record, folder)
+    else:
+        page = None
     return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)
-
-
-def _drawn(record: CampaignRecord, path: Path, progress: Progress) -> Path | None:
-    """The report's page. What goes wrong in drawing is told, and harms no campaign."""
-    from modetune.flows.report.page import write_page
-
-    progress.working("drawing the report")
-    try:
-        return write_page(record, path)
-    except (ModetuneError, ArithmeticError, LookupError, TypeError, ValueError) as error:
-        logger.warning("the report could not be drawn (%s: %s); `modetune report %s` tries again",
-                       type(error).__name__, error, path.parent)  # fmt: skip
-        return None
 
 
 def _answering(
@@ -168,7 +165,7 @@ def _answering(
     """
     if server is None or answers(server.address.url):
         return server
-    if server.shared:
+    if server.shared and not campaign.configurations:
         start = campaign.parameters.values(campaign.start)
         engine.begin(Job(start, campaign_analysis(campaign)))
     progress.working("waiting for Prefect's server")

@@ -8,10 +8,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticKnownError
 
 from modetune.core.estimation import StepForm
-from modetune.core.parameters import TARGETS, Quantity, TargetKind
+from modetune.core.parameters import TARGETS, Parameter, Quantity, TargetKind
 from modetune.flows.execution.site import DaskSection, Engine, SlurmSection, with_site
 from modetune.flows.sensors.section import SensorSection
 
@@ -129,6 +138,8 @@ class ParameterSection(_Section):
     """How uncertain the value is beforehand: its standard deviation [of the deck's value]"""
     initial: Positive = 1.0
     """The value that updating starts from [of the deck's value]"""
+    configurations: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
+    """Names of the configurations it belongs to; without it all whose deck has what it scales."""
 
     @model_validator(mode="after")
     def _sound(self) -> ParameterSection:
@@ -153,6 +164,29 @@ class ParameterSection(_Section):
         """The targets' names."""
         chosen = getattr(self, self.by())
         return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
+
+    def parameter(self) -> Parameter:
+        """The parameter as the program has it."""
+        return Parameter(
+            self.name, self.quantity, self.by(), self.targets(), *self.bounds, self.deviation,
+            self.initial, self.item,
+        )  # fmt: skip
+
+
+class ConfigurationSection(_Section):
+    """A configuration of the structure (fuel, payload, boundary conditions): own model and test,
+    parameters shared with the others."""
+
+    name: Name
+    """What the configuration is called in tables, and its folder of the updated deck."""
+    model: ModelSection
+    """Its finite element model."""
+    test: TestSection
+    """What was measured of it."""
+    weight: Positive = 1.0
+    """Emphasis of all its residuals."""
+    hold_out: bool = False
+    """Whether it is not used, and judged before and after updating."""
 
 
 class ReportSection(_Section):
@@ -284,10 +318,12 @@ class CampaignFile(_Section):
 
     name: Name
     """Names the run folder, `runs/<name>`."""
-    model: ModelSection
-    """The finite element model."""
-    test: TestSection
-    """What was measured."""
+    configurations: tuple[ConfigurationSection, ...] = ()
+    """Several configurations of one structure, updated at once with shared parameters."""
+    model: ModelSection = Field(default=None, validate_default=True)
+    """The finite element model; needed unless there are `configurations`."""
+    test: TestSection = Field(default=None, validate_default=True)
+    """What was measured; needed unless there are `configurations`."""
     parameters: tuple[ParameterSection, ...] = Field(min_length=1)
     """What of the model may change."""
     residuals: ResidualSection = ResidualSection()
@@ -303,8 +339,23 @@ class CampaignFile(_Section):
     store: str | None = None
     """Folder of results; else MODETUNE_STORE, or `.modetune/store` beside the campaign."""
 
+    @field_validator("model", "test", mode="wrap")
+    @classmethod
+    def _needed(
+        cls, given: object, validated: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> object:
+        if given is not None:
+            return validated(given)
+        if info.data.get("configurations", True):
+            return None  # each configuration has its own
+        raise PydanticKnownError("missing")
+
     @model_validator(mode="after")
     def _different(self) -> CampaignFile:
+        if (self.model is None) != (self.test is None):
+            raise ValueError("beside `configurations` give both `model` and `test`, or neither")
+        if not self.configurations and any(p.configurations for p in self.parameters):
+            raise ValueError("a parameter names configurations, but the campaign has none")
         names = [parameter.name for parameter in self.parameters]
         if len(set(names)) != len(names):
             raise ValueError("two parameters have the same name")

@@ -29,6 +29,7 @@ from modetune.core.sensitivity import broyden_update
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluation import Evaluation, expects_agreement
 from modetune.flows.evaluator import Evaluator, Matrix
+from modetune.flows.joint import JointEvaluator
 from modetune.flows.recording import campaign_record
 from modetune.flows.showing import shown_field
 
@@ -86,7 +87,7 @@ class Updating:
     def __init__(
         self,
         campaign: Campaign,
-        evaluator: Evaluator,
+        evaluator: Evaluator | JointEvaluator,
         progress: Progress,
         save: Callable[[CampaignRecord], None],
     ) -> None:

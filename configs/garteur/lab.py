@@ -2,10 +2,11 @@
 
     python -m modetune.configs.garteur.lab FOLDER
 
-writes lab.unv, a universal file: accelerances at 39 sensors from two shakers, 1 % noise, seed 2026,
-from CalculiX's modes of the aircraft with moduli that the campaign does not know (TRUTH).
-The lab numbers its points from 1, measures in metres from the tail forwards, and knows its points
-to 2 mm; one accelerometer at the nose is tilted by 30 degrees.
+writes aircraft.inp, the deck with its nominal moduli, and lab.unv, a universal file: accelerances
+at 39 sensors from two shakers, 1 % noise, seed 2026, from CalculiX's modes of the aircraft with
+moduli that the campaign does not know (TRUTH). The lab numbers its points from 1, measures in
+metres from the tail forwards, and knows its points to 2 mm; one accelerometer at the nose is
+tilted by 30 degrees.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from modetune.adapters.universal.write import write_universal
-from modetune.configs.garteur.aircraft import COARSE, aircraft, node_at
+from modetune.configs.garteur.aircraft import COARSE, aircraft, calculix_deck, node_at
 from modetune.configs.garteur.twin import truth_modes
 from modetune.core.frf import Complexes
 from modetune.core.geometry import TestGeometry
@@ -138,7 +139,8 @@ def _column(names: list[tuple[int, int]], place: int) -> Integers:
 
 
 def write_lab(folder: Path) -> None:
-    """Write lab.unv."""
+    """Write lab.unv, and the deck beside it."""
+    (folder / "aircraft.inp").write_text(calculix_deck(COARSE))
     write_universal(folder / "lab.unv", lab_measurement())
 
 

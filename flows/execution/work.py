@@ -18,10 +18,14 @@ from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """A named piece of an iteration: the jobs it needs, none where it follows from others."""
+    """A named piece of an iteration: the jobs it needs, none where it follows from others.
+
+    engine: of the model they are for, where that is not the execution's own.
+    """
 
     name: str
     jobs: tuple[Job, ...]
+    engine: JobEngine | None = None
 
 
 #: What became of a piece of work: an outcome a job, or the error that ended it.
@@ -43,7 +47,7 @@ class Execution(Protocol):
 def solve_work(engine: JobEngine, work: Work) -> Done:
     """Solve the jobs of one piece one after another."""
     try:
-        return tuple(engine.solve(job) for job in work.jobs)
+        return tuple((work.engine or engine).solve(job) for job in work.jobs)
     except ModetuneError as error:
         return error
 

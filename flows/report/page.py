@@ -27,6 +27,7 @@ from modetune.flows.report.comparison import (
     mode_rows,
     sensor_agreement,
 )
+from modetune.flows.report.held_out import held_out_section
 from modetune.flows.report.markup import Html, chart_text, element, joined, markup, paragraph
 from modetune.flows.report.responses import response_charts
 from modetune.flows.report.scene import Scene, scene
@@ -118,6 +119,7 @@ def _sections(record: CampaignRecord, drawn: Drawn, shown: Scene | None) -> list
         Section("summary", "Summary", sections.headline(record)),
         Section("remarks", "Points to look at", sections.points_to_look_at(record)),
         Section("modes", "Modes", _modes(record, drawn)),
+        Section("held-out", "Held out", held_out_section(record)),
         Section("correlation", "Correlation of shapes", _correlation(record, drawn)),
         Section("shapes", "Mode shapes", _shapes(record, drawn, shown)),
         Section("sensors", "Agreement of sensors", _sensors(record, drawn, shown)),

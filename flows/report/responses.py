@@ -18,7 +18,7 @@ from modetune.core.frf_correlation import frac
 from modetune.core.measurement import MeasuredFrfs
 from modetune.core.modes import COMPONENTS, Floats, ModeSet
 from modetune.core.record import CampaignRecord, IterationRecord
-from modetune.flows.schema import Units
+from modetune.flows.units import KILOGRAMS
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -28,10 +28,6 @@ SHOWN = 6
 #: Lines of a chart; finer ones are left out evenly.
 MOST_LINES = 2000
 UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
-#: Kilograms of the deck's unit of mass; motion per force in SI is the deck's over this.
-KILOGRAMS: dict[Units, float] = {
-    "m-kg-s": 1.0, "mm-t-s": 1e3, "in-slinch-s": 175.126835, "ft-slug-s": 14.5939029,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +45,7 @@ class ResponsePair:
 def response_pairs(record: CampaignRecord) -> tuple[ResponsePair, ...]:
     """The functions that both sides have; none where the test has none or no damping."""
     frfs, ratios = record.frfs, record.test.modes.damping_ratios
-    factors = dict(KILOGRAMS)
+    factors: dict[str, float] = {**KILOGRAMS}
     if frfs is None or ratios.size == 0 or record.units not in factors:
         return ()
     found = []

@@ -195,26 +195,26 @@ def _bars(
         axes.set_title(f"mode {screening.numbers[mode]}", fontsize=9)
         axes.tick_params(axis="x", labelsize=7)
         axes.grid(alpha=0.3, axis="x")
-    figure.supxlabel(unit, fontsize=9)
-    _legend(figure, grid[0], labels if second is not None else ())
+    _legend(figure, grid[0], unit, labels if second is not None else ())
     return figure
 
 
-def _legend(figure: Figure, axes: Axes, labels: Sequence[str]) -> None:
-    """What colours mean: chosen or left out, and the second measure where there is one."""
+def _legend(figure: Figure, axes: Axes, unit: str, labels: Sequence[str]) -> None:
+    """The bars' unit, and what colours mean: chosen or left out, and the second measure where there is one."""
     patches = [axes.barh([0], [0], color=colour) for colour in (CHOSEN, OUT)]
     said = [f"{word}{f': {labels[0]}' if labels else ''}" for word in ("proposed", "left out")]
     if labels:
         patches.append(axes.barh([0], [0], color=SECOND))
         said.append(labels[1])
-    figure.legend(patches, said, loc="outside lower center", ncols=3, fontsize=8)
+    figure.legend(patches, said, loc="outside lower center", ncols=3, fontsize=8,
+                  title=unit, title_fontsize=8)  # fmt: skip
 
 
 def _map(
     axes: Axes, table: Floats, names: Sequence[str], colours: str, low: float, high: float
 ) -> None:
     """A square table as a map; numbers in its cells while there is room."""
-    axes.imshow(table, vmin=low, vmax=high, cmap=colours)
+    axes.imshow(table, vmin=low, vmax=high, cmap=colours, aspect="auto")
     places = range(len(names))
     axes.set_xticks(places, list(names), rotation=60, ha="right", fontsize=7)
     axes.set_yticks(places, list(names), fontsize=7)

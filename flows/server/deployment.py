@@ -38,10 +38,10 @@ from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign import Campaign, load_campaign
 from modetune.flows.display import iteration_line
 from modetune.flows.execution.prefect import ended_state
-from modetune.flows.report.drawing import draw_report
 from modetune.flows.running import job_engine
 from modetune.flows.server.process import use_server
 from modetune.flows.server.starting import is_unchanged, read_earlier
+from modetune.flows.trust_starts import update_from_starts
 
 logger = logging.getLogger(__name__)
 
@@ -79,7 +79,6 @@ def _update(campaign: Campaign, runs: Path) -> State[Any]:
     earlier = read_earlier(folder)
     same = earlier is not None and is_unchanged(campaign, job_engine(campaign), earlier)
     record = update_from_starts(campaign, folder, LogProgress(), use_server()).record
-    draw_report(record, folder)
     if same and not record.runs.modal + record.runs.sensitivity:
         return Completed(name="Unchanged", message=_unchanged(record))
     return ended_state(record)

@@ -50,7 +50,7 @@ def read_earlier(folder: Path) -> EarlierRun | None:
     try:
         record = read_record(path)
     except CampaignError as error:
-        logger.warning("%s", error)
+        logger.warning("the record of the run before cannot be read: %s", error)
         return None
     names, first = record.parameters.names, record.iterations[0]
     values = record.updated * record.deck_values

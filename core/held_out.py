@@ -1,0 +1,172 @@
+"""Modes of a test that take no part in updating: found in the model, judged before and after.
+
+What an update was made from it must match; what was held out shows whether the model got better
+or was only bent to fit. A held-out mode is looked for among the computed modes that no used mode
+is paired with, so it never takes a partner from a used one. By its shape where shapes were
+measured; else by its place in the order of all measured frequencies at first, and by the shape
+that was found then later on.
+
+It got worse where its frequency error grew by more than the frequency was measured with, where its
+MAC fell by more than 0.02 (the scatter of a good test's MAC), or where it is not found any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
+from modetune.core.pairing import LostMode, Pairing, pair_by_order, pair_by_shape, pair_by_tracking
+
+#: A MAC that falls by more than this got worse.
+MAC_FALL = 0.02
+#: Stands for the position of a computed mode that was not found.
+LOST = -1
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Held-out modes before and after updating; all arrays are (n_modes,).
+
+    numbers: of the test's modes. initial_hz, updated_hz: of the model, NaN where a mode is not
+    found; error_initial, error_updated: relative frequency errors; mac_initial, mac_updated: the
+    larger of MAC and MAC in the space of close modes, NaN where no shape was measured.
+    worse: whether the mode got worse.
+    """
+
+    numbers: Integers
+    test_hz: Floats
+    initial_hz: Floats
+    updated_hz: Floats
+    error_initial: Floats
+    error_updated: Floats
+    mac_initial: Floats
+    mac_updated: Floats
+    worse: NDArray[np.bool_]
+
+    @property
+    def any_worse(self) -> bool:
+        return bool(self.worse.any())
+
+    def only(self, which: NDArray[np.bool_]) -> HeldOut:
+        """Some of the modes; which: (n_modes,)."""
+        return HeldOut(**{item.name: getattr(self, item.name)[which] for item in fields(self)})
+
+    def reason(self, mode: int) -> str:
+        """What became of a mode, in words that follow its name."""
+        if np.isnan(self.updated_hz[mode]):
+            return "is not found in the updated model"
+        before = "was not found" if np.isnan(self.initial_hz[mode]) else (
+            f"was {100 * self.error_initial[mode]:+.2f} % off in frequency"
+        )  # fmt: skip
+        text = f"{before} and is {100 * self.error_updated[mode]:+.2f} % off now"
+        if np.isfinite(self.mac_updated[mode]):
+            mac = f"{self.mac_initial[mode]:.3f} before and {self.mac_updated[mode]:.3f} now"
+            text = f"{text}, MAC {mac}"
+        return text
+
+
+def join_held_out(parts: Sequence[HeldOut]) -> HeldOut | None:
+    """The modes of all parts in their order; nothing where there are none."""
+    if not parts:
+        return None
+    columns = {
+        item.name: np.concatenate([getattr(part, item.name) for part in parts])
+        for item in fields(HeldOut)
+    }
+    return HeldOut(**columns)
+
+
+def pair_held_out(
+    held: MeasuredModes, used: MeasuredModes, computed: ModeSet, pairing: Pairing
+) -> Pairing:
+    """Held-out modes among the computed ones that `pairing` leaves free, positions of all of them.
+
+    computed: as the test's sensors see them where shapes were measured. A mode that is not there
+    has the position LOST.
+    """
+    free = np.setdiff1d(np.arange(computed.n_modes), pairing.computed)
+    try:
+        if held.has_shapes:
+            found = pair_by_shape(held.modes, computed.select(free), lost_mac=0.0)
+            return _at(found, free[found.computed])
+        found = pair_by_order(held.modes, computed, used.modes.frequencies_hz)
+    except LostMode as error:
+        return _lost(held.modes.n_modes, str(error))
+    return _at(found, np.where(np.isin(found.computed, free), found.computed, LOST))
+
+
+def track_held_out(
+    before: Pairing, previous: ModeSet, computed: ModeSet, pairing: Pairing
+) -> Pairing:
+    """Held-out modes that continue the shapes they had, where no shape was measured.
+
+    previous, computed: the computed modes of `before` and of now, at the same rows.
+    """
+    if (before.computed == LOST).any():
+        return _lost(before.computed.size, "was not found before")
+    free = np.setdiff1d(np.arange(computed.n_modes), pairing.computed)
+    try:
+        found = pair_by_tracking(before, previous, computed.select(free))
+    except LostMode as error:
+        return _lost(before.computed.size, str(error))
+    return _at(found, free[found.computed])
+
+
+def judge_held_out(
+    held: MeasuredModes,
+    frequency_deviation: float,
+    initial: tuple[ModeSet, Pairing],
+    updated: tuple[ModeSet, Pairing],
+) -> HeldOut:
+    """Compare held-out modes before and after.
+
+    initial, updated: the computed modes and where the held-out ones are among them.
+    frequency_deviation: relative standard deviation of measured frequencies.
+    """
+    test_hz = held.modes.frequencies_hz[initial[1].measured]
+    hz = [_frequencies(*state) for state in (initial, updated)]
+    errors = [values / test_hz - 1.0 for values in hz]
+    macs = [pairing.judged_mac for _, pairing in (initial, updated)]
+    return HeldOut(
+        numbers=np.array([held.numbers[place] for place in initial[1].measured.tolist()]),
+        test_hz=test_hz,
+        initial_hz=hz[0],
+        updated_hz=hz[1],
+        error_initial=errors[0],
+        error_updated=errors[1],
+        mac_initial=macs[0],
+        mac_updated=macs[1],
+        worse=(
+            (np.abs(errors[1]) > np.abs(errors[0]) + frequency_deviation)
+            | (macs[1] < macs[0] - MAC_FALL)
+            | np.isnan(hz[1]) & np.isfinite(hz[0])
+        ),
+    )
+
+
+def unfound(test: MeasuredModes) -> tuple[ModeSet, Pairing]:
+    """A state of the model in which none of these modes is found, for `judge_held_out`."""
+    n_modes = test.modes.n_modes
+    return mode_set([]), _lost(n_modes, "not found")
+
+
+def _frequencies(computed: ModeSet, pairing: Pairing) -> Floats:
+    found = pairing.computed != LOST
+    values = np.full(found.size, np.nan)
+    values[found] = computed.frequencies_hz[pairing.computed[found]]
+    return values
+
+
+def _at(found: Pairing, positions: Integers) -> Pairing:
+    return Pairing(found.measured, positions, found.mac, found.subspace_mac, found.reasons)
+
+
+def _lost(n_modes: int, reason: str) -> Pairing:
+    unknown = np.full(n_modes, np.nan)
+    return Pairing(
+        np.arange(n_modes), np.full(n_modes, LOST), unknown, unknown, (reason,) * n_modes
+    )

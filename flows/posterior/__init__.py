@@ -1,0 +1,1 @@
+"""Bayesian sampling: what test and prior knowledge together leave of the parameters."""

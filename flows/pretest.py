@@ -1,0 +1,214 @@
+"""Places for sensors and exciters from the model alone: the Python API of `modetune pretest`.
+
+One modal job gives the shapes at all candidates (the store first, as ever); for the information on
+parameters the jobs of their sensitivities join it. Everything else is linear algebra on them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
+from modetune.core.placement import ALIKE, Quality, judge
+from modetune.core.record import RunCounts
+from modetune.core.results import MatrixResult, ModalResult
+from modetune.flows.campaign import EXTRA_MODES, RIGID_MODES, Campaign
+from modetune.flows.evaluator import campaign_analysis, outcomes_count
+from modetune.flows.execution.engine import Job, JobEngine
+from modetune.flows.pretest_candidates import Candidates, candidates_of, moving, placed_mesh
+from modetune.flows.pretest_choice import (
+    Ground,
+    PlacedSensor,
+    choose_sensors,
+    likeness,
+    needed_number,
+    placed_sensors,
+)
+from modetune.flows.pretest_excitation import (
+    PlacedExciter,
+    SuspensionPoint,
+    excitation_notes,
+    place_exciters,
+    suspension_points,
+)
+from modetune.flows.pretest_information import Knowledge, information_of
+from modetune.flows.pretest_settings import PretestSettings, check_settings
+from modetune.flows.running import job_engine
+
+#: Elastic modes that are looked at where none are named.
+FIRST_MODES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Pretest:
+    """Places for a test. quality: of the chosen sensors; whole: of all candidates.
+
+    needed: how many sensors would keep modes apart, where these do not and that many would.
+    distance: what was kept between sensors, the deck's length.
+    """
+
+    name: str
+    settings: PretestSettings
+    mode_numbers: tuple[int, ...]
+    frequencies_hz: Floats
+    n_rigid: int
+    n_candidates: int
+    distance: float
+    sensors: tuple[PlacedSensor, ...]
+    quality: Quality
+    whole: Quality
+    needed: int | None
+    exciters: tuple[PlacedExciter, ...]
+    suspension: tuple[SuspensionPoint, ...]
+    knowledge: tuple[Knowledge, ...]
+    notes: tuple[str, ...]
+    runs: RunCounts
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether two modes look alike to the sensors."""
+        return self.quality.largest > ALIKE
+
+
+def run_pretest(campaign: Campaign, settings: PretestSettings) -> Pretest:
+    """Choose sensors and exciters for a model.
+
+    Raises CampaignError for what cannot be had, ModesError where modes cannot be told apart,
+    SolverError, StoreError.
+    """
+    check_settings(settings)
+    campaign.solver.version()  # a missing solver is told before anything else starts
+    mesh = placed_mesh(campaign.solver)
+    asked = candidates_of(
+        campaign.solver, settings.candidates, settings.directions, settings.triaxial
+    )
+    engine = job_engine(campaign)
+    analysis = _analysis(campaign, settings, asked)
+    outcome = engine.solve(Job(_start(campaign), analysis))
+    modal = engine.result(Job(_start(campaign), analysis))
+    assert isinstance(modal, ModalResult)
+    runs = outcomes_count("modal", (outcome,))
+    numbers = _mode_numbers(settings.modes, modal.elastic.n_modes)
+    modes = np.array(numbers, dtype=np.int64) - 1
+    shown = modal.elastic.select(modes)
+    candidates = moving(asked, asked.rows(shown, mesh))
+    rows = candidates.rows(shown, mesh)
+    information = None
+    if settings.method == "information":
+        information, more = information_of(
+            campaign, engine, analysis, modal, modes, candidates, mesh
+        )
+        runs = runs.plus(more)
+    weighted = rows
+    if settings.by_mass:
+        masses, more = _masses(campaign, engine, candidates)
+        weighted, runs = rows * np.sqrt(masses)[:, :, None], runs.plus(more)
+    model = Ground(shown, mesh, candidates, rows, weighted, information)
+    return _pretest(campaign, settings, model, modal, numbers, runs)
+
+
+def _pretest(
+    campaign: Campaign,
+    settings: PretestSettings,
+    model: Ground,
+    modal: ModalResult,
+    numbers: tuple[int, ...],
+    runs: RunCounts,
+) -> Pretest:
+    count = settings.sensors or min(2 * len(numbers), model.candidates.n)
+    if count * model.rows.shape[1] < len(numbers):
+        raise CampaignError(
+            f"--sensors {count}: fewer than the {len(numbers)} modes, which so few cannot tell "
+            "apart whatever their places; ask for at least as many sensors as modes"
+        )
+    chosen, spacing, notes = choose_sensors(model, settings, count)
+    quality = judge(model.rows, chosen)
+    needed = None
+    if quality.largest > ALIKE:
+        needed = needed_number(model, spacing, count)
+        notes.append(likeness(model, quality, numbers, count, needed))
+    exciters = place_exciters(
+        model.candidates, model.rows, _rigid_rows(model, modal), settings.exciters, campaign.units
+    )
+    notes += excitation_notes(exciters, numbers, model.modes.frequencies_hz)
+    return Pretest(
+        name=campaign.name,
+        settings=settings,
+        mode_numbers=numbers,
+        frequencies_hz=model.modes.frequencies_hz,
+        n_rigid=modal.n_rigid,
+        n_candidates=model.candidates.n,
+        distance=spacing.distance,
+        sensors=placed_sensors(campaign, settings, model, chosen, numbers),
+        quality=quality,
+        whole=judge(model.rows, np.arange(model.candidates.n)),
+        needed=needed,
+        exciters=exciters,
+        suspension=suspension_points(model.candidates, model.modes, model.mesh, modal.n_rigid),
+        knowledge=model.information.knowledge(campaign, chosen) if model.information else (),
+        notes=tuple(notes),
+        runs=runs,
+    )
+
+
+def _start(campaign: Campaign) -> dict[str, float]:
+    return campaign.parameters.values(campaign.parameters.initial)
+
+
+def _analysis(
+    campaign: Campaign, settings: PretestSettings, candidates: Candidates
+) -> ModalAnalysis:
+    """The modes that are wanted, rigid ones and some to spare, at the candidates."""
+    highest = max(settings.modes, default=FIRST_MODES)
+    nodes = tuple(np.unique(candidates.nodes).tolist())
+    n_modes = highest + EXTRA_MODES + RIGID_MODES
+    return replace(campaign_analysis(campaign), n_modes=n_modes, nodes=nodes)
+
+
+def _mode_numbers(asked: tuple[int, ...], there: int) -> tuple[int, ...]:
+    if not asked:
+        return tuple(range(1, min(FIRST_MODES, there) + 1))
+    missing = [number for number in asked if number > there]
+    if missing:
+        raise CampaignError(
+            f"--modes: elastic mode {missing[0]} is asked for, and the model has {there} within "
+            "what was computed; leave it out"
+        )
+    return asked
+
+
+def _rigid_rows(model: Ground, modal: ModalResult) -> Floats:
+    rigid = modal.modes.select(np.arange(modal.n_rigid))
+    return model.candidates.rows(rigid, model.mesh)
+
+
+def _masses(
+    campaign: Campaign, engine: JobEngine, candidates: Candidates
+) -> tuple[Floats, RunCounts]:
+    """Mass along each direction of each candidate, (n, n_directions), from the mass matrix."""
+    solver = campaign.solver
+    if not solver.capabilities.matrices:
+        raise CampaignError(f"--mass: {solver.name} gives no mass matrix here; leave it out")
+    job = Job(_start(campaign), MatrixAnalysis())
+    outcome = engine.solve(job)
+    found = engine.result(job)
+    assert isinstance(found, MatrixResult)
+    names = zip(found.nodes.tolist(), found.components.tolist(), strict=True)
+    masses = dict(zip(names, found.mass.diagonal().tolist(), strict=True))
+    nodes = candidates.nodes.tolist()
+    table = np.array([[masses.get((node, axis), np.nan) for axis in (1, 2, 3)] for node in nodes])
+    weights = candidates.directions**2
+    # A component that a candidate does not look along need not be there.
+    parts = np.where(weights > 1e-12, weights * table[:, None, :], 0.0)
+    along = parts.sum(axis=2)
+    if np.isnan(along).any():
+        lost = candidates.nodes[np.isnan(along).any(axis=1)]
+        raise CampaignError(
+            f"--mass: the stored mass matrix has no equation of its own for node {lost[0]} (shells "
+            "and beams are expanded in it, held nodes are not in it); leave --mass out"
+        )
+    return np.asarray(np.maximum(along, 0.0)), outcomes_count("sensitivity", (outcome,))

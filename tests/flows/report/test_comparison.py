@@ -1,0 +1,120 @@
+"""What the report works out of a record, by closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modetune.core.modes import common_dofs, mode_set
+from modetune.core.record import CampaignRecord
+from modetune.flows.report.comparison import (
+    fresh_matrices,
+    mac_table,
+    mode_rows,
+    remarks,
+    scaled_test,
+    sensor_agreement,
+)
+from modetune.flows.report.scene import scene
+
+
+def test_modes_are_told_before_and_after(record: CampaignRecord) -> None:
+    rows = mode_rows(record)
+    assert [row.number for row in rows] == [1, 2, 5]
+    assert rows[0].before_hz == pytest.approx(10.5)  # 10 Hz and 5 %
+    assert rows[0].after_hz == pytest.approx(10.01)  # 10 Hz and 0.1 %
+    assert rows[0].mac_before < rows[0].mac_after
+
+
+def test_the_mac_of_a_mode_at_rest_is_zero(record: CampaignRecord) -> None:
+    item = record.iterations[0]
+    still = item.computed.mode_shapes.copy()
+    still[:, 1] = 0.0
+    table = mac_table(record, replace(item, computed=replace(item.computed, mode_shapes=still)))
+    assert table[1].tolist() == [0.0, 0.0, 0.0]
+    assert table[0, 0] == pytest.approx(item.pairing.mac[0])
+
+
+def test_a_sensor_that_is_wrong_in_one_mode_stands_out_in_the_comac(record: CampaignRecord) -> None:
+    shapes = record.test.modes.mode_shapes.copy()
+    shapes[17, 0] *= 5.0  # in one of three modes; COMAC knows no signs
+    modes = replace(record.test.modes, mode_shapes=shapes)
+    found = sensor_agreement(replace(record, test=replace(record.test, modes=modes)))
+    assert found is not None
+    assert int(np.argmin(found.after)) == 17
+    assert found.labels[17].endswith(".z")
+
+
+def test_normalised_sensitivities_follow_from_the_residuals(record: CampaignRecord) -> None:
+    (first, matrix), (last, later) = fresh_matrices(record)
+    assert (first, last) == (0, 1)
+    # S = 1.0 and 0.5 of lambda_c / lambda_m; at 5 % too high a frequency and values of 1:
+    # df/f / (dp/p) = S / 2 * (1 / 1.05)^2.
+    np.testing.assert_allclose(matrix[0], [0.5 / 1.05**2, 0.25 / 1.05**2])
+    # At iteration 1: 1 % too high, the second parameter at 1.1.
+    np.testing.assert_allclose(later[0], [0.5 / 1.01**2, 1.1 * 0.25 / 1.01**2])
+
+
+def test_shapes_of_test_and_model_have_one_scale_and_sign(record: CampaignRecord) -> None:
+    item = record.best
+    turned = replace(item.computed, mode_shapes=-3.0 * item.computed.mode_shapes)
+    test, model = scaled_test(record, replace(item, computed=turned))
+    np.testing.assert_allclose(np.linalg.norm(test, axis=0), 1.0)
+    # The nearest multiple of the model to a unit shape is its projection: cos = sqrt(MAC) long.
+    np.testing.assert_allclose(np.linalg.norm(model, axis=0), np.sqrt(item.pairing.mac))
+
+
+def test_what_is_in_doubt_is_remarked(record: CampaignRecord) -> None:
+    doubtful = replace(
+        record,
+        standard_errors=np.array([0.5, 0.01]),
+        correlation=np.array([[1, -0.99], [-0.99, 1]]),
+    )
+    said = " ".join(remarks(doubtful))
+    assert "On a bound: t." in said  # 1.2 is its upper bound
+    assert "E is known to ±50 % only" in said
+    assert "E and t are entangled (correlation -0.99)" in said
+    assert "Mode" not in said
+
+
+def test_a_mode_outside_the_tolerance_is_remarked(record: CampaignRecord) -> None:
+    said = " ".join(remarks(replace(record, e1_frequency=1e-4)))
+    assert "Mode 1 is +0.10 % off in frequency, beyond the campaign's 0.01 %." in said
+
+
+def test_model_and_test_move_together(record: CampaignRecord) -> None:
+    shown = scene(record)
+    assert shown is not None
+    after = shown.modes[0].after
+    assert np.linalg.norm(after.model, axis=1).max() == pytest.approx(1.0)  # by definition
+    at = np.searchsorted(np.arange(1, after.model.shape[0] + 1), shown.nodes)
+    # The sensors are nodes of the surface, and the best shapes are bent by 1 % of another's.
+    np.testing.assert_allclose(after.test, after.model[at], atol=0.03)
+    np.testing.assert_allclose(shown.points, shown.coordinates[at], atol=1e-6)
+
+
+def test_a_tilted_sensor_moves_its_point_along_its_direction(record: CampaignRecord) -> None:
+    assert record.places is not None
+    tilted = np.tile([0.6, 0.0, 0.8], (record.places.directions.shape[0], 1))
+    shown = scene(replace(record, places=replace(record.places, directions=tilted)))
+    assert shown is not None
+    moved = shown.modes[0].after.test
+    np.testing.assert_allclose(moved[:, 0] * 0.8, moved[:, 2] * 0.6)
+    assert not moved[:, 1].any()
+
+
+def test_frequencies_alone_keep_the_phase_of_before(record: CampaignRecord) -> None:
+    test = replace(record.test, modes=mode_set(record.test.modes.frequencies_hz))
+    last = record.best
+    turned = replace(last, field=replace(last.field, mode_shapes=-last.field.mode_shapes))
+    bare = replace(
+        record, test=test, iterations=(*record.iterations[:-1], turned), sensors=None, places=None
+    )
+    assert common_dofs(test.modes, last.computed)[0].size == 0
+    shown = scene(bare)
+    assert shown is not None
+    mode = shown.modes[0]
+    assert mode.after.test.size == 0
+    np.testing.assert_allclose(mode.after.model, mode.before.model, atol=1e-12)

@@ -1,0 +1,190 @@
+"""The report as a file: what stands in it, and that nothing a user wrote is taken for markup."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modetune.core.modes import MeasuredModes, mode_set
+from modetune.core.parameters import ParameterSet
+from modetune.core.record import CampaignRecord
+from modetune.core.record_file import read_record, write_record
+from modetune.flows.report.drawing import draw_report
+from modetune.flows.report.page import page, write_page
+
+Make = Callable[[int], CampaignRecord]
+EVIL = "</script><img src=x onerror=alert(1)><b>&\"'"
+MEGABYTE = 1_000_000
+
+
+class Outline(HTMLParser):
+    """Tags with their attributes, and the text outside scripts."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(source)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        if self.cdata_elem is None:
+            self.text += data
+
+    def named(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def data_of(source: str) -> dict[str, dict[str, object]]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', source, re.S)
+    assert found is not None
+    told: dict[str, dict[str, object]] = json.loads(found[1])
+    return told
+
+
+def test_every_section_stands_in_the_contents(record: CampaignRecord) -> None:
+    outline = Outline(page(record))
+    sections = [item["id"] for item in outline.named("section")]
+    links = [item["href"] for item in outline.named("a")]
+    assert links == [f"#{name}" for name in sections]
+    assert set(sections) >= {
+        "summary", "modes", "correlation", "shapes", "sensors", "parameters", "sensitivities",
+        "convergence", "pairing", "runs", "repeat",
+    }  # fmt: skip
+
+
+def test_the_summary_tells_how_far_the_model_came(record: CampaignRecord) -> None:
+    text = Outline(page(record)).text
+    # The plate's modes are made 5 % off at first and 0.1 % at last; t rises by 20 %, its bound.
+    assert "off by up to 5.00 % (mode 1) are now within 0.10 % (mode 1)" in text
+    assert "The model of plate agrees with its test." in text
+    assert "t the most (+20.0 %); t on a bound." in text
+    assert "3 iterations" not in text
+    assert "2 iterations and 9 solver runs (1 more were answered by the store)" in text
+
+
+def test_it_holds_what_a_repetition_needs(record: CampaignRecord) -> None:
+    text = Outline(page(record)).text
+    for needed in ("name: plate\n", "run.parallel=2", "d" * 64, "0" * 64, "ab" * 32, "numpy 1",
+                   "scripted 1", "SKIN, RIB"):  # fmt: skip
+        assert needed in text
+
+
+def test_nothing_a_user_wrote_is_markup(record: CampaignRecord) -> None:
+    parameters = ParameterSet(
+        tuple(replace(item, name=EVIL, targets=(EVIL,)) for item in record.parameters.parameters)
+    )
+    items = tuple(
+        replace(item, decision=EVIL, modal_key=EVIL,
+                pairing=replace(item.pairing, reasons=(EVIL,) * 3))
+        for item in record.iterations
+    )  # fmt: skip
+    hostile = replace(
+        record, name=EVIL, campaign_text=EVIL, reason=EVIL, settings=(EVIL,), parameters=parameters,
+        iterations=items, status=EVIL, solver=EVIL, versions=(EVIL,), deck_digest=EVIL, units=EVIL,
+    )  # fmt: skip
+    clean, outline = Outline(page(record)), Outline(page(hostile))
+    assert not outline.named("img")
+    assert not outline.named("b")
+    assert len(outline.named("script")) == len(clean.named("script"))
+    assert not [name for _, attributes in outline.tags for name in attributes if name[:2] == "on"]
+    assert EVIL in outline.text
+    # In charts a few tags are understood: there the text is escaped once more.
+    histories = json.dumps(data_of(page(hostile))["charts"]["histories"])
+    assert "&lt;/script&gt;" in histories
+    assert "<img" not in histories
+
+
+def test_the_policy_names_the_scripts_and_forbids_the_network(record: CampaignRecord) -> None:
+    outline = Outline(page(record))
+    (policy,) = [item["content"] or "" for item in outline.named("meta")
+                 if item.get("http-equiv") == "Content-Security-Policy"]  # fmt: skip
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    assert "unsafe-eval" not in policy
+    assert "http" not in policy
+    scripts = policy.partition("script-src")[2].partition(";")[0]
+    assert "unsafe-inline" not in scripts
+    assert scripts.count("sha256-") == 3
+    loading = [
+        value for _, item in outline.tags for key in ("src", "href") if (value := item.get(key))
+    ]
+    assert all(value.startswith("#") for value in loading)
+
+
+def test_a_hundred_thousand_nodes_stay_below_fifteen_megabytes(
+    record_of: Make, tmp_path: Path
+) -> None:
+    record = record_of(317)  # 317 x 317 = 100,489 nodes
+    written = write_page(record, tmp_path / "report.html")
+    assert written.stat().st_size < 15 * MEGABYTE
+    scene = data_of(written.read_text())["scene"]
+    coordinates = np.frombuffer(base64.b64decode(str(scene["coordinates"])), "<f4").reshape(-1, 3)
+    assert 1000 < coordinates.shape[0] <= 12_000
+    # Thinned, it is still the whole plate of 2 x 1.
+    assert np.ptp(coordinates, axis=0) == pytest.approx([2.0, 1.0, 0.0], abs=0.05)
+
+
+def test_it_is_the_same_from_the_file_as_from_the_campaign(
+    record: CampaignRecord, tmp_path: Path
+) -> None:
+    write_record(tmp_path / "campaign.h5", record)
+    told, read = (data_of(page(one)) for one in (record, read_record(tmp_path / "campaign.h5")))
+    assert told["charts"].keys() == read["charts"].keys()
+    assert Outline(page(read_record(tmp_path / "campaign.h5"))).text == Outline(page(record)).text
+
+
+def test_without_a_surface_the_sensors_move(record: CampaignRecord) -> None:
+    items = tuple(replace(item, field=mode_set([])) for item in record.iterations)
+    scene = data_of(page(replace(record, surface=None, iterations=items)))["scene"]
+    assert scene["triangles"] == ""
+    assert scene["points"] == scene["coordinates"] != ""
+
+
+def test_without_places_shapes_are_drawn_over_the_sensors(record: CampaignRecord) -> None:
+    bare = replace(record, surface=None, geometry=None, sensors=None, places=None)
+    source = page(bare)
+    assert data_of(source)["scene"] is None
+    assert "sensor-shapes" in data_of(source)["charts"]
+
+
+def test_a_test_of_frequencies_alone_has_a_report(record: CampaignRecord) -> None:
+    unknown = np.full(3, np.nan)
+    items = tuple(
+        replace(item, pairing=replace(item.pairing, mac=unknown, subspace_mac=unknown))
+        for item in record.iterations
+    )
+    test = MeasuredModes(record.test.numbers, mode_set(record.test.modes.frequencies_hz))
+    bare = replace(record, test=test, iterations=items, sensors=None, places=None, geometry=None)
+    source = page(bare)
+    ids = [item["id"] for item in Outline(source).named("section")]
+    assert "correlation" not in ids
+    assert "sensors" not in ids
+    assert "shapes" in ids  # the model's own shapes
+    assert "No shapes were measured" in Outline(source).text
+
+
+def test_a_report_that_cannot_be_drawn_is_a_warning(
+    record: CampaignRecord, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    broken = replace(record, iterations=())
+    assert draw_report(broken, tmp_path) is None
+    assert "the report of plate could not be drawn (IndexError" in caplog.text
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_no_folder_is_a_warning(
+    record: CampaignRecord, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert draw_report(record, tmp_path / "file") is None
+    assert "could not be drawn" in caplog.text
