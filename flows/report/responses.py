@@ -45,7 +45,7 @@ class ResponsePair:
 def response_pairs(record: CampaignRecord) -> tuple[ResponsePair, ...]:
     """The functions that both sides have; none where the test has none or no damping."""
     frfs, ratios = record.frfs, record.test.modes.damping_ratios
-    factors: dict[str, float] = {**KILOGRAMS}
+    factors = {str(units): kilograms for units, kilograms in KILOGRAMS.items()}
     if frfs is None or ratios.size == 0 or record.units not in factors:
         return ()
     found = []

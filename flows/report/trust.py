@@ -8,6 +8,7 @@ import plotly.graph_objects as go
 from modetune.core.judgement import trust_sentences
 from modetune.core.record import CampaignRecord
 from modetune.core.trust import Trust
+from modetune.flows.form_verdict import record_verdict
 from modetune.flows.report.markup import (
     Html,
     bullets,
@@ -42,6 +43,7 @@ def trust_words(record: CampaignRecord) -> Html:
     parts = [
         element("p", element("span", verdict, MOOD[trust.verdict]), "lead"),
         bullets(more, "remarks") if more else Html(""),
+        _model_form(record),
         _parameters(trust),
         paragraph(
             "Share of the test: 100 % is the test alone, 0 % what the campaign took for granted "
@@ -50,6 +52,15 @@ def trust_words(record: CampaignRecord) -> Html:
         paragraph(numbers, "note"),
     ]  # fmt: skip
     return joined(parts) + _starts(record, trust)
+
+
+def _model_form(record: CampaignRecord) -> Html:
+    """Whether what is left of the residual is noise, or a fault that no parameter stands for."""
+    found = record_verdict(record)
+    if found is None:
+        return Html("")
+    mood = "outside" if found.form.suspected else "note"
+    return element("p", element("span", found.sentence, mood))
 
 
 def _parameters(trust: Trust) -> Html:
