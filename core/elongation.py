@@ -39,7 +39,7 @@ def node_strains(mesh: Mesh, fields: Floats) -> Floats:
         for corner in range(n_corners):
             np.add.at(squares, rows[:, corner], own / len(pairs))
             np.add.at(count, rows[:, corner], 1.0)
-    return np.sqrt(squares / np.maximum(count, 1.0))
+    return np.asarray(np.sqrt(squares / np.maximum(count, 1.0)))
 
 
 def _elongations(mesh: Mesh, fields: Floats, start: Integers, end: Integers) -> Floats:

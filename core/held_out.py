@@ -69,6 +69,21 @@ class HeldOut:
         return text
 
 
+def together(first: MeasuredModes, second: MeasuredModes) -> MeasuredModes:
+    """The modes of both, first's first; their sensors are the same."""
+    one, two = first.modes, second.modes
+    known = one.damping_ratios.size and two.damping_ratios.size
+    modes = mode_set(
+        np.concatenate([one.frequencies_hz, two.frequencies_hz]),
+        np.concatenate([one.mode_shapes, two.mode_shapes], axis=1),
+        one.nodes,
+        one.components,
+        np.concatenate([one.damping_ratios, two.damping_ratios]) if known else (),
+        one.normalisation,
+    )
+    return MeasuredModes(first.numbers + second.numbers, modes)
+
+
 def join_held_out(parts: Sequence[HeldOut]) -> HeldOut | None:
     """The modes of all parts in their order; nothing where there are none."""
     if not parts:

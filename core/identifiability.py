@@ -168,6 +168,22 @@ def identifiability(
     )
 
 
+def remaining_step(
+    sensitivity: Floats, residual: Floats, weights: Floats, deviations: Floats
+) -> Floats:
+    """How far the least misfit still lies from where the parameters stand, (n_parameters,), linear.
+
+    residual: (n_residuals,), measured minus computed, at the parameters' values; all else as for
+    `identifiability`. Combinations that the test cannot see stay where they are.
+    """
+    scaled = scaled_sensitivity(sensitivity, weights, deviations)
+    used = weights > 0.0
+    left, values, right = np.linalg.svd(scaled, full_matrices=False)
+    known = values**2 / (values**2 + 1.0) >= SEEN
+    along = left.T[known] @ (np.sqrt(weights[used]) * residual[used]) / values[known]
+    return np.asarray(deviations * (right[known].T @ along))
+
+
 def _unseen(scaled: Floats, space: Floats, relative: Floats) -> tuple[UnseenCombination, ...]:
     """The space of what is unseen as combinations of few parameters each.
 

@@ -17,6 +17,8 @@ FAR = 3.0
 ALIKE = 20.0
 #: A standard error below this share of the deck's value is not worth a word.
 NEGLIGIBLE = 0.01
+#: Standard errors by which the least misfit may be further on without a word.
+SHORT = 2.0
 #: So many names are told one by one.
 LISTED = 6
 #: Two changes whose amounts differ by less are called equal.
@@ -89,7 +91,7 @@ def _share_clause(share: float, mixed: list[str], like: list[str]) -> dict[str, 
     if share < HALF:
         return {"prior": f"is known by the prior more than by the test {percent}"}
     if like:
-        return {"collinear": f"acts almost like {_listed(like)}: a small error of the test or the "
+        return {"alike": f"acts almost like {_listed(like)}: a small error of the test or the "
                 "model moves them against each other"}  # fmt: skip
     return {}
 
@@ -106,7 +108,10 @@ def _companions(groups: list[tuple[int, ...]]) -> dict[int, list[int]]:
 
 def trust_sentences(trust: Trust) -> tuple[str, ...]:
     """The verdict in words, then what stands behind it."""
-    return (_verdict_sentence(trust), *trust.unseen, *_spread_sentences(trust), *trust.concerns)
+    return (
+        _verdict_sentence(trust), *trust.unseen, *_spread_sentences(trust), *trust.concerns,
+        *trust.notes,
+    )  # fmt: skip
 
 
 def combination_sentences(names: tuple[str, ...], found: Identifiability) -> tuple[str, ...]:
@@ -121,6 +126,26 @@ def combination_sentences(names: tuple[str, ...], found: Identifiability) -> tup
                 "them against each other."
             )
     return tuple(said)
+
+
+def short_sentences(
+    names: tuple[str, ...], remaining: Floats, standard_errors: Floats
+) -> tuple[str, ...]:
+    """That updating ended before the least misfit, where that matters.
+
+    Standard errors tell how the least misfit scatters; e1 may end updating well before it.
+    remaining, standard_errors: (n_parameters,).
+    """
+    known = np.isfinite(standard_errors) & (np.abs(remaining) > NEGLIGIBLE)
+    far = np.where(known, np.abs(remaining) / np.where(known, standard_errors, 1.0), 0.0)
+    place = int(np.argmax(far))
+    if far[place] <= SHORT:
+        return ()
+    return (
+        f"Updating ended as soon as e1 was met; the least misfit lies further on ({names[place]} "
+        f"by {_percent(float(remaining[place]))}, {far[place]:.1f} standard errors). The standard "
+        "errors are those of the least misfit: for them to hold here, ask for a smaller e1.",
+    )
 
 
 def _unseen_sentence(names: tuple[str, ...], item: UnseenCombination) -> str:
@@ -161,7 +186,7 @@ def _verdict_sentence(trust: Trust) -> str:
     if doubtful:
         reasons.append(f"{len(doubtful)} of {n} parameters in doubt ({_listed(doubtful)})")
     if trust.unseen and not doubtful:
-        reasons.append("the test does not tell some combination of them")
+        reasons.append("some of them can hardly be told apart")
     if not trust.agrees:
         reasons.append("e1 is not met")
     if trust.spread is not None and trust.spread.rivals:

@@ -6,9 +6,9 @@ within their bounds can do, in the linear model, is
     chi^2 = min (z - S d)^T V^-1 (z - S d),    lower <= d <= upper.
 
 Where the model has the truth among its parameter values, chi^2 is what measurement noise leaves:
-of chi-square distribution with n - n_redundant - r degrees of freedom, r the rank of the columns
-of S whose parameters do not stand on a bound (Shapiro 1988 for the bounds). n_redundant counts
-what the residual does not have: a shape of n sensors is compared after scaling, which takes one.
+of chi-square distribution with n - n_shapes - r degrees of freedom, r the rank of the columns of S
+whose parameters do not stand on a bound (Shapiro 1988 for the bounds). A shape counts one less
+than its sensors, because it is compared after scaling.
 A chi^2 that noise exceeds with a probability p below the level says that something is wrong that
 no parameter can mend: the model's form, the test, or the deviations that the campaign states.
 
@@ -18,9 +18,10 @@ stood m_j away is off by about the share m_j, so the entry i of the residual may
 
     sum_j |S_ij d_j| (|d_j| / 2 + |m_j|),
 
-whose square is added to its variance. After updating d is small, this is nothing, and the test is
-a verdict. Before, it is a forecast, and a mild one: what it finds is there, what it does not find
-may come to light later.
+whose square is added to its variance. Shapes of close modes turn within their space at a rate that
+itself changes fast, so half of a shape's turn |S d| is added likewise, spread over its entries.
+After updating d is small, all this is nothing, and the test is a verdict. Before, it is a
+forecast, and a mild one: what it finds is there, what it does not find may come to light later.
 
 What is left of each entry is told in its own standard deviations, z_left / sqrt(V (1 - h)), h the
 leverage by which the fit follows that entry (Belsley, Kuh and Welsch 1980).
@@ -36,7 +37,7 @@ from scipy.stats import chi2
 
 from modetune.core.errors import CampaignError
 from modetune.core.estimation import RANK_TOLERANCE, StepProblem, parameter_step
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 
 #: Share of good models that are suspected all the same.
 LEVEL = 0.01
@@ -78,22 +79,25 @@ def model_form(
     variances: Floats,
     lower: Floats,
     upper: Floats,
-    n_redundant: int = 0,
+    shapes: Integers | None = None,
     moved: Floats | None = None,
     level: float = LEVEL,
 ) -> ModelForm:
     """Judge the best admissible fit by measurement noise. Raises CampaignError.
 
     sensitivity: (n_residuals, n_parameters); residual, variances: (n_residuals,), the entries that
-    take part; lower, upper: (n_parameters,), bounds of the change; n_redundant: entries that
-    follow from others, one a compared shape; moved: (n_parameters,), how far parameters went since
-    the sensitivity was computed, nowhere if left out.
+    take part; lower, upper: (n_parameters,), bounds of the change; shapes: (n_residuals,),
+    which shape an entry is of, from 0, or -1 for frequencies, as all are if left out; moved:
+    (n_parameters,), how far parameters went since the sensitivity was computed, nowhere if left
+    out.
     """
     if variances.shape != residual.shape or not (variances > 0.0).all():
         raise CampaignError("each entry of the residual needs a variance above zero")
+    owner = np.full(residual.size, -1) if shapes is None else shapes
+    n_shapes = np.unique(owner[owner >= 0]).size
     change, _ = _fit(sensitivity, residual, variances, lower, upper)
     doubt = 0.5 * np.abs(change) + (0.0 if moved is None else np.abs(moved))
-    variances = variances + (np.abs(sensitivity * change) @ doubt) ** 2
+    variances = variances + _nonlinearity(sensitivity, change, doubt, owner)
     change, left = _fit(sensitivity, residual, variances, lower, upper)
     reach = 1e-9 * np.maximum(1.0, np.abs(change))
     at_bound = (change <= lower + reach) | (change >= upper - reach)
@@ -101,7 +105,7 @@ def model_form(
     directions, singular, _ = np.linalg.svd(weighted, full_matrices=False)
     told = singular > RANK_TOLERANCE * singular.max(initial=0.0)
     statistic = float(np.sum(left**2 / variances))
-    dof = residual.size - n_redundant - int(told.sum())
+    dof = residual.size - n_shapes - int(told.sum())
     leverage = np.sum(directions[:, told] ** 2, axis=1)
     # An entry that the fit follows wholly tells nothing; what is left of it is rounding.
     loose = np.sqrt(np.maximum(1.0 - leverage, 0.0))
@@ -116,6 +120,16 @@ def model_form(
         left=left,
         standardised=np.where(loose > 1e-6, own / np.maximum(loose, 1e-6), 0.0),
     )
+
+
+def _nonlinearity(sensitivity: Floats, change: Floats, doubt: Floats, owner: Integers) -> Floats:
+    """Variance of each entry by what the linear model cannot know of a change, (n_residuals,)."""
+    bent = (np.abs(sensitivity * change) @ doubt) ** 2
+    moves = (sensitivity @ change) ** 2
+    for shape in np.unique(owner[owner >= 0]).tolist():
+        own = owner == shape
+        bent[own] += 0.25 * moves[own].mean()
+    return np.asarray(bent)
 
 
 def _fit(

@@ -27,6 +27,8 @@ from modetune.core.exchange import choose_best, least_auto_mac, log_determinant,
 from modetune.core.modes import Floats, Integers
 from modetune.core.spacing import Bools, Spacing
 
+#: What is known of modes before any sensor, beside what all candidates tell: next to nothing.
+FAINT = 1e-6
 #: Two modes whose auto-MAC is above this look alike to the sensors.
 ALIKE = 0.25
 #: A candidate that moves less than this share of every mode's largest motion is lost in noise.
@@ -102,19 +104,23 @@ def by_effective_independence(rows: Floats, count: int, spacing: Spacing) -> Int
 def by_auto_mac(rows: Floats, count: int, spacing: Spacing) -> Integers:
     """Positions (count,) of a choice of least auto-MAC, the most useful first.
 
-    It starts from the fewest sensors of effective independence, adds one by one and exchanges.
-    Candidates that hardly move are left out. Raises CampaignError, ModesError.
+    Exchange ends in the nearest optimum, so it begins at several choices (the fewest sensors of
+    effective independence and one by one from there, as many of them as are wanted, none at all)
+    and the best end counts. Candidates that hardly move are left out. Raises CampaignError,
+    ModesError.
     """
     usable = np.flatnonzero(loud(rows))
     part = unit_modes(rows)[usable]
     near = Spacing(spacing.nodes[usable], spacing.coordinates[usable], spacing.distance)
     least = min(-(-rows.shape[2] // rows.shape[1]), count)
-    start: list[int] = []
-    if rows.shape[1] == 1:
-        start = by_effective_independence(part, least, near).tolist()
+    starts: list[list[int]] = [[]]
+    for size in {least if rows.shape[1] == 1 else count, count}:
+        starts.append(by_effective_independence(part, size, near).tolist())
     matrices = grams(part)
     base = np.zeros(matrices.shape[1:])
-    found = choose_best(matrices, base, count, least_auto_mac, near, start)
+    ends = [choose_best(matrices, base, count, least_auto_mac, near, start) for start in starts]
+    worth = least_auto_mac(np.stack([matrices[end].sum(axis=0) for end in ends]))
+    found = ends[int(np.argmax(np.round(worth, 10)))]
     return np.asarray(usable[found[order_of_use(part[found])]])
 
 
@@ -156,6 +162,20 @@ def by_information(information: Floats, prior: Floats, count: int, spacing: Spac
     return choose_best(information, prior, count, log_determinant, spacing)
 
 
+def with_modes(information: Floats, prior: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Information on the parameters and on the amplitudes of all modes together, and without any.
+
+    Shapes tell of parameters only where modes can be told apart, which information on parameters
+    alone does not ask for. information: (n, p, p), prior: (p, p), rows: (n, n_directions,
+    n_modes). Returns (n, p + n_modes, p + n_modes) and its prior, next to nothing for amplitudes.
+    """
+    of_modes = grams(unit_modes(rows))
+    p, size = prior.shape[0], prior.shape[0] + of_modes.shape[1]
+    joint, base = np.zeros((information.shape[0], size, size)), FAINT * np.eye(size)
+    joint[:, :p, :p], joint[:, p:, p:], base[:p, :p] = information, of_modes, prior
+    return joint, base
+
+
 def grams(rows: Floats) -> Floats:
     """phi_j^T phi_j of each candidate, (n, n_modes, n_modes)."""
     return np.asarray(rows.transpose(0, 2, 1) @ rows)
@@ -167,7 +187,7 @@ def order_of_use(rows: Floats) -> Integers:
     A little of the unit matrix stands in for the modes that the first few cannot tell yet.
     """
     matrices = grams(unit_modes(rows))
-    return greedy_order(matrices, 1e-6 * np.eye(matrices.shape[1]))
+    return greedy_order(matrices, FAINT * np.eye(matrices.shape[1]))
 
 
 def greedy_order(matrices: Floats, base: Floats) -> Integers:
@@ -201,8 +221,11 @@ def needed_sensors(rows: Floats, count: int, limit: float = ALIKE) -> int | None
 
 def _enough(kept: Sequence[int] | Integers, count: int, spacing: Spacing) -> None:
     if len(kept) < count:
-        apart = f" that are {spacing.distance:g} apart" if spacing.distance > 0.0 else ""
+        if spacing.distance > 0.0:
+            raise CampaignError(
+                f"taking the best first, {len(kept)} candidates are {spacing.distance:g} apart, "
+                f"and {count} sensors are asked for; ask for fewer, or for a smaller distance"
+            )
         raise CampaignError(
-            f"there are {len(kept)} candidates{apart}, and {count} sensors are asked for; ask for "
-            "fewer" + (", or for a smaller distance" if apart else "")
+            f"there are {len(kept)} candidates, and {count} sensors are asked for; ask for fewer"
         )

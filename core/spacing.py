@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from modetune.core.modes import Floats, Integers
 
@@ -45,9 +46,12 @@ class Spacing:
         # Rounding must not decide among the equals of a symmetric structure.
         order = np.lexsort((np.arange(worth.size), -np.round(worth, 9)))
         free = np.ones(self.nodes.size, dtype=np.bool_)
-        kept = []
+        tree, kept = KDTree(self.coordinates), []
         for place in order.tolist():
             if free[place]:
                 kept.append(place)
-                free &= ~self.blocked([place])
+                near = np.array(tree.query_ball_point(self.coordinates[place], self.distance))
+                apart = np.linalg.norm(self.coordinates[near] - self.coordinates[place], axis=1)
+                other = self.nodes[near] != self.nodes[place]
+                free[near[other & (apart < self.distance)]] = False
         return np.sort(np.array(kept, dtype=np.int64))

@@ -6,20 +6,22 @@ A matched frequency proves little, so each parameter is asked questions, and eac
     on_bound    does it stand on a bound?
     unseen      does less than a tenth of its value come from the test?
     prior       ... less than half?
-    collinear   is it part of a combination that the test cannot see (and less than 90 % its own),
-                or does it act so much like one or two others that a small fault moves them against
+    collinear   is it part of a combination that the test cannot see (and less than 90 % its own)?
+    alike       does it act so much like one or two others that a small fault moves them against
                 each other (collinearity index 20 and more, the upper end of what Brun and others
-                2001 advise)?
+                2001 advise), although the test, taken at its word, tells them apart?
     far         is it more than three of its deviations away from the deck?
     starts      did updates from other starts end elsewhere, and fit as well?
     uncertain   is its change smaller than its standard error? That doubts nothing: it says that
-                the deck's value fits as well, so it does not count in the verdict.
+                the deck's value fits as well.
 
-The verdict. Not to be trusted: more than half of the parameters carry a flag that counts, or other
-starts fit as well with other values of parameters that nothing else had flagged. With
-reservations: any flag that counts, a combination of parameters that the test cannot see, e1 not
-met, or a concern that others raise (what was held out got worse, an error that no parameter can
-remove). Else trusted.
+All but alike and uncertain put a parameter in doubt.
+
+The verdict. Not to be trusted: more than half of the parameters are in doubt, or other starts fit
+as well with other values of parameters that nothing else puts in doubt. With reservations: any
+parameter in doubt or alike, a combination of parameters that the test cannot see, e1 not met, or a
+concern that others raise (what was held out got worse, an error that no parameter can remove).
+Else trusted.
 """
 
 from __future__ import annotations
@@ -34,6 +36,9 @@ from modetune.core.identifiability import Identifiability
 from modetune.core.modes import Floats, Integers
 
 Verdict = Literal["trusted", "trusted with reservations", "not to be trusted"]
+
+#: Flags that put no parameter in doubt.
+NO_DOUBT = {"uncertain", "alike"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +60,8 @@ class ParameterTrust:
 
     @property
     def doubtful(self) -> bool:
-        """Whether a flag counts in the verdict."""
-        return any(flag != "uncertain" for flag in self.flags)
+        """Whether a flag puts it in doubt."""
+        return bool(set(self.flags) - NO_DOUBT)
 
     @property
     def sentence(self) -> str:
@@ -100,7 +105,7 @@ class Trust:
     agrees: whether e1 is met; unseen: a sentence a combination that the test does not tell;
     curve: the L-curve of the last step, None where there was none; regularisation: the factor that
     this step used; age: iterations since the sensitivity behind all this was computed; spread: of
-    several starts; concerns: sentences of others.
+    several starts; concerns: sentences of others; notes: sentences that doubt nothing.
     """
 
     parameters: tuple[ParameterTrust, ...]
@@ -112,6 +117,7 @@ class Trust:
     age: int = 0
     spread: StartSpread | None = None
     concerns: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def flagged(self) -> tuple[ParameterTrust, ...]:
@@ -122,7 +128,7 @@ class Trust:
         doubtful = [item for item in self.parameters if item.doubtful]
         if 2 * len(doubtful) > len(self.parameters):
             return "not to be trusted"
-        if any(set(item.flags) - {"uncertain"} == {"starts"} for item in doubtful):
+        if any(set(item.flags) - NO_DOUBT == {"starts"} for item in doubtful):
             return "not to be trusted"
         rivals = self.spread is not None and bool(self.spread.rivals)
         if doubtful or rivals or self.unseen or not self.agrees or self.concerns:

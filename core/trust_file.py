@@ -1,7 +1,7 @@
 """The group /trust of a campaign's record: how far its parameters can be trusted.
 
-    /trust/               attributes: verdict, sentences, unseen, concerns (a line each), agrees,
-                          condition, n_told, regularisation, age, collinearity (of the whole)
+    /trust/               attributes: verdict, sentences, unseen, concerns, notes (a line each),
+                          agrees, condition, n_told, regularisation, age, collinearity (whole)
                           test_shares, standard_errors, updated, on_bound    (n_parameters,)
                           names, collinear_with, flags, clauses (a line each one), sentence
                           singular_values (n_parameters,), vectors, resolution (n_par, n_par)
@@ -37,6 +37,7 @@ def write_trust(file: h5py.Group, trust: Trust | None) -> None:
         sentences="\n".join(trust_sentences(trust)),
         unseen="\n".join(trust.unseen),
         concerns="\n".join(trust.concerns),
+        notes="\n".join(trust.notes),
         agrees=trust.agrees,
         condition=found.condition,
         n_told=found.n_told,
@@ -97,6 +98,7 @@ def read_trust(file: h5py.Group) -> Trust | None:
         age=int(attrs["age"]),
         spread=_read_starts(group),
         concerns=_lines(attrs["concerns"]),
+        notes=_lines(attrs["notes"]),
     )
 
 

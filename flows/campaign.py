@@ -16,6 +16,7 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.core.criteria import Tolerances
 from modetune.core.errors import CampaignError, ModelError
+from modetune.core.held_out import together
 from modetune.core.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.parameters import ParameterSet
@@ -108,12 +109,12 @@ class Campaign:
     @property
     def n_modes(self) -> int:
         """Modes asked of the solver: the measured ones, rigid ones and some to spare."""
-        return len(self.measured_numbers) + EXTRA_MODES + RIGID_MODES
+        return len(self.measured.numbers) + EXTRA_MODES + RIGID_MODES
 
     @property
-    def measured_numbers(self) -> tuple[int, ...]:
-        """Numbers of all measured modes that count: used ones, and those that are held out."""
-        return self.test.numbers + (self.held_out.numbers if self.held_out else ())
+    def measured(self) -> MeasuredModes:
+        """All measured modes that count: used ones, then those that are held out."""
+        return self.test if self.held_out is None else together(self.test, self.held_out)
 
     @property
     def parallel(self) -> int:
@@ -223,7 +224,7 @@ def _load_joint(
         problems += said
         if campaign is not None:
             where, name = item.source.where(("test", "modes")), item.section.name
-            problems += number_problems(where, name, campaign.measured_numbers)
+            problems += number_problems(where, name, campaign.measured.numbers)
             configurations.append(
                 Configuration(name, place, campaign, item.columns, item.section.weight,
                               item.section.hold_out)

@@ -90,9 +90,7 @@ class JointSolver:
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         """The contents of all configurations by their names."""
-        return {
-            part.name: part.solver.content(_own(part, values), analysis) for part in self.parts
-        }
+        return {part.name: part.solver.content(_own(part, values), analysis) for part in self.parts}
 
     def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
         raise CampaignError(self._one_model())

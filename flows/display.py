@@ -17,6 +17,7 @@ from rich.text import Text
 from modetune.core.judgement import trust_sentences
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.forecast import Forecast, cost_text, forecast_text
+from modetune.flows.form_verdict import record_verdict
 from modetune.flows.held_out_table import show_held_out
 from modetune.flows.report.drawing import PAGE
 from modetune.flows.running import CampaignRun
@@ -122,7 +123,8 @@ def pairing_lines(record: CampaignRecord) -> list[str]:
         for measured, computed, reason in zip(
             pairing.measured.tolist(), pairing.computed.tolist(), pairing.reasons, strict=True
         )
-        if measured != computed or not reason.startswith(("highest MAC", "no shape", "continues"))
+        # Side by side the modes of several configurations have other positions than alone.
+        if (measured != computed and not record.configurations) or not reason.startswith(("highest MAC", "no shape", "continues"))
     ]
 
 
@@ -157,6 +159,9 @@ def trust_lines(record: CampaignRecord) -> list[str]:
     if record.trust is None:
         return []
     flagged = [item.sentence for item in record.trust.flagged]
+    form = record_verdict(record)
+    if form is not None and form.form.suspected:
+        flagged.append(form.sentence)
     return [*trust_sentences(record.trust), *(f"- {line}" for line in flagged)]
 
 

@@ -39,7 +39,7 @@ from modetune.flows.execution.work import ThreadExecution, Work
 from modetune.flows.semi_analytic import Change, SemiAnalytic
 
 #: Names of what no parameter scales.
-OTHER_STIFFNESS, OTHER_MASS = "stiffness without a parameter", "mass without a parameter"
+OTHER_STIFFNESS, OTHER_MASS = "other stiffness", "other mass"
 #: A part of the matrices smaller than this share of the whole is the rounding of their text.
 ROUNDING = 1e-6
 #: Unknowns up to which maps are made: the system of one mode has twice as many.
@@ -115,6 +115,8 @@ def error_maps(
 
 def _strains(mesh: Mesh, fields: ErrorFields, base: MatrixResult) -> Floats:
     """Strain of the error's field at the mesh's nodes, all modes alike; the largest is 1."""
+    if mesh.nodes.size == 0:  # a model of matrices has no geometry
+        return np.zeros(0)
     own = _first_unknowns(base)
     scaled = fields.errors[own] / np.sqrt(fields.eigenvalues)
     modes = mode_set(

@@ -82,7 +82,7 @@ class Evaluator:
         self.execution = execution
         self._runs = RunCounts()
         self.analysis = campaign_analysis(campaign)
-        self.methods = self._sensitivities().methods()
+        self.methods = self.sensitivities().methods()
 
     @property
     def runs(self) -> RunCounts:
@@ -173,7 +173,7 @@ class Evaluator:
         """Methods in place of those that cannot be believed in this model."""
         energies = isinstance(error, UnbalancedEnergies)
         failed: Exact = "strain_energy" if energies else "semi_analytic"
-        plans = self._sensitivities()
+        plans = self.sensitivities()
         methods = tuple(
             method if method != failed
             else plans.without_energies(parameter) if energies
@@ -206,7 +206,7 @@ class Evaluator:
         self, evaluation: Evaluation, columns: Sequence[int], reasons: dict[int, ModetuneError]
     ) -> ModeDerivatives:
         """Derivatives of these columns; those whose perturbed modes are lost go to reasons."""
-        methods = self._sensitivities()
+        methods = self.sensitivities()
         parts = {}
         together = [c for c in columns if self.methods[c] != "finite_difference"]
         if together:
@@ -232,7 +232,7 @@ class Evaluator:
         return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
 
     def _works(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
-        plans = self._sensitivities()
+        plans = self.sensitivities()
         shared = plans.shared(theta, methods)
         works = [Work("sensitivity matrices", shared)] if shared else []
         for column, method in enumerate(methods):
@@ -254,7 +254,8 @@ class Evaluator:
     def _values(self, theta: Floats) -> dict[str, float]:
         return self.campaign.parameters.values(theta)
 
-    def _sensitivities(self) -> Sensitivities:
+    def sensitivities(self) -> Sensitivities:
+        """The methods of the campaign, bound to its jobs at the nodes that derivatives need."""
         return Sensitivities(
             engine=self.engine,
             parameters=self.campaign.parameters,

@@ -42,6 +42,8 @@ def residual_form(
         labels += [f"the shape of {name}" for name in modes for _ in range(n_shapes // n_pairs)]
     else:
         labels += ["the shapes"] * n_shapes
+    names = list(dict.fromkeys(labels[n_pairs:]))
+    owner = np.array([-1] * n_pairs + [names.index(label) for label in labels[n_pairs:]])
     used = found.weights > 0.0
     form = model_form(
         sensitivity[used],
@@ -49,7 +51,7 @@ def residual_form(
         found.variances[used],
         np.minimum(parameters.lower - theta, 0.0),
         np.maximum(parameters.upper - theta, 0.0),
-        n_redundant=n_pairs if used[n_pairs:].any() else 0,
+        shapes=owner[used],
         moved=moved,
     )
     return form, tuple(label for label, on in zip(labels, used.tolist(), strict=True) if on)

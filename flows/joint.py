@@ -215,16 +215,17 @@ class JointEvaluator:
         """The evaluations of all configurations as one."""
         configurations = [part.configuration for part in self.parts]
         base = node_base([item.campaign.test for item in configurations])
-        seen = [
+        modes = [
             (item.place, part.seen if item.campaign.test.has_shapes else part.seen.rows([]))
             for item, part in zip(configurations, parts, strict=True)
         ]
+        seen = side_by_side(modes, base)
         return Evaluation(
             theta=theta,
             key=" ".join(part.key for part in parts),
             modal=parts[0].modal,
-            seen=side_by_side(seen, base),
-            field=parts[0].field,
+            seen=seen,
+            field=seen,  # several models have no common surface to be shown on
             pairing=_joint_pairing(configurations, parts),
             residual=self._residual(parts),
             errors=np.concatenate([part.errors for part in parts]),
@@ -282,7 +283,7 @@ def _joint_pairing(configurations: Sequence[Configuration], parts: Sequence[Eval
     for configuration, part in zip(configurations, parts, strict=True):
         measured.append(part.pairing.measured + n_measured)
         computed.append(part.pairing.computed + n_computed)
-        reasons += [f"{configuration.name}: {reason}" for reason in part.pairing.reasons]
+        reasons += [f"{reason} ({configuration.name})" for reason in part.pairing.reasons]
         n_measured += part.pairing.measured.size
         n_computed += part.seen.n_modes
     return Pairing(

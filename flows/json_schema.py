@@ -28,6 +28,10 @@ def campaign_schema() -> dict[str, Any]:
         for key in section.get("properties", {}).values():
             key.pop("title", None)  # only the key's name again
     _add_rules(sections)
+    for key in ("model", "test"):
+        del schema["properties"][key]["default"]
+    schema["anyOf"] = [{"required": ["model", "test"]}, {"required": ["configurations"]}]
+    schema["dependentRequired"] = {"model": ["test"], "test": ["model"]}
     return {"$schema": DIALECT, "$id": IDENTIFIER, "title": "modetune campaign", **schema}
 
 

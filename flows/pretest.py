@@ -36,7 +36,7 @@ from modetune.flows.pretest_excitation import (
     suspension_points,
 )
 from modetune.flows.pretest_information import Knowledge, information_of
-from modetune.flows.pretest_settings import PretestSettings, check_settings
+from modetune.flows.pretest_settings import PretestSettings, check_count, check_settings
 from modetune.flows.running import job_engine
 
 #: Elastic modes that are looked at where none are named.
@@ -120,11 +120,7 @@ def _pretest(
     runs: RunCounts,
 ) -> Pretest:
     count = settings.sensors or min(2 * len(numbers), model.candidates.n)
-    if count * model.rows.shape[1] < len(numbers):
-        raise CampaignError(
-            f"--sensors {count}: fewer than the {len(numbers)} modes, which so few cannot tell "
-            "apart whatever their places; ask for at least as many sensors as modes"
-        )
+    check_count(count, len(numbers), model.rows.shape[1])
     chosen, spacing, notes = choose_sensors(model, settings, count)
     quality = judge(model.rows, chosen)
     needed = None

@@ -20,6 +20,7 @@ from modetune.core.placement import (
     judge,
     kinetic_energies,
     needed_sensors,
+    with_modes,
 )
 from modetune.core.spacing import Spacing
 from modetune.flows.campaign import Campaign
@@ -93,7 +94,8 @@ def _by_method(model: Ground, method: Method, count: int, spacing: Spacing) -> I
     if method == "information":
         assert model.information is not None
         found = model.information
-        return by_information(found.matrices, found.base, count, spacing)
+        joint, base = with_modes(found.matrices, found.base, model.rows)
+        return by_information(joint, base, count, spacing)
     return by_effective_independence(model.weighted, count, spacing)
 
 
@@ -115,12 +117,11 @@ def likeness(
     if needed is not None:
         return f"{said}; {needed} sensors of effective independence would do"
     whole = judge(model.rows, np.arange(model.candidates.n))
-    if whole.largest > ALIKE:
-        return (
-            f"{said}; all {model.candidates.n} candidates together leave {whole.largest:.2f}, so "
-            "no number of them helps: take more candidates or more directions"
-        )
-    return f"{said}; no number of sensors at this distance would do, so allow a smaller --distance"
+    return (
+        f"{said}; more sensors of effective independence do not help ({whole.largest:.2f} with all "
+        f"{model.candidates.n} candidates): try --method auto_mac, more candidates, more "
+        "directions, or a smaller --distance"
+    )
 
 
 def placed_sensors(

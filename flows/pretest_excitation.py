@@ -69,7 +69,7 @@ def place_exciters(
     if count == 0:
         return ()
     shares = participation(shapes)
-    masses = rigid_mass(rigid.reshape(-1, rigid.shape[2])) * KILOGRAMS[units]
+    masses = rigid_mass(rigid.reshape(shapes.shape[0], rigid.shape[2])) * KILOGRAMS[units]
     found = []
     for place in choose_exciters(shapes, count).tolist():
         row, way = divmod(place, n_directions)

@@ -46,6 +46,17 @@ def check_settings(settings: PretestSettings) -> None:
         problems.append(f"--distance {settings.distance:g}: expected a length, or 0 for none")
     if problems:
         raise CampaignError(problems)
+    if settings.sensors is not None:
+        check_count(settings.sensors, len(settings.modes), 3 if settings.triaxial else 1)
+
+
+def check_count(sensors: int, n_modes: int, n_directions: int) -> None:
+    """Raise CampaignError where so few sensors cannot tell so many modes apart, wherever."""
+    if sensors * n_directions < n_modes:
+        raise CampaignError(
+            f"--sensors {sensors}: fewer than the {n_modes} modes, which so few cannot tell apart "
+            "whatever their places; ask for at least as many sensors as modes"
+        )
 
 
 def method_named(text: str) -> Method:

@@ -18,6 +18,7 @@ from modetune.core.numbering import configuration_of
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluator import Matrix, campaign_analysis
+from modetune.flows.form_verdict import verdict_summary
 from modetune.flows.showing import sensor_places, shown_surface
 from modetune.flows.trust import campaign_trust, trust_summary
 
@@ -144,6 +145,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         "solver": record.solver,
         "solver_version": record.solver_version,
         "trust": trust_summary(record.trust),
+        "model_form": verdict_summary(record),
     }
 
 

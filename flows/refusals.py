@@ -32,9 +32,7 @@ def licence_problems(source: YamlFile, run: RunSection) -> list[str]:
     ]
 
 
-def method_problems(
-    source: YamlFile, file: CampaignFile, solver: Solver
-) -> list[str]:
+def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
     """Why the campaign's sensitivity method cannot be had."""
     method, has = file.sensitivity.method, solver.capabilities
     shapes = file.residuals.shape_weight > 0.0

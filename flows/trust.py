@@ -7,8 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from modetune.core.estimation import LCurve, StepProblem, l_curve
-from modetune.core.identifiability import identifiability
-from modetune.core.judgement import combination_sentences, judge_parameters, trust_sentences
+from modetune.core.identifiability import identifiability, remaining_step
+from modetune.core.judgement import (
+    combination_sentences,
+    judge_parameters,
+    short_sentences,
+    trust_sentences,
+)
 from modetune.core.keys import Json
 from modetune.core.modes import Floats
 from modetune.core.record import IterationRecord
@@ -52,7 +57,20 @@ def campaign_trust(
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,
+        notes=_notes(campaign, last, matrix, standard_errors) if agrees else (),
     )  # fmt: skip
+
+
+def _notes(
+    campaign: Campaign, last: IterationRecord, matrix: Matrix, standard_errors: Floats
+) -> tuple[str, ...]:
+    if campaign.update.step == "pulled_to_initial":
+        return ()  # its answer is not the least misfit, and its standard errors know that
+    remaining = remaining_step(
+        matrix.values, last.residual.values, last.residual.weights,
+        campaign.parameters.standard_deviations,
+    )  # fmt: skip
+    return short_sentences(campaign.parameters.names, remaining, standard_errors)
 
 
 def _curve(campaign: Campaign, iterations: Sequence[IterationRecord]) -> LCurve | None:

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.core.errors import CampaignError, ModesError, SolverError
-from modetune.core.held_out import HeldOut, join_held_out
-from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
+from modetune.core.held_out import HeldOut, join_held_out, together
+from modetune.core.modes import Floats
 from modetune.core.numbering import CONFIGURATION, mode_name
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.store import check_writable
@@ -102,7 +102,7 @@ def leave_out(campaign: Campaign, number: int) -> Campaign:
             "out; leave-one-out needs two used modes or more"
         )
     left = campaign.test.use((number,))
-    held = left if campaign.held_out is None else _together(left, campaign.held_out)
+    held = left if campaign.held_out is None else together(left, campaign.held_out)
     return replace(campaign, test=campaign.test.use(rest), held_out=held)
 
 
@@ -207,21 +207,6 @@ def _judged(number: int, record: CampaignRecord) -> Fold:
         number, record.status, record.reason, record.iterations[-1].number, record.updated,
         held if number == 0 else held.only(held.numbers == number),
     )  # fmt: skip
-
-
-def _together(first: MeasuredModes, second: MeasuredModes) -> MeasuredModes:
-    """The modes of both, which have the same sensors."""
-    one, two = first.modes, second.modes
-    known = one.damping_ratios.size and two.damping_ratios.size
-    modes: ModeSet = mode_set(
-        np.concatenate([one.frequencies_hz, two.frequencies_hz]),
-        np.concatenate([one.mode_shapes, two.mode_shapes], axis=1),
-        one.nodes,
-        one.components,
-        np.concatenate([one.damping_ratios, two.damping_ratios]) if known else (),
-        one.normalisation,
-    )
-    return MeasuredModes(first.numbers + second.numbers, modes)
 
 
 @dataclass(frozen=True, slots=True)

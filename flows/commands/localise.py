@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Rows that a terminal shows of each table.
 SHOWN = 12
+#: A best share of the force residual below this tells of no one group.
+TELLING = 0.2
 #: Nodes that `--json` tells of each map, the worst.
 NODES = 200
 
@@ -159,7 +161,7 @@ def _group_table(maps: ErrorMaps) -> Table:
     from rich.table import Table
 
     table = Table(title="Where the model is wrong, from the test's shapes", title_justify="left")
-    table.add_column("group")
+    table.add_column("group", overflow="fold")
     for heading in ("explains %", "by change %", "holds error %", "times usual",
                     "energy differs %"):  # fmt: skip
         table.add_column(heading, justify="right")
@@ -178,7 +180,7 @@ def _removal_table(found: Localisation) -> Table:
     from rich.table import Table
 
     table = Table(title="What parameters can remove of the residual", title_justify="left")
-    table.add_column("parameters")
+    table.add_column("parameters", overflow="fold")
     table.add_column("removes %", justify="right")
     table.add_column("by change %", justify="right")
     for item in (*found.singles[:SHOWN], *found.pairs[: SHOWN // 4]):
@@ -198,6 +200,10 @@ def _lines(found: Localisation) -> list[str]:
         changes = ", ".join(f"{100 * change:+.1f}" for change in errors.pair_changes.tolist())
         lines.append(f"best pair: {pair} explain {100 * errors.pair_share:.1f} % of the force "
                      f"residual, by {changes} %")  # fmt: skip
+        best = float(errors.force_shares.max())
+        if best < TELLING:
+            lines.append(f"no group alone explains more than {100 * best:.1f} % of the force "
+                         "residual: it is measurement noise, or spread over the model")  # fmt: skip
     if found.why_no_maps:
         lines.append(f"no maps: {found.why_no_maps}")
     lines.append(found.sentence)

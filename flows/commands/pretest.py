@@ -122,8 +122,6 @@ def told_pretest(
     found: Pretest, out: Path | None = None, picture: Path | None = None
 ) -> dict[str, Json]:
     """A pretest for machines."""
-    from modetune.flows.pretest_file import sensor_dofs
-
     return {
         "status": "doubtful" if found.doubtful else "good",
         "method": found.settings.method,
@@ -132,18 +130,7 @@ def told_pretest(
         "rigid_modes": found.n_rigid,
         "candidates": found.n_candidates,
         "distance": found.distance,
-        "sensors": [
-            {
-                "node": item.node,
-                "direction": item.label,
-                "dofs": list(sensor_dofs(item)),
-                "place": list(item.place),
-                "vectors": [list(way) for way in item.frame],
-                "contribution": item.contribution,
-                "reason": item.reason,
-            }
-            for item in found.sensors
-        ],
+        "sensors": _told_sensors(found),
         "quality": _told_quality(found.quality, found.mode_numbers),
         "all_candidates": _told_quality(found.whole, found.mode_numbers),
         "needed": found.needed,
@@ -167,6 +154,23 @@ def told_pretest(
         "sensor_file": str(out) if out else None,
         "picture": str(picture) if picture else None,
     }
+
+
+def _told_sensors(found: Pretest) -> list[Json]:
+    from modetune.flows.pretest_file import sensor_dofs
+
+    return [
+        {
+            "node": item.node,
+            "direction": item.label,
+            "dofs": list(sensor_dofs(item)),
+            "place": list(item.place),
+            "vectors": [list(way) for way in item.frame],
+            "contribution": item.contribution,
+            "reason": item.reason,
+        }
+        for item in found.sensors
+    ]
 
 
 def _told_excitation(found: Pretest) -> dict[str, Json]:

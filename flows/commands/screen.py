@@ -62,6 +62,7 @@ def screen(
     from modetune.core.store import check_writable
     from modetune.flows.campaign import load_campaign
     from modetune.flows.screening.design import METHODS
+    from modetune.flows.screening.proposal import check_out, write_proposal
     from modetune.flows.screening.record import FILE, write_screening
     from modetune.flows.screening.running import ScreeningRequest, screen_campaign
 
@@ -69,6 +70,8 @@ def screen(
     if not known:
         raise CampaignError(f"--method {method!r}: expected one of {', '.join(METHODS)}")
     campaign = load_campaign(campaign_file, settings or [])
+    if out is not None:
+        check_out(campaign_file, out)
     folder = runs / campaign.name
     check_writable(folder, "name another place for run folders with --runs")
     request = ScreeningRequest(known[0], points, seed, levels, choose)
@@ -77,8 +80,6 @@ def screen(
     write_screening(folder / FILE, screening)
     written = [folder / FILE, *_figures(screening, figures)]
     if out is not None:
-        from modetune.flows.screening.proposal import write_proposal
-
         written.append(write_proposal(campaign_file, screening, out))
     _tell(screening, folder, written, as_json)
 

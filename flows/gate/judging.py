@@ -112,20 +112,22 @@ def judged(
 ) -> GateReport:
     """The report on a model that was solved; n_asked: modes that were asked for."""
     facts = model_facts(campaign, result)
-    lowest_hz = float(campaign.test.modes.frequencies_hz.min())
+    test = campaign.measured  # what is held out has its place in the order of frequencies too
+    lowest_hz = float(test.modes.frequencies_hz.min())
     held = rigid_findings(result, campaign.solver.model.components, lowest_hz)
     found = [*static, *mass_findings(campaign, facts), *held]
     if worst(held) == "wrong" or lowest_hz <= 0.0:
         return GateReport(tuple(found), facts, runs=runs)  # its modes have nothing to be paired by
     shapes = campaign.test.has_shapes
     elastic = campaign.sensors.observe(result.elastic) if shapes else result.elastic
-    found += margin_findings(campaign.test, elastic, result.modes.n_modes < n_asked)
+    found += margin_findings(test, elastic, result.modes.n_modes < n_asked)
     try:
-        modes = preview(campaign.test, elastic)
+        every = preview(test, elastic)
     except ModesError as error:
         return GateReport((*found, Finding("wrong", "pairing", str(error))), facts, runs=runs)
+    modes = tuple(mode for mode in every if mode.number in campaign.test.numbers)
     shares = energy_shares(result, np.array([mode.computed - 1 for mode in modes]))
     found += pairing_findings(modes, float(elastic.frequencies_hz.max()))
-    found += unmeasured(campaign.test, elastic, modes)
+    found += unmeasured(test, elastic, every)
     found += energy_findings(campaign, result, shares)
     return GateReport(tuple(found), facts, modes, shares, runs)

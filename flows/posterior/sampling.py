@@ -1,8 +1,8 @@
 """Sampling of a density by emcee, and whether the samples can be believed.
 
-Walkers move by differences of other walkers (ter Braak 2006; snooker moves: ter Braak and Vrugt
-2008), which scale with the density by themselves and jump between peaks. They start around the
-peaks, as many at each as its share asks for.
+Walkers move by differences of other walkers (ter Braak 2006), which scale with the density by
+themselves, some of them by whole differences, which jump between peaks; others stretch (Goodman
+and Weare 2010). They start around the peaks, as many at each as its share asks for.
 
 Neighbouring samples of a walker resemble each other. Over the integrated autocorrelation time tau
 (Goodman and Weare 2010) they forget; of n samples n / tau count (the effective sample size). The
@@ -101,7 +101,12 @@ def walk(
 
 
 def _sampler(posterior: Posterior, walkers: int, rng: np.random.Generator) -> emcee.EnsembleSampler:
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+    # No snooker moves: in emcee 3.1 they accept with a wrong probability and narrow the samples.
+    moves = [
+        (emcee.moves.DEMove(), 0.6),
+        (emcee.moves.DEMove(gamma0=1.0), 0.1),
+        (emcee.moves.StretchMove(), 0.3),
+    ]
     sampler = emcee.EnsembleSampler(
         walkers, posterior.lower.size, posterior.log_density, vectorize=True, moves=moves
     )
@@ -148,10 +153,10 @@ def _judged(sampler: emcee.EnsembleSampler, steps: int) -> Chains:
 
 
 def _autocorrelation_times(chain: Floats) -> Floats:
-    """Of each parameter, (n_parameters,), at least 1; the chain's length where it never moves."""
+    """Of each parameter, (n_parameters,), at least 1; the chain's length where a walker rests."""
     if chain.shape[0] < 2:
         return np.full(chain.shape[2], np.inf)
-    moving = np.ptp(chain, axis=0).max(axis=0) > 0.0
+    moving = np.ptp(chain, axis=0).min(axis=0) > 0.0
     times = np.full(chain.shape[2], float(chain.shape[0]))
     if moving.any():
         # tol=0: whether the chain is long enough is judged here, not there

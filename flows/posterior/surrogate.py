@@ -252,7 +252,7 @@ def _fit_feature(inputs: Floats, terms: Floats, y: Floats) -> _Fit:
 
 
 def _most_likely(inputs: Floats, rest: Floats) -> tuple[float, Floats, float]:
-    """Amplitude, lengths and nugget of greatest likelihood, from three starts."""
+    """Amplitude, lengths and nugget of greatest likelihood, from two starts."""
     n_parameters = inputs.shape[1]
     kernel = ConstantKernel(1.0, AMPLITUDES) * RBF(
         np.ones(n_parameters), LENGTHS
@@ -266,7 +266,7 @@ def _most_likely(inputs: Floats, rest: Floats) -> tuple[float, Floats, float]:
         return -float(value), -np.asarray(slope)
 
     best, found = np.inf, np.asarray(process.kernel_.theta)
-    for amplitude, length in ((1.0, 0.7), (10.0, 2.0), (100.0, 6.0)):
+    for amplitude, length in ((1.0, 0.7), (30.0, 3.0)):
         start = np.log([amplitude, *[length] * n_parameters, 1e-6])
         ended = minimize(unlikeliness, start, jac=True, method="L-BFGS-B",
                          bounds=process.kernel_.bounds, options={"maxiter": 100})  # fmt: skip

@@ -18,8 +18,9 @@ from modetune.flows.posterior.record import PosteriorRecord
 UNLIKE, SHIFTED = 1.25, 0.35
 #: A parameter of which the test left more than this share of the prior's width is not told by it.
 UNTOLD = 0.9
-#: Share of the samples within a hundredth of the range of an end, from which on it cuts.
-CUT = 0.03
+#: Share of the samples within a quarter of a deviation of an end, from which on the end cuts: a
+#: normal distribution that is cut at 1.2 deviations has it.
+CUT = 0.05
 #: A second peak with a smaller share of the samples is not told.
 SECOND = 0.01
 #: Two parameters with a larger correlation are told together only.
@@ -99,13 +100,14 @@ def _of_peaks(record: PosteriorRecord) -> list[Finding]:
 
 def _of_ends(record: PosteriorRecord) -> list[Finding]:
     found = []
-    width = 0.01 * (record.upper - record.lower)
+    width = 0.25 * record.deviation
+    by_test = record.deviation <= UNTOLD * prior_width(record)
     sides = (
         (record.lower, record.bound_lower, record.samples < record.lower + width),
         (record.upper, record.bound_upper, record.samples > record.upper - width),
     )
     for end, bound, cut in sides:
-        for place in np.flatnonzero(cut.mean(axis=0) > CUT).tolist():
+        for place in np.flatnonzero((cut.mean(axis=0) > CUT) & by_test).tolist():
             name, at = record.names[place], end[place]
             if at == bound[place]:
                 found.append(Finding(False, f"{name} presses against its bound {at:.4g}; the test "
@@ -167,23 +169,7 @@ def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
     return {
         "status": "doubtful" if any(finding.red for finding in said) else "done",
         "findings": [{"red": finding.red, "text": finding.text} for finding in said],
-        "parameters": [
-            {
-                "name": name,
-                "mean": _number(record.mean[place]),
-                "deviation": _number(record.deviation[place]),
-                "interval_95": [
-                    _number(record.interval_lower[place]), _number(record.interval_upper[place]),
-                ],
-                "most_likely": _number(record.most_likely[place]),
-                "linear_standard_error": _number(record.linear_deviation[place]),
-                "prior_mean": _number(record.prior_mean[place]),
-                "prior_deviation": _number(record.prior_deviation[place]),
-                "effective_size": _number(record.effective_sizes[place]),
-                "r_hat": _number(record.r_hat[place]),
-            }
-            for place, name in enumerate(record.names)
-        ],
+        "parameters": _told_parameters(record),
         "correlation": [[_number(value) for value in row] for row in record.correlation],
         "peaks": [
             {"share": _number(share), "point": [_number(value) for value in point]}
@@ -208,6 +194,27 @@ def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
         "wall_s": round(record.wall_s, 3),
         "written": [str(path) for path in written],
     }  # fmt: skip
+
+
+def _told_parameters(record: PosteriorRecord) -> list[Json]:
+    return [
+        {
+            "name": name,
+            "mean": _number(record.mean[place]),
+            "deviation": _number(record.deviation[place]),
+            "interval_95": [
+                _number(record.interval_lower[place]),
+                _number(record.interval_upper[place]),
+            ],
+            "most_likely": _number(record.most_likely[place]),
+            "linear_standard_error": _number(record.linear_deviation[place]),
+            "prior_mean": _number(record.prior_mean[place]),
+            "prior_deviation": _number(record.prior_deviation[place]),
+            "effective_size": _number(record.effective_sizes[place]),
+            "r_hat": _number(record.r_hat[place]),
+        }
+        for place, name in enumerate(record.names)
+    ]
 
 
 def _number(value: float) -> float | None:

@@ -11,7 +11,10 @@ from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]  # has no stubs
+    Line3DCollection,
+    Poly3DCollection,
+)
 from scipy.spatial import KDTree
 
 from modetune.core.localisation import Removal
@@ -103,7 +106,7 @@ def surface_figure(title: str, surface: Surface, strains: Floats) -> Figure:
             surface.coordinates[surface.edges], colors=paint.to_rgba(ends), linewidths=4.0,
         ))  # fmt: skip
     else:
-        axes.scatter(*surface.coordinates.T, c=paint.to_rgbashades)
+        axes.scatter(*surface.coordinates.T, c=paint.to_rgba(shades))
     low, high = surface.coordinates.min(axis=0), surface.coordinates.max(axis=0)
     # A flat or straight model gets some room, or its axes would have no scale.
     room = np.maximum(high - low, 0.05 * (float((high - low).max()) or 1.0))

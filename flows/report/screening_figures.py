@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from modetune.core.modes import Floats
 from modetune.core.subset import column_cosines
@@ -20,6 +21,8 @@ from modetune.flows.screening.record import Screening
 CHOSEN, OUT, SECOND = STYLES["after"][0], STYLES["before"][0], "#009E73"
 #: Numbers in the cells of a map are left out beyond this many parameters.
 NUMBERED = 16
+#: Points of a scatter that are named: the strongest.
+LABELLED = 5
 
 
 def write_figures(screening: Screening, folder: Path) -> list[Path]:
@@ -92,10 +95,10 @@ def morris_figure(screening: Screening) -> Figure:
         reach = 1.12 * float(max(mean.max(), spread.max(), 1e-12))
         axes.plot([0.0, reach], [0.0, reach], color="#808080", linewidth=0.8, linestyle=":")
         axes.scatter(mean, spread, color=colours, zorder=3)
-        for place, name in enumerate(screening.names):
-            if mean[place] > 0.08 * reach or spread[place] > 0.08 * reach:
+        for place in np.argsort(-np.hypot(mean, spread))[:LABELLED].tolist():
+            if max(mean[place], spread[place]) > 0.08 * reach:
                 left = mean[place] > 0.7 * reach
-                axes.annotate(name, (float(mean[place]), float(spread[place])),
+                axes.annotate(screening.names[place], (float(mean[place]), float(spread[place])),
                               (-4.0 if left else 4.0, 4.0), textcoords="offset points",
                               ha="right" if left else "left", fontsize=7)  # fmt: skip
         axes.set_xlim(0.0, reach)
@@ -150,12 +153,12 @@ def selection_figure(screening: Screening) -> Figure:
     return figure
 
 
-def _grid(n: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure of n charts; those beyond are empty."""
+def _grid(n: int, width: float, height: float, shared: bool = False) -> tuple[Figure, list[Axes]]:
+    """A figure of n charts, on one scale where it is shared; those beyond are empty."""
     across = min(4 if n > 6 else 3, n)
     down = -(-n // across)
     figure = _figure(width * across + 0.6, height * down + 0.8)
-    charts = figure.subplots(down, across, squeeze=False).ravel().tolist()
+    charts = figure.subplots(down, across, squeeze=False, sharex=shared).ravel().tolist()
     for axes in charts[n:]:
         axes.set_axis_off()
     return figure, charts[:n]
@@ -175,7 +178,7 @@ def _bars(
 ) -> Figure:
     """Bars of (n_modes, n_parameters), the candidates from top to bottom by importance."""
     order = list(screening.choice.ranking)
-    figure, grid = _grid(len(values), 3.2, max(1.5, 0.7 + 0.17 * len(order)))
+    figure, grid = _grid(len(values), 3.2, max(1.5, 0.7 + 0.17 * len(order)), shared=True)
     at, colours = np.arange(len(order)), np.array(_colours(screening))[order]
     width = 0.76 if second is None else 0.38
     for mode, axes in enumerate(grid):
@@ -193,18 +196,18 @@ def _bars(
         axes.invert_yaxis()
         axes.axvline(0.0, color="#404040", linewidth=0.7)
         axes.set_title(f"mode {screening.numbers[mode]}", fontsize=9)
-        axes.tick_params(axis="x", labelsize=7)
+        axes.tick_params(axis="x", labelsize=7, labelbottom=True)
         axes.grid(alpha=0.3, axis="x")
-    _legend(figure, grid[0], unit, labels if second is not None else ())
+    _legend(figure, unit, labels if second is not None else ())
     return figure
 
 
-def _legend(figure: Figure, axes: Axes, unit: str, labels: Sequence[str]) -> None:
-    """The bars' unit, and what colours mean: chosen or left out, and the second measure where there is one."""
-    patches = [axes.barh([0], [0], color=colour) for colour in (CHOSEN, OUT)]
+def _legend(figure: Figure, unit: str, labels: Sequence[str]) -> None:
+    """The bars' unit, and what colours mean: proposed or left out, and the second measure."""
+    patches = [Patch(color=colour) for colour in (CHOSEN, OUT)]
     said = [f"{word}{f': {labels[0]}' if labels else ''}" for word in ("proposed", "left out")]
     if labels:
-        patches.append(axes.barh([0], [0], color=SECOND))
+        patches.append(Patch(color=SECOND))
         said.append(labels[1])
     figure.legend(patches, said, loc="outside lower center", ncols=3, fontsize=8,
                   title=unit, title_fontsize=8)  # fmt: skip

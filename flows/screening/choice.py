@@ -201,6 +201,6 @@ def _independent(
             break
         more.append(others[column])
         reasons[others[column]] = (
-            f"{100 * share:.2g} % of its column is independent of the ones before it"
+            f"{100 * share:.3g} % of its column is independent of the ones before it"
         )
     return more

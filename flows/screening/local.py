@@ -21,9 +21,7 @@ from modetune.flows.evaluator import Matrix
 from modetune.flows.screening.record import LocalSensitivity
 
 
-def local_sensitivity(
-    campaign: Campaign, nominal: Evaluation, matrix: Matrix
-) -> LocalSensitivity:
+def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -> LocalSensitivity:
     """Normalised and weighted sensitivities at an evaluated set."""
     residual, theta, pairing = nominal.residual, nominal.theta, nominal.pairing
     n = residual.n_frequencies

@@ -37,13 +37,20 @@ def write_proposal(campaign_file: Path, screening: Screening, out: Path) -> Path
             "screening chose no parameter, so there is no campaign to propose; the table tells why "
             "each was left out"
         )
-    if out.exists() and out.resolve() == campaign_file.resolve():
-        raise CampaignError(f"--out {out} is the campaign itself; name another file")
+    check_out(campaign_file, out)
     source = read_yaml(campaign_file, "a campaign")
     text = proposed_text(source, screening, out)
     with writing(out) as part:
         part.write_bytes(text.encode("utf-8"))
     return out
+
+
+def check_out(campaign_file: Path, out: Path) -> None:
+    """A proposal stands beside the campaign, never in its place. Raises CampaignError."""
+    if out.exists() and out.resolve() == campaign_file.resolve():
+        raise CampaignError(f"--out {out} is the campaign itself; name another file")
+    if out.is_dir():
+        raise CampaignError(f"--out {out} is a folder; name a file")
 
 
 def proposed_text(source: YamlFile, screening: Screening, out: Path) -> str:
@@ -145,7 +152,7 @@ def _edited(source: YamlFile, screening: Screening, wanted: dict[str, object]) -
         said = [f"{indent}# {line}{ends}" for line in textwrap.wrap(f"left out: {reasons[name]}",
                                                                     width)]  # fmt: skip
         cut = [
-            f"{indent}# {line[len(indent):]}" if line.startswith(indent) else f"{indent}# {line}"
+            f"{indent}# {line[len(indent) :]}" if line.startswith(indent) else f"{indent}# {line}"
             for line in body
         ]
         lines[first : last + 1] = said + cut
@@ -166,6 +173,7 @@ def _scalar(value: object) -> str:
 def _item_lines(source: YamlFile) -> list[tuple[int, int]] | None:
     """First and last line (from 0) of each parameter of a list that has a dash a line."""
     node = yaml.compose(source.text, Loader=yaml.SafeLoader)
+    assert isinstance(node, yaml.MappingNode)
     items = next(value for key, value in node.value if key.value == "parameters")
     if items.flow_style:
         return None
@@ -180,7 +188,7 @@ def _item_lines(source: YamlFile) -> list[tuple[int, int]] | None:
 
 def _last_line(node: yaml.Node) -> int:
     """The last line (from 0) that holds something of a node: the end of a block is the next one."""
-    if isinstance(node, yaml.ScalarNode) or node.flow_style:
+    if not isinstance(node, yaml.CollectionNode) or node.flow_style:
         end = node.end_mark
         return int(end.line if end.column or end.line == node.start_mark.line else end.line - 1)
     last = node.value[-1]

@@ -1,19 +1,19 @@
 """The record of a screening: everything from which its tables and figures follow.
 
-    /                     attributes: name, method, seed, solver, solver_version, units, wall_s,
-                          runs_modal, runs_sensitivity, runs_reused, campaign (text of the file)
-    parameters/           names, lower, upper, deviations (n_parameters,)
-    modes/                numbers, test_hz, nominal_hz, nominal_mac (n_modes,)
-    design/               points (n_points, n_parameters), blocks, failures (text, empty where
-                          good), keys of the jobs (n_points,); attribute levels
-    responses/            frequencies_hz, mac (n_points, n_modes), NaN where a point failed; mac
-                          without columns where no shape was measured
-    local/                frequencies: (df/f) / (dp/p) (n_modes, n_parameters), mac likewise where
-                          shapes are compared, weighted (n_residuals, n_parameters),
-                          weighted_residual, methods, missing (text)
-    indices/              one dataset a measure (n_responses, n_parameters), moves, explained,
-                          interactions, interaction_shares; attribute used. Not for `local`.
-    choice/               importance, verdicts: names, ranks, reasons; ranking, misfits, groups
+/                     attributes: name, method, seed, solver, solver_version, units, wall_s,
+                      runs_modal, runs_sensitivity, runs_reused, campaign (text of the file)
+parameters/           names, lower, upper, deviations (n_parameters,)
+modes/                numbers, test_hz, nominal_hz, nominal_mac (n_modes,)
+design/               points (n_points, n_parameters), blocks, failures (text, empty where
+                      good), keys of the jobs (n_points,); attribute levels
+responses/            frequencies_hz, mac (n_points, n_modes), NaN where a point failed; mac
+                      without columns where no shape was measured
+local/                frequencies: (df/f) / (dp/p) (n_modes, n_parameters), mac likewise where
+                      shapes are compared, weighted (n_residuals, n_parameters),
+                      weighted_residual, methods, missing (text)
+indices/              one dataset a measure (n_responses, n_parameters), moves, explained,
+                      interactions, interaction_shares; attribute used. Not for `local`.
+choice/               importance, verdicts: names, ranks, reasons; ranking, misfits, groups
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 
 from modetune.core.errors import CampaignError
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 from modetune.core.record import RunCounts
 from modetune.core.store import writing
 from modetune.flows.screening.choice import Choice, Verdict
@@ -161,7 +161,7 @@ def read_screening(path: Path) -> Screening:
         raise CampaignError(f"{path} is no record of a screening: {error}") from error
 
 
-def _put(file: h5py.File, name: str, **columns: Floats | tuple[str, ...]) -> None:
+def _put(file: h5py.File, name: str, **columns: Floats | Integers | tuple[str, ...]) -> None:
     group = file.create_group(name)
     for key, value in columns.items():
         if isinstance(value, tuple):
@@ -176,7 +176,7 @@ def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
 
 def _read(file: h5py.File) -> Screening:
     attrs, local, parameters, modes = file.attrs, file["local"], file["parameters"], file["modes"]
-    method = str(attrs["method"])
+    method = next(name for name in METHODS if name == attrs["method"])
     return Screening(
         name=str(attrs["name"]),
         seed=int(attrs["seed"]),
@@ -190,7 +190,7 @@ def _read(file: h5py.File) -> Screening:
         test_hz=modes["test_hz"][()],
         nominal_hz=modes["nominal_hz"][()],
         nominal_mac=modes["nominal_mac"][()],
-        design=_read_design(file, METHODS[METHODS.index(method)]),  # type: ignore[arg-type]
+        design=_read_design(file, method),
         responses=Responses(
             file["responses/frequencies_hz"][()],
             file["responses/mac"][()],
@@ -205,7 +205,9 @@ def _read(file: h5py.File) -> Screening:
         importance=file["choice/importance"][()],
         choice=_read_choice(file["choice"]),
         runs=RunCounts(
-            *(int(attrs[f"runs_{kind}"]) for kind in ("modal", "sensitivity", "reused")),
+            int(attrs["runs_modal"]),
+            int(attrs["runs_sensitivity"]),
+            int(attrs["runs_reused"]),
             float(attrs["core_s"]),
         ),
         wall_s=float(attrs["wall_s"]),
@@ -214,15 +216,27 @@ def _read(file: h5py.File) -> Screening:
 
 def _read_design(file: h5py.File, method: Method) -> Design:
     design, parameters = file["design"], file["parameters"]
-    columns = (design["points"], design["blocks"], parameters["lower"], parameters["upper"])
-    return Design(method, *(column[()] for column in columns), int(design.attrs["levels"]))
+    return Design(
+        method=method,
+        points=design["points"][()],
+        blocks=design["blocks"][()],
+        lower=parameters["lower"][()],
+        upper=parameters["upper"][()],
+        levels=int(design.attrs["levels"]),
+    )
 
 
 def _read_indices(group: h5py.Group) -> Indices:
     measures = tuple(str(name) for name in group.attrs["measures"])
-    names = ("moves", "explained", "interactions", "interaction_shares")
-    return Indices(measures, np.stack([group[name][()] for name in measures]),
-                   *(group[name][()] for name in names), int(group.attrs["used"]))  # fmt: skip
+    return Indices(
+        measures=measures,
+        values=np.stack([group[name][()] for name in measures]),
+        moves=group["moves"][()],
+        explained=group["explained"][()],
+        interactions=group["interactions"][()],
+        interaction_shares=group["interaction_shares"][()],
+        used=int(group.attrs["used"]),
+    )
 
 
 def _read_choice(group: h5py.Group) -> Choice:

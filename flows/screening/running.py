@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.errors import ModesError, ModetuneError, SolverError
+from modetune.core.errors import CampaignError, ModesError, ModetuneError, SolverError
 from modetune.core.modes import Floats
 from modetune.core.pairing import LostMode
 from modetune.core.record import RunCounts
@@ -76,6 +76,11 @@ def screen_campaign(
     be), SolverError, ModesError (too few points are left), StoreError.
     """
     started = time.monotonic()
+    if campaign.configurations:
+        raise CampaignError(
+            "screen takes one model and one test; this campaign has several configurations, so "
+            "screen each by a campaign file of its own"
+        )
     # One stream for the points and one for the analysis, so that either stays if the other changes.
     at_points, at_indices = np.random.default_rng(request.seed).spawn(2)
     parameters = campaign.parameters
@@ -168,7 +173,7 @@ class _Points:
         self.nominal = nominal
         self.progress = progress
         self.runs = RunCounts()
-        self.done = self.failed = 0
+        self.done = self.ran = self.failed = 0  # of one pass over points
 
     def solve(self, points: Floats) -> Responses:
         """The responses at (n_points, n_parameters); lost modes widen the computed range."""
@@ -179,7 +184,6 @@ class _Points:
         waiting = list(range(n))
         for widening in range(WIDENINGS + 1):
             lost = []
-            self.done = 0
             for place, done in zip(waiting, self._run(points[waiting]), strict=True):
                 try:
                     keys[place], found = self._compared(points[place], done)
@@ -204,10 +208,11 @@ class _Points:
     def _run(self, points: Floats) -> list[Done]:
         def told(done: Done) -> None:
             self._count(done)
-            self.progress.points(self.done, len(points), self.runs.modal, self.failed)
+            self.progress.points(self.done, len(points), self.ran, self.failed)
 
         if not len(points):
             return []
+        self.done = self.ran = self.failed = 0
         self.progress.working("points of the design")
         execution = ThreadExecution(self.engine, self.campaign.parallel, told)
         work = [Work(f"point {n}", (self._job(point),)) for n, point in enumerate(points, start=1)]
@@ -218,7 +223,9 @@ class _Points:
         if isinstance(done, ModetuneError):
             self.failed += 1
         else:
-            self.runs = self.runs.plus(outcomes_count("modal", done))
+            counts = outcomes_count("modal", done)
+            self.ran += counts.modal
+            self.runs = self.runs.plus(counts)
 
     def _job(self, point: Floats) -> Job:
         return Job(self.campaign.parameters.values(point), self.analysis)

@@ -20,7 +20,7 @@ SHOWN = 12
 
 def told(screening: Screening) -> dict[str, Json]:
     """The `--json` object of `modetune screen`."""
-    design, local, choice = screening.design, screening.local, screening.choice
+    design, choice = screening.design, screening.choice
     return {
         "status": "done",
         "name": screening.name,
@@ -47,26 +47,28 @@ def told(screening: Screening) -> dict[str, Json]:
             }
             for place, number in enumerate(screening.numbers)
         ],
-        "parameters": [
-            {
-                "name": name,
-                "bounds": [float(design.lower[place]), float(design.upper[place])],
-                "importance": float(screening.importance[place]),
-                "rank": choice.ranking.index(place) + 1,
-                "chosen": choice.verdicts[place].rank,
-                "reason": choice.verdicts[place].reason,
-                "sensitivity": local.methods[place],
-                "frequencies": _list(local.frequencies[:, place]),
-                "mac": _list(local.mac[:, place]),
-                "indices": _indices(screening, place),
-            }
-            for place, name in enumerate(screening.names)
-        ],
+        "parameters": [_parameter(screening, place) for place in range(len(screening.names))],
         "interactions": _interactions(screening),
         "collinear": [[screening.names[place] for place in group] for group in choice.groups],
         "chosen": list(choice.chosen),
         "residual_left": list(choice.misfits),
     }  # fmt: skip
+
+
+def _parameter(screening: Screening, place: int) -> dict[str, Json]:
+    design, local, choice = screening.design, screening.local, screening.choice
+    return {
+        "name": screening.names[place],
+        "bounds": [float(design.lower[place]), float(design.upper[place])],
+        "importance": float(screening.importance[place]),
+        "rank": choice.ranking.index(place) + 1,
+        "chosen": choice.verdicts[place].rank,
+        "reason": choice.verdicts[place].reason,
+        "sensitivity": local.methods[place],
+        "frequencies": _list(local.frequencies[:, place]),
+        "mac": _list(local.mac[:, place]),
+        "indices": _indices(screening, place),
+    }
 
 
 def _indices(screening: Screening, place: int) -> dict[str, Json]:
@@ -173,7 +175,7 @@ def _interaction_table(screening: Screening) -> Table:
                    ["parameters", "effect", "share"])  # fmt: skip
     for row in _interactions(screening)[:8]:
         assert isinstance(row, dict)
-        first, second = row["parameters"]  # type: ignore[misc]
+        first, second = row["parameters"]
         table.add_row(str(row["response"]), f"{first} x {second}", f"{row['effect']:.3g}",
                       f"{row['share']:.3g}")  # fmt: skip
     return table
@@ -199,11 +201,12 @@ def lines(screening: Screening) -> list[str]:
         first = next(text for text in screening.responses.failures if text).splitlines()[0]
         blocks = np.unique(design.blocks[[bool(text) for text in screening.responses.failures]])
         how = (
-            "fitted effects stand in for them" if design.method == "factorial"
-            else f"{blocks.size} of {np.unique(design.blocks).size} {UNITS[design.method]} are "
+            ", fitted effects stand in for them" if design.method == "factorial"
+            else " and are left out" if design.method == "lhs"
+            else f", {blocks.size} of {np.unique(design.blocks).size} {UNITS[design.method]} are "
             "left out"
         )  # fmt: skip
-        said.append(f"{failed} of {len(design.points)} points failed, {how}; the first: {first}")
+        said.append(f"{failed} of {len(design.points)} points failed{how}; the first: {first}")
     chosen = screening.choice.chosen
     said.append(f"proposed: {', '.join(chosen) if chosen else 'none of them'}"
                 + _explained(screening))  # fmt: skip

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 
 from modetune.core.errors import CampaignError
 from modetune.core.estimation import StepForm, StepProblem, parameter_covariance, parameter_step
-from modetune.core.identifiability import Identifiability, collinearity, identifiability
+from modetune.core.identifiability import (
+    Identifiability,
+    collinearity,
+    identifiability,
+    remaining_step,
+)
 from modetune.core.modes import Floats
 
 
@@ -90,6 +95,16 @@ def test_a_well_posed_sensitivity_has_nothing_unseen() -> None:
     assert found.condition == pytest.approx(3.0)
     assert found.collinearity.whole == pytest.approx(1.0)
     np.testing.assert_allclose(found.collinearity.indices, 1.0)
+
+
+def test_the_remaining_step_is_least_squares_where_the_test_sees() -> None:
+    noise = np.random.default_rng(4)
+    s, z, w = noise.normal(size=(6, 3)), noise.normal(size=6), noise.uniform(50.0, 200.0, 6)
+    expected = np.linalg.solve(s.T @ (w[:, None] * s), s.T @ (w * z))
+    np.testing.assert_allclose(remaining_step(s, z, w, np.full(3, 0.5)), expected, rtol=1e-9)
+    # A parameter that hardly moves anything is not asked to move far.
+    s[:, 2] *= 1e-6
+    assert remaining_step(s, z, w, np.full(3, 0.5))[2] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_without_a_prior_what_is_determined_at_all_is_the_tests() -> None:

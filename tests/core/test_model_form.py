@@ -73,7 +73,8 @@ class Case:
     def form(self, level: float = 0.01) -> ModelForm:
         return model_form(
             self.sensitivity, self.found.values, self.found.variances,
-            0.5 - self.theta, 2.0 - self.theta, n_redundant=5, level=level,
+            0.5 - self.theta, 2.0 - self.theta,
+            shapes=np.concatenate([np.full(5, -1), np.repeat(np.arange(5), 7)]), level=level,
         )  # fmt: skip
 
 
@@ -159,6 +160,17 @@ def test_an_old_sensitivity_is_believed_less() -> None:
         for moved in (None, np.array([0.3]))
     )
     assert old.statistic < fresh.statistic
+
+
+def test_a_shape_counts_one_less_and_half_of_its_turn_is_allowed_to_it() -> None:
+    # S d = (0.1, 0.1): a mean square of 0.01, of which a quarter is added to each variance; what
+    # one parameter leaves of (0.15, 0.05) is (0.05, -0.05).
+    shape = np.zeros(2, dtype=np.int64)
+    form = model_form(np.ones((2, 1)), np.array([0.15, 0.05]), np.full(2, 0.001), -FREE, FREE,
+                      shapes=shape)  # fmt: skip
+    variance = 0.001 + (0.1 * 0.05) ** 2 + 0.25 * 0.01
+    assert form.dof == 0
+    assert form.statistic == pytest.approx(2 * 0.05**2 / variance)
 
 
 def test_variances_must_be_above_zero() -> None:

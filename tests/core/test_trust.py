@@ -11,7 +11,12 @@ import pytest
 
 from modetune.core.estimation import LCurve
 from modetune.core.identifiability import identifiability
-from modetune.core.judgement import combination_sentences, judge_parameters, trust_sentences
+from modetune.core.judgement import (
+    combination_sentences,
+    judge_parameters,
+    short_sentences,
+    trust_sentences,
+)
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.trust import StartSpread, Trust, with_concerns, with_spread
@@ -128,7 +133,8 @@ def test_almost_alike_is_flagged_although_it_is_told() -> None:
     turned = np.deg2rad(2.0)
     s = 1e5 * np.array([[1.0, np.cos(turned)], [0.0, np.sin(turned)]])
     found = trust(s, [1.1, 1.1])
-    assert flags(found) == [("collinear",), ("collinear",)]
+    assert flags(found) == [("alike",), ("alike",)]
+    assert found.verdict == "trusted with reservations"  # told, and yet
     assert "collinearity index 41" in found.unseen[0]
     assert "acts almost like b" in found.parameters[0].sentence
 
@@ -166,6 +172,18 @@ def test_without_agreement_or_with_a_concern_there_are_reservations() -> None:
     assert trust_sentences(found)[-1] == "No parameter can remove the residual."
 
 
+def test_an_answer_short_of_the_least_misfit_is_told_and_doubts_nothing() -> None:
+    names = ("a", "b", "c")
+    errors = np.array([0.01, 0.001, np.inf])
+    (said,) = short_sentences(names, np.array([0.025, 0.005, 0.3]), errors)
+    # a by 2.5 of its errors; b by five, but below one percent; nothing is known of c's.
+    assert "(a by +2.5 %, 2.5 standard errors)" in said
+    assert short_sentences(names, np.array([0.015, 0.005, 0.3]), errors) == ()
+    found = replace(trust(WELL_POSED, [1.1] * 4), notes=(said,))
+    assert found.verdict == "trusted"
+    assert trust_sentences(found)[-1] == said
+
+
 def test_other_starts_that_fit_as_well_take_the_trust_away() -> None:
     found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (1,), ("b",)))
     assert flags(found) == [(), ("starts",), (), ()]
@@ -194,7 +212,7 @@ def test_the_file_gives_back_what_was_written(tmp_path: Path, whole: bool) -> No
     if whole:
         curve = LCurve(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]), 1.5)
         found = with_spread(with_concerns(found, "One.", "Two."), spread(4, (1,), ("a", "b")))
-        found = replace(found, curve=curve, regularisation=0.5, age=2)
+        found = replace(found, curve=curve, regularisation=0.5, age=2, notes=("Three.",))
     with h5py.File(tmp_path / "trust.h5", "w") as file:
         write_trust(file, found)
         assert repr(read_trust(file)) == repr(found)

@@ -1,4 +1,4 @@
-"""`modetune localise`: what it finds on the scripted chain and on solids, what it costs and says."""
+"""`modetune localise`: what it finds on the scripted chain and on solids, and what it costs."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from typer.testing import CliRunner
 
 from modetune.adapters.modes_csv import write_modes_csv
 from modetune.core.errors import CampaignError
+from modetune.core.mesh import Mesh
 from modetune.core.modes import mode_set
 from modetune.core.record_file import read_record
+from modetune.core.surface import Surface
 from modetune.flows.campaign import load_campaign
 from modetune.flows.commands.localise import register
 from modetune.flows.error_maps import OTHER_MASS, OTHER_STIFFNESS
@@ -23,7 +25,8 @@ from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.execution.engine import Job
 from modetune.flows.form_verdict import record_verdict, verdict_summary
 from modetune.flows.localising import localise, place_of
-from modetune.flows.report.localisation_figures import write_figures
+from modetune.flows.report.figures import save
+from modetune.flows.report.localisation_figures import on_surface, surface_figure, write_figures
 from modetune.flows.running import job_engine, update_campaign
 
 SIX_MASS = Path(__file__).resolve().parents[2] / "configs" / "six_mass"
@@ -48,10 +51,10 @@ def test_the_wrong_spring_is_named_with_its_error_and_the_runs_it_took(bench: An
     errors = found.maps.errors
     first = int(errors.ranking[0])
     assert found.maps.groups[first] == "k5"
-    # A test without noise at all masses: its forces are those of the spring alone, but for the
-    # deviation of 2 % that the campaign gives its shapes.
+    # A test without noise at all masses: its forces are those of the spring alone, pulled towards
+    # none by the deviation of 2 % that the campaign gives its shapes.
     assert errors.force_shares[first] == pytest.approx(1.0, abs=0.03)
-    assert errors.changes[first] == pytest.approx(0.3, abs=0.02)
+    assert errors.changes[first] == pytest.approx(0.3, abs=0.03)
     assert int(np.argmax(errors.error_shares)) == first
     assert found.singles[0].members == (4,)
     assert found.singles[0].removed > 0.95
@@ -150,6 +153,24 @@ def test_figures_are_written_for_what_was_found(bench: Any, tmp_path: Path) -> N
     paths = write_figures("chain $x", found, mesh, surface, tmp_path / "figures")
     assert [path.name for path in paths] == ["removals.png", "groups.png", "map.png"]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+@pytest.mark.parametrize("triangles", [np.array([[0, 1, 2]]), np.zeros((0, 3), dtype=np.int64)])
+def test_a_flat_surface_and_bare_points_are_drawn(triangles: Any, tmp_path: Path) -> None:
+    places = np.array([[0.0, 0.0, 5.0], [1.0, 0.0, 5.0], [0.0, 1.0, 5.0]])
+    surface = Surface(np.arange(1, 4), places, triangles, np.zeros((0, 2), dtype=np.int64))
+    path = save(surface_figure("flat", surface, np.array([0.0, 0.5, 1.0])), tmp_path / "map.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_strain_at_a_thinned_surface_is_the_mean_square_of_what_it_stands_for() -> None:
+    # Nodes at 0, 1 and 10; the surface keeps 0 and 10, so 0 stands for two: (9 + 1) / 2 = 5.
+    places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    mesh = Mesh(np.arange(1, 4), places, ())
+    none = np.zeros((0, 2), dtype=np.int64)
+    surface = Surface(np.array([1, 3]), places[[0, 2]], np.zeros((0, 3), dtype=np.int64), none)
+    found = on_surface(np.array([3.0, 1.0, 2.0]), mesh, surface)
+    assert found == pytest.approx([np.sqrt(5.0), 2.0])
 
 
 def test_the_command_tells_machines_and_people(

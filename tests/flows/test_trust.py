@@ -45,6 +45,21 @@ def test_nothing_is_flagged_on_a_well_posed_twin(bench: Any, watcher: Any, form:
     assert found.unseen == ()
 
 
+def test_an_update_that_e1_ends_early_says_where_its_standard_errors_hold(
+    bench: Any, watcher: Any
+) -> None:
+    # Damped steps until all frequencies are within 2 %, measured to 0.2 %.
+    update = UpdateSection(step="regularised", regularisation=1000.0, e2=0.0,
+                           e1=E1Section(frequency=0.02, mac=0.0))  # fmt: skip
+    found = trust_of(run(bench, watcher, bench.campaign(TRUTH, update=update)))
+    assert found.agrees
+    (note,) = found.notes
+    assert note.startswith("Updating ended as soon as e1 was met; the least misfit lies further on")
+    exact = UpdateSection(step="regularised", e2=0.0, e1=E1Section(frequency=1e-5, mac=0.0))
+    told = update_campaign(bench.campaign(TRUTH, update=exact), bench.folder / "exact", watcher)
+    assert trust_of(told).notes == ()
+
+
 def test_shares_and_singular_values_are_those_of_the_chain(bench: Any, watcher: Any) -> None:
     """Against the normal equations of the sensitivity that the record holds."""
     record = run(bench, watcher, bench.campaign(TRUTH)).record

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.optimize import brentq
 
 from modetune.core.errors import CampaignError, SolverCrashed
 from modetune.core.held_out import LOST, judge_held_out, pair_held_out, track_held_out
@@ -58,7 +59,7 @@ def test_a_held_out_mode_comes_true_with_the_true_parameters(
     # The parameters are the true ones, so modes that nobody fitted are the true ones too.
     np.testing.assert_allclose(record.updated, list(TRUTH.values()), rtol=1e-6)
     np.testing.assert_allclose(held.error_updated, 0.0, atol=1e-7)
-    assert (np.abs(held.error_initial) > 1e-3).all()
+    assert (np.abs(held.error_initial) > 1e-4).all()
     assert not held.any_worse
     np.testing.assert_allclose(held.mac_updated, 1.0 if shapes else np.nan, rtol=1e-9)
 
@@ -70,10 +71,7 @@ def test_before_and_after_are_the_models_own_frequencies(
     held = record.held_out
     assert held is not None
     for found, values in ((held.initial_hz, {}), (held.updated_hz, TRUTH)):
-        stiffness, masses = chain_of(values)
-        # Another way to the same frequencies: eigenvalues of M^-1 K, which is not symmetric.
-        eigenvalues = np.sort(np.linalg.eigvals(stiffness / masses[:, None]).real)
-        np.testing.assert_allclose(found, np.sqrt(eigenvalues[3]) / 2 / np.pi, rtol=1e-6)
+        np.testing.assert_allclose(found, frequencies(chain_of, values)[3], rtol=1e-6)
 
 
 def test_what_is_held_out_never_influences_the_answer(bench: Any, watcher: Any) -> None:
@@ -85,7 +83,7 @@ def test_what_is_held_out_never_influences_the_answer(bench: Any, watcher: Any) 
     for held in (whole.test.use((4, 5)), lies):
         other = run(bench, watcher, replace(without, held_out=held), "other")
         np.testing.assert_array_equal(other.updated, plain.updated)  # bit for bit
-        assert [item.modal_key for item in other.iterations][0]
+        assert other.best.residual.values.tolist() == plain.best.residual.values.tolist()
 
 
 def test_held_out_modes_need_no_solver_run_of_their_own(bench: Any, watcher: Any) -> None:
@@ -108,27 +106,41 @@ def test_frequencies_alone_keep_their_place_in_the_order_of_all(bench: Any, watc
     )
 
 
+def frequencies(chain_of: Callable[[Values], tuple[Floats, Floats]], values: Values) -> Floats:
+    """Of the chain, from M^-1 K, which is not symmetric: another way than the solver's."""
+    stiffness, masses = chain_of(values)
+    eigenvalues = np.sort(np.linalg.eigvals(stiffness / masses[:, None]).real)
+    return np.asarray(np.sqrt(eigenvalues) / 2 / np.pi)
+
+
 def wrong_parameter(bench: Any, shapes: bool = False) -> Campaign:
     """The truth has another spring than the one that may change: a model-form error.
 
     Fitted to the first mode alone by the wrong spring, the higher modes are driven away.
     """
     campaign = bench.campaign(
-        {"k1": 1.6}, modes=(1, 4), shapes=shapes, parameters={"k6": "spring_stiffness"}
+        {"k1": 1.3}, modes=(1, 2, 3, 4), shapes=shapes, parameters={"k2": "spring_stiffness"}
     )
-    return hold_out(campaign, (4,))
+    return hold_out(campaign, (2, 3, 4))
 
 
-def test_a_held_out_mode_that_got_worse_is_marked_everywhere(bench: Any, watcher: Any) -> None:
+def test_a_held_out_mode_that_got_worse_is_marked_everywhere(
+    bench: Any, watcher: Any, chain_of: Callable[[Values], tuple[Floats, Floats]]
+) -> None:
     record = run(bench, watcher, wrong_parameter(bench))
     held = record.held_out
     assert held is not None
-    assert held.worse.tolist() == [True]
-    assert abs(held.error_updated[0]) > abs(held.error_initial[0]) + 0.002  # the deviation
+    # What k2 has to be for the first frequency to be right, by bisection, and mode 4 with it.
+    true = frequencies(chain_of, {"k1": 1.3})
+    k2 = brentq(lambda value: frequencies(chain_of, {"k2": value})[0] - true[0], 1.0, 2.5)
+    np.testing.assert_allclose(record.updated, k2, rtol=1e-6)
+    bent = frequencies(chain_of, {"k2": k2})
+    np.testing.assert_allclose(held.error_updated, bent[1:4] / true[1:4] - 1.0, rtol=1e-4)
+    growth = np.abs(held.error_updated) - np.abs(held.error_initial)
+    assert held.worse.tolist() == (growth > 0.002).tolist() == [False, False, True]
     told: Any = summary(record, Path("runs"))["held_out"]
-    assert [row["test"] for row in told] == [4]
-    assert told[0]["worse"] is True
-    assert told[0]["mac_updated"] is None
+    assert [(row["test"], row["worse"]) for row in told] == [(2, False), (3, False), (4, True)]
+    assert told[2]["mac_updated"] is None
     (line,) = held_out_lines(held, ())
     assert line.startswith("mode 4, held out, got worse: it was ")
     assert "got worse" in held_out_section(record).source
@@ -258,13 +270,12 @@ def test_an_update_in_a_round_is_the_one_that_holds_the_mode_out(bench: Any, wat
 
 
 def test_a_wrong_parameter_shows_in_what_was_left_out(bench: Any) -> None:
-    campaign = bench.campaign(
-        {"k1": 1.6}, modes=(1, 4), parameters={"k6": "spring_stiffness"}
-    )
+    kinds = {"k2": "spring_stiffness"}
+    campaign = bench.campaign({"k1": 1.3}, modes=(1, 2, 3, 4), parameters=kinds)
     found = leave_one_out(campaign, silent)
     assert found.status == "worse"
     assert found.held_out is not None
-    assert found.held_out.worse[1]  # mode 4, when k6 is fitted to mode 1
+    assert found.held_out.worse[3]  # mode 4, when k2 is fitted to the others
 
 
 def test_a_mode_that_is_left_out_joins_those_that_are_held_out(bench: Any) -> None:

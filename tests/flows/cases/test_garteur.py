@@ -17,7 +17,7 @@ from modetune.flows.evaluation import Point
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import job_engine, update_campaign
-from modetune.flows.sensitivities import Exact, Sensitivities
+from modetune.flows.sensitivities import Exact
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "garteur"
 
@@ -48,13 +48,9 @@ def derivatives(campaign: Campaign, method: Exact, columns: list[int]) -> Any:
     engine = job_engine(campaign)
     evaluator = Evaluator(campaign, engine, ThreadExecution(engine, 2))
     evaluation, _ = evaluator.evaluate(0, campaign.parameters.initial, None, alone=True)
-    methods = Sensitivities(
-        engine, campaign.parameters, campaign.sensitivity,
-        campaign.weighting.shape_weight > 0.0, evaluator.analysis,
-    )  # fmt: skip
     chosen: list[Exact] = [method] * len(campaign.parameters)
     point = Point(evaluation.theta, evaluation.modal, evaluation.pairing)
-    return methods.assemble(point, chosen, columns), evaluation
+    return evaluator.sensitivities().assemble(point, chosen, columns), evaluation
 
 
 DENSITY = (

@@ -56,8 +56,9 @@ def test_both_of_two_equal_peaks_are_found_and_sampled(two_peaked: Posterior) ->
     share = (chains.flat[:, 0] > 0.0).mean()
     assert 0.35 < share < 0.65
     which = peaks.nearest(chains.flat)
-    assert np.array_equal(chains.flat[which == 0, 0] > 0.0, np.full((which == 0).sum(),
-                                                                    peaks.points[0, 0] > 0.0))
+    assert np.array_equal(
+        chains.flat[which == 0, 0] > 0.0, np.full((which == 0).sum(), peaks.points[0, 0] > 0.0)
+    )
 
 
 def test_no_sample_leaves_the_range(linear: Any) -> None:

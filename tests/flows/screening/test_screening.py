@@ -3,25 +3,45 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy import special
 
+from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.errors import CampaignError, ModesError, SolverError
 from modetune.core.modes import Floats
-from modetune.flows.campaign import Campaign
+from modetune.core.parameters import Values
+from modetune.core.results import ModalResult, Result
+from modetune.flows.campaign import Campaign, Configuration
 from modetune.flows.report.screening_figures import write_figures
 from modetune.flows.screening.design import METHODS, Method
 from modetune.flows.screening.progress import ConsoleScreening
 from modetune.flows.screening.record import Screening, read_screening, write_screening
 from modetune.flows.screening.running import ScreeningRequest, screen_campaign
 from modetune.flows.screening.telling import lines, tables, told
-from tests.flows.conftest import Bench, chain_modes
+from tests.flows.conftest import Bench, ScriptedSolver, chain_modes
 from tests.flows.screening.conftest import ScreenWatcher, series_hz
 
 ONE = np.ones(1)
+
+
+class ShortSolver(ScriptedSolver):
+    """Leaves out all modes but the first where the first spring is stiff, until asked for more."""
+
+    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
+        result = super().read(values, analysis, folder, return_code)
+        assert isinstance(result, ModalResult)
+        assert isinstance(analysis, ModalAnalysis)
+        if values["k1"] < 2.0 or analysis.n_modes > 2 + 10:  # two measured, ten to spare
+            return result
+        return ModalResult(
+            result.eigenvalues[:1], result.modes.select(np.array([0])), result.groups,
+            result.strain_energies[:, :1], result.total_strain_energy[:1], result.mass,
+        )  # fmt: skip
 
 
 def screened(campaign: Campaign, method: Method, **asked: int) -> Screening:
@@ -66,9 +86,9 @@ def test_factorial_effects_of_springs_in_series_are_those_of_the_closed_form(
 
 
 def test_sobol_indices_of_springs_in_series_are_those_of_quadrature(series: Campaign) -> None:
-    found = screened(series, "sobol", points=64 * 5)
+    found = screened(series, "sobol", points=32 * 5)
     assert found.indices is not None
-    nodes, weights = np.polynomial.legendre.leggauss(12)
+    nodes, weights = special.roots_legendre(12)
     nodes, weights = 1.0 + 0.5 * nodes, 0.5 * weights
     grid = np.stack(np.meshgrid(nodes, nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 3)
     y, w = relative(grid).reshape(12, 12, 12), weights
@@ -77,10 +97,10 @@ def test_sobol_indices_of_springs_in_series_are_those_of_quadrature(series: Camp
     alone = [np.einsum(f"ijk,{rest}->{own}", y, w, w) - mean
              for own, rest in (("i", "j,k"), ("j", "i,k"), ("k", "i,j"))]  # fmt: skip
     first = np.array([part**2 @ w for part in alone]) / total
-    np.testing.assert_allclose(found.indices.measure("first")[0], first, atol=0.08)
+    np.testing.assert_allclose(found.indices.measure("first")[0], first, atol=0.12)
     # Nearly additive: interactions are what first indices leave, so totals are little more.
     assert first.sum() > 0.95
-    np.testing.assert_allclose(found.indices.measure("total")[0], first, atol=0.08)
+    np.testing.assert_allclose(found.indices.measure("total")[0], first, atol=0.12)
 
 
 def test_morris_ranks_springs_in_series_as_their_closed_form(series: Campaign) -> None:
@@ -122,10 +142,11 @@ def test_slopes_of_mac_are_those_of_differences(bench: Bench) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_the_same_screening_again_starts_no_solver(bench: Bench, method: Method) -> None:
     campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2, 3), shapes=True)
-    first = screened(campaign, method, **({} if method == "local" else {"points": 40}))
+    asked = {} if method == "local" else {"points": 32 if method == "sobol" else 9}
+    first = screened(campaign, method, **asked)
     ran = bench.runs()
     assert ran == first.runs.modal + first.runs.sensitivity
-    again = screened(campaign, method, **({} if method == "local" else {"points": 40}))
+    again = screened(campaign, method, **asked)
     assert bench.runs() == ran
     assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
     np.testing.assert_array_equal(again.importance, first.importance)
@@ -170,6 +191,32 @@ def test_a_failed_point_takes_its_trajectory_along_and_is_told(bench: Bench) -> 
     assert np.isnan(found.responses.frequencies_hz).any(axis=1).sum() == 1
 
 
+def test_a_mode_that_is_lost_at_points_widens_the_range_there(
+    bench: Bench, screen_watcher: ScreenWatcher
+) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
+    short = ShortSolver(bench.folder)
+    found = screen_campaign(
+        replace(campaign, solver=short), ScreeningRequest("factorial"), screen_watcher
+    )
+    assert found.responses.n_failed == 0
+    # The deck's values, four corners, and the two stiff ones once more.
+    assert bench.runs() == found.runs.modal == 1 + 4 + 2
+    assert screen_watcher.told[4:] == [(1, 2, 1, 0), (2, 2, 2, 0)]
+    expected = [np.sqrt(chain_modes({"k1": a, "k3": b})[0][:2]) / 2 / np.pi
+                for a, b in found.design.points.tolist()]  # fmt: skip
+    np.testing.assert_allclose(found.responses.frequencies_hz, expected)
+
+
+def test_failed_points_of_a_hypercube_are_left_out_and_told(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
+    bench.script({3: "rejected"})
+    found = screened(campaign, "lhs", points=8)
+    assert found.indices is not None
+    assert found.indices.used == 7
+    assert "1 of 8 points failed and are left out; the first: " in "\n".join(lines(found))
+
+
 def test_a_killed_point_is_tried_again(bench: Bench) -> None:
     campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2), retries=1)
     bench.script({4: "killed"})
@@ -204,7 +251,7 @@ def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
     bench: Bench, method: Method, tmp_path: Path
 ) -> None:
     campaign = bench.campaign({"k1": 1.3, "k3": 0.9, "k6": 1.1}, modes=(1, 2, 3), shapes=True)
-    asked = {} if method == "local" else {"points": 40}
+    asked = {} if method == "local" else {"points": 40 if method == "sobol" else 8}
     found = screened(campaign, method, **asked)
     path = tmp_path / "screening.h5"
     write_screening(path, found)
@@ -222,6 +269,14 @@ def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
     assert all(name in shown for name in found.names)
     for figure in write_figures(again, tmp_path / "figures"):
         assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_several_configurations_are_refused_with_a_remedy(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2}, modes=(1, 2))
+    joint = replace(campaign, configurations=(Configuration("full", 1, campaign, (0,)),))
+    with pytest.raises(CampaignError, match="screen each by a campaign file of its own"):
+        screened(joint, "local")
+    assert bench.runs() == 0
 
 
 def test_a_file_that_is_no_screening_is_told(tmp_path: Path) -> None:
