@@ -93,9 +93,7 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
                    np.array(spaces), tuple(reasons))  # fmt: skip
 
 
-def pair_by_order(
-    measured: ModeSet, computed: ModeSet, others_hz: ArrayLike = ()
-) -> Pairing:
+def pair_by_order(measured: ModeSet, computed: ModeSet, others_hz: ArrayLike = ()) -> Pairing:
     """Pair the measured modes, in ascending frequency, with the lowest computed ones.
 
     others_hz: frequencies of measured modes that are not to be paired, yet have their place in the

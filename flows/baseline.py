@@ -20,10 +20,10 @@ from modetune.core.pairing import LostMode
 from modetune.core.record import RunCounts
 from modetune.core.record_file import read_record
 from modetune.flows.campaign import Campaign
+from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.deck_texts import keep_text
 from modetune.flows.evaluation import Evaluation
 from modetune.flows.execution.work import ThreadExecution
-from modetune.flows.joint import evaluator_of
 from modetune.flows.running import job_engine
 
 #: Which model of a record: as updating left it, or as it started.

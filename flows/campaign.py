@@ -24,20 +24,20 @@ from modetune.core.residual import Weighting
 from modetune.core.sensors import SensorMap
 from modetune.core.store import Store
 from modetune.core.surface import Surface, display_surface
-from modetune.flows.configuration_files import configuration_files, number_problems
-from modetune.flows.configurations import (
+from modetune.flows.configurations.files import configuration_files, number_problems
+from modetune.flows.configurations.joined import (
     JointPart,
     JointSolver,
     joint_test,
     no_sensors,
     no_surface,
 )
+from modetune.flows.execution.run_section import RunSection
 from modetune.flows.refusals import core_problems, licence_problems, method_problems
 from modetune.flows.schema import (
     STORE_VARIABLE,
     CampaignFile,
     ReportSection,
-    RunSection,
     SensitivitySection,
     Units,
     UpdateSection,

@@ -204,7 +204,7 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
 
     from modetune.flows.display import ConsoleProgress
     from modetune.flows.server.process import use_server
-    from modetune.flows.trust_starts import update_from_starts
+    from modetune.flows.trust.starts import update_from_starts
 
     campaign = _load(campaign_file, settings)
     campaign.solver.version()

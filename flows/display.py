@@ -17,11 +17,11 @@ from rich.text import Text
 from modetune.core.judgement import trust_sentences
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.forecast import Forecast, cost_text, forecast_text
-from modetune.flows.form_verdict import record_verdict
-from modetune.flows.held_out_table import show_held_out
+from modetune.flows.localisation.form_verdict import record_verdict
 from modetune.flows.report.drawing import PAGE
 from modetune.flows.running import CampaignRun
 from modetune.flows.twin import Twin
+from modetune.flows.validation.table import show_held_out
 
 HEADER = " it   worst    mean     MAC    slope   age  new runs        s"
 
@@ -124,7 +124,8 @@ def pairing_lines(record: CampaignRecord) -> list[str]:
             pairing.measured.tolist(), pairing.computed.tolist(), pairing.reasons, strict=True
         )
         # Side by side the modes of several configurations have other positions than alone.
-        if (measured != computed and not record.configurations) or not reason.startswith(("highest MAC", "no shape", "continues"))
+        if (measured != computed and not record.configurations)
+        or not reason.startswith(("highest MAC", "no shape", "continues"))
     ]
 
 

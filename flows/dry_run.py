@@ -16,11 +16,11 @@ from modetune.core.errors import NotStored
 from modetune.core.keys import canonical_json, content_key
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign import Campaign
+from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.deck_texts import Text, deck_text, kept_text
 from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 from modetune.flows.execution.work import Done, Work
 from modetune.flows.explain import Asked, Nearest, Texts, asked_by_note, nearest, stored_jobs
-from modetune.flows.joint import evaluator_of
 from modetune.flows.notes import job_note, model_digest
 from modetune.flows.running import job_engine
 from modetune.flows.server.starting import read_earlier, start_of

@@ -18,9 +18,9 @@ from modetune.core.numbering import configuration_of
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluator import Matrix, campaign_analysis
-from modetune.flows.form_verdict import verdict_summary
+from modetune.flows.localisation.form_verdict import verdict_summary
 from modetune.flows.showing import sensor_places, shown_surface
-from modetune.flows.trust import campaign_trust, trust_summary
+from modetune.flows.trust.judging import campaign_trust, trust_summary
 
 #: Packages whose arithmetic a campaign's numbers hang on, beside the solver's.
 PACKAGES = ("numpy", "scipy", "h5py")

@@ -6,7 +6,8 @@ from typing import get_args
 
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile
-from modetune.flows.schema import CampaignFile, RunSection, SolverName
+from modetune.flows.execution.run_section import RunSection
+from modetune.flows.schema import CampaignFile, SolverName
 
 
 def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:

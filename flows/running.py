@@ -15,6 +15,7 @@ from modetune.core.record import CampaignRecord
 from modetune.core.record_file import write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
+from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.deck_texts import keep_text
 from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
@@ -22,7 +23,6 @@ from modetune.flows.execution.limits import CORES, Limit, MachineLimits
 from modetune.flows.execution.slurm import on_slurm
 from modetune.flows.execution.work import Execution, ThreadExecution
 from modetune.flows.forecast import Forecast, Forecaster
-from modetune.flows.joint import evaluator_of
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.schema import STORE_REMEDY
 from modetune.flows.server.process import SharedServer, answers, server_home

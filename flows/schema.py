@@ -9,8 +9,6 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
@@ -21,14 +19,10 @@ from pydantic_core import PydanticKnownError
 
 from modetune.core.estimation import StepForm
 from modetune.core.parameters import TARGETS, Parameter, Quantity, TargetKind
-from modetune.flows.execution.site import DaskSection, Engine, SlurmSection, with_site
+from modetune.flows.execution.run_section import RunSection
+from modetune.flows.section import Name, NotNegative, Positive, Section, Share
 from modetune.flows.sensors.section import SensorSection
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Retries = Annotated[int, Field(ge=0, le=10)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
 SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
@@ -43,11 +37,7 @@ TARGET_KEYS: tuple[TargetKind, ...] = ("material", "elset", "property", "element
 Targets = str | int | tuple[str | int, ...]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
-
-
-class GeneratorSection(_Section):
+class GeneratorSection(Section):
     """A model that modetune makes itself: garteur and fixture in solids for CalculiX, or
     garteur_shell, a Nastran deck."""
 
@@ -57,7 +47,7 @@ class GeneratorSection(_Section):
     """How fine the solids are meshed."""
 
 
-class ModelSection(_Section):
+class ModelSection(Section):
     """The finite element model: a deck, or one of modetune's own generators."""
 
     deck: str | None = None
@@ -82,7 +72,7 @@ class ModelSection(_Section):
         return self
 
 
-class TestSection(_Section):
+class TestSection(Section):
     """The test: its file, and the numbers of the modes that are used."""
 
     __test__ = False
@@ -113,7 +103,7 @@ class TestSection(_Section):
         return self
 
 
-class ParameterSection(_Section):
+class ParameterSection(Section):
     """One updating parameter; bounds, deviation and initial are relative to the deck's value."""
 
     name: Name
@@ -173,7 +163,7 @@ class ParameterSection(_Section):
         )  # fmt: skip
 
 
-class ConfigurationSection(_Section):
+class ConfigurationSection(Section):
     """A configuration of the structure (fuel, payload, boundary conditions): own model and test,
     parameters shared with the others."""
 
@@ -189,7 +179,7 @@ class ConfigurationSection(_Section):
     """Whether it is not used, and judged before and after updating."""
 
 
-class ReportSection(_Section):
+class ReportSection(Section):
     """What is kept and made to look at."""
 
     page: bool = True
@@ -198,7 +188,7 @@ class ReportSection(_Section):
     """Shapes are kept at the sensors and at no more than so many nodes of the model's surface."""
 
 
-class ResidualSection(_Section):
+class ResidualSection(Section):
     """What is compared: emphasis of frequencies and shapes, and how exactly they were measured."""
 
     frequency_weight: NotNegative = 1.0
@@ -211,7 +201,7 @@ class ResidualSection(_Section):
     """Standard deviation of measured shape entries [of the shape's rms]"""
 
 
-class E1Section(_Section):
+class E1Section(Section):
     """Agreement that ends updating: relative frequency error, and least MAC."""
 
     frequency: Positive = 0.01
@@ -220,7 +210,7 @@ class E1Section(_Section):
     """Least MAC of a model that agrees, wherever shapes were measured."""
 
 
-class UpdateSection(_Section):
+class UpdateSection(Section):
     """The updating steps."""
 
     start: Literal["deck", "last"] = "deck"
@@ -244,7 +234,7 @@ class UpdateSection(_Section):
     """Largest change of a parameter in one step [of the deck's value]"""
 
 
-class SensitivitySection(_Section):
+class SensitivitySection(Section):
     """How sensitivities are computed, and what is used in between."""
 
     method: Method = "auto"
@@ -257,63 +247,7 @@ class SensitivitySection(_Section):
     """Step of finite differences [of the parameter's value]"""
 
 
-class RetriesSection(_Section):
-    """How often a job is tried again, by what became of it; a plain number goes for all."""
-
-    stopped: Retries = 2
-    """A job that was killed or broke off."""
-    timeout: Retries = 1
-    """A job that ran longer than `timeout_s`."""
-    no_result: Retries = 1
-    """A job that ended well and left what is no result."""
-
-
-class RunSection(_Section):
-    """How jobs run."""
-
-    parallel: Annotated[int, Field(ge=0, le=1024)] = 0
-    """Jobs at the same time; 0: as many as there are cores."""
-    threads: Annotated[int, Field(ge=0, le=1024)] = 0
-    """Threads of each job; 0: the cores, shared out among parallel jobs."""
-    licences: dict[Name, Annotated[int, Field(ge=1, le=10_000)]] = {}
-    """Jobs of a solver that may run at the same time on the machine, by its name."""
-    retries: RetriesSection = RetriesSection()
-    """How often a job is tried again, by what became of it; one number goes for all."""
-    failed_column: Literal["leave_out", "stop"] = "leave_out"
-    """A sensitivity column that cannot be had: go on without it this time, or stop."""
-    timeout_s: Positive = 3600.0
-    """Longest run of one job [s]"""
-    licence_pause_s: Positive = 30.0
-    """First pause of a job that got no licence; it grows by half each time [s]"""
-    licence_wait_s: Positive = 86400.0
-    """After this wait for a licence the job is given up [s]"""
-    keep_jobs: bool = False
-    """Keep the folders of good jobs; those of failed ones are always kept."""
-    engine: Engine = "local"
-    """Where jobs run: here, under Slurm, or on a Dask cluster."""
-    slurm: SlurmSection = SlurmSection()
-    """What Slurm is told."""
-    dask: DaskSection = DaskSection()
-    """The Dask cluster."""
-
-    @property
-    def here(self) -> bool:
-        """Whether jobs run on this machine and share its cores with others."""
-        return self.engine == "local" or (self.engine == "dask" and self.dask.here)
-
-    def on_site(self) -> RunSection:
-        """With what the site file says beneath. Raises CampaignError, ValidationError."""
-        return RunSection.model_validate(with_site(self.model_dump(exclude_unset=True)))
-
-    @field_validator("retries", mode="before")
-    @classmethod
-    def _one_number_for_all(cls, given: object) -> object:
-        if isinstance(given, int) and not isinstance(given, bool):
-            return dict.fromkeys(("stopped", "timeout", "no_result"), given)
-        return given
-
-
-class CampaignFile(_Section):
+class CampaignFile(Section):
     """A whole campaign file."""
 
     name: Name

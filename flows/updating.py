@@ -27,9 +27,9 @@ from modetune.core.modes import Floats
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.sensitivity import broyden_update
 from modetune.flows.campaign import Campaign
+from modetune.flows.configurations.joint import JointEvaluator
 from modetune.flows.evaluation import Evaluation, expects_agreement
 from modetune.flows.evaluator import Evaluator, Matrix
-from modetune.flows.joint import JointEvaluator
 from modetune.flows.recording import campaign_record
 from modetune.flows.showing import shown_field
 

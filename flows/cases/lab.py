@@ -16,8 +16,8 @@ from modetune.core.keys import Json
 from modetune.core.modes import Floats
 from modetune.core.record import CampaignRecord
 from modetune.flows.cases.claims import Claim, claim_table, told_claims
-from modetune.flows.identification.identify import IdentificationSettings, identify
 from modetune.flows.identification.files import write_modes
+from modetune.flows.identification.identify import IdentificationSettings, identify
 
 BAND_HZ = (3.0, 57.0)
 #: Identified frequencies, and moduli that the test sees, are to be right within these shares.

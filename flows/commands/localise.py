@@ -14,8 +14,8 @@ from modetune.flows.commands.stopping import stoppable
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from modetune.flows.error_maps import ErrorMaps
-    from modetune.flows.localising import Localisation
+    from modetune.flows.localisation.error_maps import ErrorMaps
+    from modetune.flows.localisation.localise import Localisation
 
 #: Rows that a terminal shows of each table.
 SHOWN = 12
@@ -49,8 +49,8 @@ def localise(
     Looks at the start of the campaign, or with --record at the model that updating left.
     """
     from modetune.flows.campaign import load_campaign
-    from modetune.flows.localising import localise as find
-    from modetune.flows.localising import place_of
+    from modetune.flows.localisation.localise import localise as find
+    from modetune.flows.localisation.localise import place_of
 
     place = place_of(load_campaign(campaign_file, settings or []), record, configuration)
     campaign = place.campaign
@@ -77,7 +77,7 @@ def register(app: typer.Typer) -> None:
 
 def told(found: Localisation) -> dict[str, Any]:
     """The `--json` object of `modetune localise`."""
-    from modetune.flows.form_verdict import told_form
+    from modetune.flows.localisation.form_verdict import told_form
 
     names = found.parameters
     return {

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from modetune.core.keys import Json
     from modetune.core.placement import Quality
-    from modetune.flows.pretest import Pretest
+    from modetune.flows.pretest.running import Pretest
 
 
 def pretest(
@@ -64,7 +64,7 @@ def pretest(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
 ) -> None:
     """Choose places for sensors and exciters from the model alone; the test is not read."""
-    from modetune.flows.pretest_settings import (
+    from modetune.flows.pretest.settings import (
         PretestSettings,
         directions_named,
         method_named,
@@ -96,15 +96,15 @@ def _run(
     """Run the pretest and write its files; their names are looked at first."""
     from modetune.flows.campaign import load_campaign
     from modetune.flows.model_file import ModelFile
-    from modetune.flows.pretest import run_pretest
-    from modetune.flows.pretest_file import check_out, write_sensor_file
+    from modetune.flows.pretest.file import check_out, write_sensor_file
+    from modetune.flows.pretest.running import run_pretest
 
     campaign = load_campaign(campaign_file, settings, ModelFile)
     mesh = campaign.solver.mesh()
     if out is not None:
         check_out(out, mesh)
     if picture is not None:
-        from modetune.flows.report.pretest_figures import check_picture
+        from modetune.flows.report.mesh_picture import check_picture
 
         check_picture(picture, mesh)
     with stoppable():
@@ -157,7 +157,7 @@ def told_pretest(
 
 
 def _told_sensors(found: Pretest) -> list[Json]:
-    from modetune.flows.pretest_file import sensor_dofs
+    from modetune.flows.pretest.file import sensor_dofs
 
     return [
         {

@@ -14,7 +14,7 @@ from modetune.flows.commands.stopping import stoppable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modetune.flows.validation import Validation
+    from modetune.flows.validation.leave_out import Validation
 
 
 def register(app: typer.Typer) -> None:
@@ -43,8 +43,8 @@ def validate(
 
     from modetune.flows.campaign import load_campaign
     from modetune.flows.display import ConsoleProgress
-    from modetune.flows.validation import leave_one_out
-    from modetune.flows.validation import validate as by_held_out
+    from modetune.flows.validation.leave_out import leave_one_out
+    from modetune.flows.validation.leave_out import validate as by_held_out
 
     campaign = load_campaign(campaign_file, settings or [])
     with stoppable(), ConsoleProgress(Console(stderr=True)).shown() as progress:
@@ -103,7 +103,7 @@ def _show(console: Console, found: Validation) -> None:
     from rich.text import Text
 
     from modetune.core.numbering import mode_name
-    from modetune.flows.held_out_table import WORSE, show_held_out
+    from modetune.flows.validation.table import WORSE, show_held_out
 
     show_held_out(console, found.held_out, found.configurations)
     for fold in found.failed:

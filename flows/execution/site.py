@@ -17,10 +17,11 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError
+from modetune.flows.section import Section
 
 #: Names a site file in another place.
 SITE_VARIABLE = "MODETUNE_SITE"
@@ -34,11 +35,7 @@ Word = Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$", max_length=1000)]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.,:@+-]*$", max_length=200)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
-
-
-class SlurmSection(_Section):
+class SlurmSection(Section):
     """What `srun` is told besides threads and licences; time: of one job, in Slurm's notation."""
 
     partition: Label | None = None
@@ -51,7 +48,7 @@ class SlurmSection(_Section):
     """More options of `srun`, one a word."""
 
 
-class DaskSection(_Section):
+class DaskSection(Section):
     """The Dask cluster: a scheduler that runs, processes of this machine, or jobs of a queue.
 
     memory, walltime, queue, account, interface, directives and prologue are of the jobs that a
@@ -93,7 +90,7 @@ class DaskSection(_Section):
         return self.scheduler is None and self.cluster == "local"
 
 
-class SiteRun(_Section):
+class SiteRun(Section):
     """What a site may say of `run`."""
 
     engine: Engine = "local"
@@ -106,11 +103,11 @@ class SiteRun(_Section):
     """Jobs at the same time; 0: as many as the engine takes."""
     threads: Annotated[int, Field(ge=0, le=1024)] = 0
     """Threads of each job; 0: shared out."""
-    licences: dict[Label, Annotated[int, Field(ge=1, le=10_000)]] = {}
+    licences: dict[Label, Annotated[int, Field(ge=1, le=10_000)]] = Field(default={})
     """Jobs of a solver that may run at the same time, by the solver's name."""
 
 
-class SiteFile(_Section):
+class SiteFile(Section):
     """A whole site file."""
 
     run: SiteRun = SiteRun()

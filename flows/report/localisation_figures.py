@@ -21,8 +21,8 @@ from modetune.core.localisation import Removal
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.core.surface import Surface
-from modetune.flows.error_maps import ErrorMaps
-from modetune.flows.localising import Localisation
+from modetune.flows.localisation.error_maps import ErrorMaps
+from modetune.flows.localisation.localise import Localisation
 from modetune.flows.report.figures import STYLES, _figure, save
 
 #: Bars that can be told apart on a page.

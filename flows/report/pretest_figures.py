@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from matplotlib.image import imsave
-from vtkmodules.vtkCommonCore import vtkLogger
 
-from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.core.store import writing
-from modetune.flows.pretest import Pretest
-from modetune.flows.report.sensor_figure import ARROW, LABELS, PIXELS, draw_model
+from modetune.flows.pretest.running import Pretest
+from modetune.flows.report.mesh_picture import PIXELS, mesh_picture
+from modetune.flows.report.sensor_figure import ARROW, LABELS
 
 #: Colours of Okabe and Ito (2008), as in the other figures.
 SENSOR, EXCITER, SUSPENSION = "#0072B2", "#D55E00", "#009E73"
@@ -23,35 +20,14 @@ SENSOR, EXCITER, SUSPENSION = "#0072B2", "#D55E00", "#009E73"
 LONGER, BALL = 1.6, 0.25
 
 
-def check_picture(path: Path, mesh: Mesh) -> None:
-    """Raise CampaignError for another kind of file, or a model without places."""
-    if path.suffix.lower() != ".png":
-        raise CampaignError(f"{path}: the picture is a PNG; give a name that ends with .png")
-    if mesh.nodes.size == 0:
-        raise CampaignError(f"{path}: the model has no places to draw: it is matrices alone")
-
-
 def save_pretest_picture(path: Path, pretest: Pretest, mesh: Mesh) -> None:
     """Write a PNG of the mesh: sensors as arrows numbered in their order, exciters, suspension.
 
     Raises CampaignError, StorageUnavailable.
     """
-    check_picture(path, mesh)
-    # VTK tells on standard error that there is no display, before it draws without one.
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     size = max(float(np.linalg.norm(np.ptp(mesh.coordinates, axis=0))), 1e-30)
-    plotter: Any = pv.Plotter(off_screen=True, window_size=list(PIXELS))
-    try:
-        plotter.set_background("white")
-        draw_model(plotter, mesh)
+    with mesh_picture(path, mesh) as plotter:
         _draw(plotter, pretest, ARROW * size)
-        plotter.add_axes()
-        plotter.view_isometric()
-        plotter.camera.zoom(1.4)  # the isometric view leaves a wide margin
-        with writing(path) as aside:
-            imsave(aside, plotter.screenshot(return_img=True), format="png")
-    finally:
-        plotter.close()
 
 
 def _draw(plotter: Any, pretest: Pretest, length: float) -> None:

@@ -6,26 +6,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyvista as pv
-from matplotlib.image import imsave
-from vtkmodules.vtkCommonCore import vtkLogger
 
-from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.core.store import writing
-from modetune.core.surface import display_surface
+from modetune.flows.report.mesh_picture import PIXELS, mesh_picture
 from modetune.flows.sensors.mapping import Mapping, Verdict
 
 #: Colours of Okabe and Ito (2008), as in the other figures.
 COLOURS: dict[Verdict, str] = {"good": "#0072B2", "doubtful": "#E69F00", "left out": "#D55E00"}
-#: Nodes of the model's surface that are drawn at most.
-DRAWN_NODES = 20_000
 #: Length of an arrow, of the model's box diagonal.
 ARROW = 0.05
 #: Test points whose numbers are written beside them; more would hide the model.
 LABELS = 150
-PIXELS = (1600, 1100)
 
 
 def save_sensor_picture(path: Path, mapping: Mapping, mesh: Mesh) -> None:
@@ -34,39 +26,8 @@ def save_sensor_picture(path: Path, mapping: Mapping, mesh: Mesh) -> None:
     A line joins each test point to its node. Raises CampaignError for another kind of file and
     a model without places; StorageUnavailable.
     """
-    if path.suffix.lower() != ".png":
-        raise CampaignError(f"{path}: the picture is a PNG; give a name that ends with .png")
-    if mesh.nodes.size == 0:
-        raise CampaignError("the model has no places to draw: it is matrices alone")
-    # VTK tells on standard error that there is no display, before it draws without one.
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    plotter: Any = pv.Plotter(off_screen=True, window_size=list(PIXELS))
-    try:
-        plotter.set_background("white")
-        draw_model(plotter, mesh)
+    with mesh_picture(path, mesh) as plotter:
         _draw_sensors(plotter, mapping, mesh)
-        plotter.add_axes()
-        plotter.view_isometric()
-        plotter.camera.zoom(1.4)  # the isometric view leaves a wide margin
-        with writing(path) as aside:
-            imsave(aside, plotter.screenshot(return_img=True), format="png")
-    finally:
-        plotter.close()
-
-
-def draw_model(plotter: Any, mesh: Mesh) -> None:
-    """The mesh's surface, pale, beneath what is drawn on it."""
-    skin = display_surface(mesh, DRAWN_NODES)
-    if skin.triangles.size:
-        poly_data: Any = pv.PolyData  # its types know no int64
-        faces = poly_data.from_regular_faces(skin.coordinates, skin.triangles)
-        plotter.add_mesh(faces, color="#e4e4e4", opacity=0.6)
-    if skin.edges.size:
-        edges = np.insert(skin.edges, 0, 2, axis=1).ravel()
-        lines = pv.PolyData(skin.coordinates, lines=edges)
-        plotter.add_mesh(lines, color="#a0a0a0", line_width=1)
-    if not skin.triangles.size and not skin.edges.size:
-        plotter.add_mesh(pv.PolyData(mesh.coordinates), color="#808080", point_size=6)
 
 
 def _draw_sensors(plotter: Any, mapping: Mapping, mesh: Mesh) -> None:

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from modetune.core.judgement import trust_sentences
 from modetune.core.record import CampaignRecord
 from modetune.core.trust import Trust
-from modetune.flows.form_verdict import record_verdict
+from modetune.flows.localisation.form_verdict import record_verdict
 from modetune.flows.report.markup import (
     Html,
     bullets,

@@ -5,20 +5,19 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from modetune.core.modes import Floats
+from modetune.flows.section import Section
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Number, Number, Number]
 Node = Annotated[int, Field(ge=1)]
 
 
-class SensorSection(BaseModel):
+class SensorSection(Section):
     """How a test's points are laid over the model."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     by: Literal["position", "number"] = "position"
     """`position` finds nodes by the test's coordinates, `number` takes the node of the same number;
@@ -34,7 +33,7 @@ class SensorSection(BaseModel):
     matrix, three rows."""
     translation: Triple | None = None
     """Where the test's origin lies in the model, in the model's length."""
-    match: dict[Node, Node] = {}
+    match: dict[Node, Node] = Field(default={})
     """Test node to model node, by hand. Three or more, not on one line, fix the fit."""
     tolerance: Annotated[Number, Field(gt=0.0)] | None = None
     """How far a sensor may be from its node, in the model's length; without it 2 % of the model's

@@ -41,7 +41,7 @@ from modetune.flows.execution.prefect import ended_state
 from modetune.flows.running import job_engine
 from modetune.flows.server.process import use_server
 from modetune.flows.server.starting import is_unchanged, read_earlier
-from modetune.flows.trust_starts import update_from_starts
+from modetune.flows.trust.starts import update_from_starts
 
 logger = logging.getLogger(__name__)
 

@@ -40,15 +40,9 @@ from modetune.core.store import Store
 from modetune.core.surface import display_surface
 from modetune.flows.campaign import Campaign
 from modetune.flows.execution.engine import JobEngine
+from modetune.flows.execution.run_section import RetriesSection, RunSection
 from modetune.flows.running import job_engine
-from modetune.flows.schema import (
-    E1Section,
-    ReportSection,
-    RetriesSection,
-    RunSection,
-    SensitivitySection,
-    UpdateSection,
-)
+from modetune.flows.schema import E1Section, ReportSection, SensitivitySection, UpdateSection
 from modetune.flows.sensors.mapping import map_sensors
 from modetune.flows.sensors.section import SensorSection
 

@@ -24,16 +24,16 @@ from modetune.core.record_file import read_record
 from modetune.core.results import Result
 from modetune.flows.baseline import Band, check_deck
 from modetune.flows.campaign import Campaign, Configuration, joined, load_campaign
-from modetune.flows.configurations import joint_test, node_base
+from modetune.flows.configurations.joined import joint_test, node_base
+from modetune.flows.configurations.joint import JointEvaluator
 from modetune.flows.display import pairing_lines
 from modetune.flows.dry_run import dry_run
 from modetune.flows.execution.work import ThreadExecution
-from modetune.flows.joint import JointEvaluator
 from modetune.flows.recording import summary
 from modetune.flows.report.page import page
 from modetune.flows.running import update_campaign
 from modetune.flows.schema import SensitivitySection
-from modetune.flows.validation import leave_one_out, leave_out
+from modetune.flows.validation.leave_out import leave_one_out, leave_out
 from tests.flows.conftest import ScriptedSolver
 
 

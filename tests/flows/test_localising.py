@@ -20,11 +20,11 @@ from modetune.core.record_file import read_record
 from modetune.core.surface import Surface
 from modetune.flows.campaign import load_campaign
 from modetune.flows.commands.localise import register
-from modetune.flows.error_maps import OTHER_MASS, OTHER_STIFFNESS
 from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.execution.engine import Job
-from modetune.flows.form_verdict import record_verdict, verdict_summary
-from modetune.flows.localising import localise, place_of
+from modetune.flows.localisation.error_maps import OTHER_MASS, OTHER_STIFFNESS
+from modetune.flows.localisation.form_verdict import record_verdict, verdict_summary
+from modetune.flows.localisation.localise import localise, place_of
 from modetune.flows.report.figures import save
 from modetune.flows.report.localisation_figures import on_surface, surface_figure, write_figures
 from modetune.flows.running import job_engine, update_campaign

@@ -24,8 +24,8 @@ from modetune.core.placement import judge
 from modetune.flows.campaign import load_campaign
 from modetune.flows.commands.pretest import register, told_pretest
 from modetune.flows.model_file import ModelFile
-from modetune.flows.pretest import run_pretest
-from modetune.flows.pretest_settings import PretestSettings, method_named, parse_modes
+from modetune.flows.pretest.running import run_pretest
+from modetune.flows.pretest.settings import PretestSettings, method_named, parse_modes
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 

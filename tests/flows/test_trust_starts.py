@@ -20,7 +20,7 @@ from modetune.flows.recording import summary
 from modetune.flows.report.page import page
 from modetune.flows.running import CampaignRun
 from modetune.flows.schema import E1Section, UpdateSection
-from modetune.flows.trust_starts import latin_hypercube, update_from_starts
+from modetune.flows.trust.starts import latin_hypercube, update_from_starts
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1}
 

@@ -22,9 +22,10 @@ from modetune.core.errors import (
 )
 from modetune.core.record import CampaignRecord
 from modetune.flows.execution.engine import Job
+from modetune.flows.execution.run_section import RunSection
 from modetune.flows.recording import summary
 from modetune.flows.running import update_campaign
-from modetune.flows.schema import E1Section, RunSection, SensitivitySection, UpdateSection
+from modetune.flows.schema import E1Section, SensitivitySection, UpdateSection
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1, "k4": 0.9}
 

@@ -24,11 +24,11 @@ from modetune.core.parameters import Values
 from modetune.core.record import CampaignRecord
 from modetune.core.record_file import read_record
 from modetune.flows.campaign import Campaign, load_campaign
-from modetune.flows.held_out_table import held_out_lines, show_held_out
 from modetune.flows.recording import summary
 from modetune.flows.report.held_out import held_out_section
 from modetune.flows.running import update_campaign
-from modetune.flows.validation import leave_one_out, leave_out, validate
+from modetune.flows.validation.leave_out import leave_one_out, leave_out, validate
+from modetune.flows.validation.table import held_out_lines, show_held_out
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1}
 

@@ -30,8 +30,9 @@ from modetune.core.record import CampaignRecord
 from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
 from modetune.core.store import Store
 from modetune.flows.campaign import Campaign
+from modetune.flows.execution.run_section import RetriesSection, RunSection
 from modetune.flows.running import update_campaign
-from modetune.flows.schema import RetriesSection, RunSection, SensitivitySection
+from modetune.flows.schema import SensitivitySection
 from tests.flows.conftest import Bench, ScriptedSolver, Watcher
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -30,10 +30,10 @@ from modetune.core.errors import (
     SolverTimeout,
 )
 from modetune.flows.execution.engine import Job, JobEngine
+from modetune.flows.execution.run_section import RunSection
 from modetune.flows.execution.site import DaskSection, SlurmSection, merged
 from modetune.flows.execution.slurm import srun_options
 from modetune.flows.running import job_engine, update_campaign
-from modetune.flows.schema import RunSection
 
 NODE = Path(__file__).resolve().parents[3] / "tools" / "slurm_node.sh"
 TRUTH = {"k1": 1.2, "k2": 0.8}

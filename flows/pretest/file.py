@@ -11,8 +11,8 @@ from modetune.core.errors import CampaignError
 from modetune.core.geometry import TestGeometry
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.flows.pretest import Pretest
-from modetune.flows.pretest_choice import PlacedSensor
+from modetune.flows.pretest.choice import PlacedSensor
+from modetune.flows.pretest.running import Pretest
 from modetune.flows.schema import Units
 from modetune.flows.units import METRES
 

@@ -17,7 +17,7 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.pairing import CLUSTER
 from modetune.core.spacing import Spacing
-from modetune.flows.pretest_candidates import Candidates
+from modetune.flows.pretest.candidates import Candidates
 from modetune.flows.schema import Units
 from modetune.flows.units import KILOGRAMS
 

@@ -28,11 +28,11 @@ from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.record_file import write_record
 from modetune.core.trust import StartSpread, with_spread
 from modetune.flows.campaign import Campaign
+from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.evaluator import CAMPAIGNS_OWN
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.forecast import Forecast
-from modetune.flows.joint import evaluator_of
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.running import CampaignRun, solving_engine, update_campaign
 from modetune.flows.server.process import SharedServer

@@ -24,9 +24,9 @@ from modetune.core.placement import (
 )
 from modetune.core.spacing import Spacing
 from modetune.flows.campaign import Campaign
-from modetune.flows.pretest_candidates import Candidates
-from modetune.flows.pretest_information import Information
-from modetune.flows.pretest_settings import Method, PretestSettings
+from modetune.flows.pretest.candidates import Candidates
+from modetune.flows.pretest.information import Information
+from modetune.flows.pretest.settings import Method, PretestSettings
 
 #: Distance between sensors where none is given, of the model's box diagonal.
 DISTANCE = 0.05

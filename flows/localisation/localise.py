@@ -19,10 +19,10 @@ from modetune.core.modes import Floats
 from modetune.core.record import RunCounts
 from modetune.core.record_file import read_record
 from modetune.flows.campaign import Campaign
-from modetune.flows.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution.work import ThreadExecution
-from modetune.flows.form_verdict import residual_form
+from modetune.flows.localisation.error_maps import ErrorMaps, error_maps, why_no_maps
+from modetune.flows.localisation.form_verdict import residual_form
 from modetune.flows.running import job_engine
 
 

@@ -23,10 +23,10 @@ from modetune.core.numbering import CONFIGURATION, mode_name
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.store import check_writable
 from modetune.flows.campaign import Campaign, joined
+from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.evaluator import CAMPAIGNS_OWN
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.execution.work import ThreadExecution
-from modetune.flows.joint import evaluator_of
 from modetune.flows.running import solving_engine
 from modetune.flows.schema import STORE_REMEDY
 from modetune.flows.updating import Updating

@@ -19,8 +19,8 @@ from modetune.core.results import MatrixResult, ModalResult
 from modetune.flows.campaign import EXTRA_MODES, RIGID_MODES, Campaign
 from modetune.flows.evaluator import campaign_analysis, outcomes_count
 from modetune.flows.execution.engine import Job, JobEngine
-from modetune.flows.pretest_candidates import Candidates, candidates_of, moving, placed_mesh
-from modetune.flows.pretest_choice import (
+from modetune.flows.pretest.candidates import Candidates, candidates_of, moving, placed_mesh
+from modetune.flows.pretest.choice import (
     Ground,
     PlacedSensor,
     choose_sensors,
@@ -28,15 +28,15 @@ from modetune.flows.pretest_choice import (
     needed_number,
     placed_sensors,
 )
-from modetune.flows.pretest_excitation import (
+from modetune.flows.pretest.excitation import (
     PlacedExciter,
     SuspensionPoint,
     excitation_notes,
     place_exciters,
     suspension_points,
 )
-from modetune.flows.pretest_information import Knowledge, information_of
-from modetune.flows.pretest_settings import PretestSettings, check_count, check_settings
+from modetune.flows.pretest.information import Knowledge, information_of
+from modetune.flows.pretest.settings import PretestSettings, check_count, check_settings
 from modetune.flows.running import job_engine
 
 #: Elastic modes that are looked at where none are named.

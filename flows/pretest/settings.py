@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from modetune.core.errors import CampaignError
-from modetune.flows.pretest_candidates import Directions
+from modetune.flows.pretest.candidates import Directions
 
 Method = Literal["effective_independence", "auto_mac", "kinetic_energy", "information"]
 

@@ -23,7 +23,7 @@ from modetune.core.pairing import Pairing
 from modetune.core.record import RunCounts
 from modetune.core.residual import Residual
 from modetune.flows.campaign import Campaign, Configuration
-from modetune.flows.configurations import node_base, side_by_side
+from modetune.flows.configurations.joined import node_base, side_by_side
 from modetune.flows.evaluation import Evaluation, judged, part_rows
 from modetune.flows.evaluator import CAMPAIGNS_OWN, Evaluator, Matrix
 from modetune.flows.execution.engine import JobEngine

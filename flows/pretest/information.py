@@ -25,7 +25,7 @@ from modetune.flows.evaluation import Point
 from modetune.flows.evaluator import outcomes_count
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.execution.work import ThreadExecution, Work
-from modetune.flows.pretest_candidates import Candidates
+from modetune.flows.pretest.candidates import Candidates
 from modetune.flows.schema import SensitivitySection
 from modetune.flows.semi_analytic import UnlikeMatrices
 from modetune.flows.sensitivities import Exact, Sensitivities

@@ -1,0 +1,1 @@
+"""Where the model is wrong, and whether its parameters can mend it."""

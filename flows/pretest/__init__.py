@@ -1,0 +1,1 @@
+"""Where sensors and exciters go, from the model alone."""

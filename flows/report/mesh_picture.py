@@ -1,0 +1,85 @@
+"""A picture of the model's mesh with something drawn on it, without a screen."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from matplotlib.image import imsave
+from vtkmodules.vtkCommonCore import vtkLogger
+
+from modetune.core.errors import CampaignError
+from modetune.core.mesh import Mesh
+from modetune.core.store import writing
+from modetune.core.surface import display_surface
+
+#: Nodes of the model's surface that are drawn at most.
+DRAWN_NODES = 20_000
+PIXELS = (1600, 1100)
+#: What VTK draws with where there is no display; without any of them it ends the process.
+LIBRARIES = ("libEGL.so.1", "libOSMesa.so.8", "libOSMesa.so.6")
+
+
+def check_picture(path: Path, mesh: Mesh) -> None:
+    """Raise CampaignError where a picture cannot be: its name, the model, or this machine."""
+    if path.suffix.lower() != ".png":
+        raise CampaignError(f"{path}: the picture is a PNG; give a name that ends with .png")
+    if mesh.nodes.size == 0:
+        raise CampaignError(f"{path}: the model has no places to draw: it is matrices alone")
+    if not os.environ.get("DISPLAY") and not any(map(_loads, LIBRARIES)):
+        raise CampaignError(
+            f"{path}: a picture of a mesh needs OpenGL, and there is neither a display nor a "
+            "library for drawing without one; on Debian: apt-get install libosmesa6"
+        )
+
+
+@contextmanager
+def mesh_picture(path: Path, mesh: Mesh) -> Iterator[Any]:
+    """The PyVista plotter that draws the mesh, pale; what was drawn on it is written at the end.
+
+    Raises CampaignError, StorageUnavailable.
+    """
+    check_picture(path, mesh)
+    # VTK tells on standard error that there is no display, before it draws without one.
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    plotter: Any = pv.Plotter(off_screen=True, window_size=list(PIXELS))
+    try:
+        plotter.set_background("white")
+        _draw_model(plotter, mesh)
+        yield plotter
+        plotter.add_axes()
+        plotter.view_isometric()
+        plotter.camera.zoom(1.4)  # the isometric view leaves a wide margin
+        with writing(path) as aside:
+            imsave(aside, plotter.screenshot(return_img=True), format="png")
+    finally:
+        plotter.close()
+
+
+def _loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def _draw_model(plotter: Any, mesh: Mesh) -> None:
+    """The mesh's surface, pale, beneath what is drawn on it."""
+    skin = display_surface(mesh, DRAWN_NODES)
+    if skin.triangles.size:
+        poly_data: Any = pv.PolyData  # its types know no int64
+        faces = poly_data.from_regular_faces(skin.coordinates, skin.triangles)
+        plotter.add_mesh(faces, color="#e4e4e4", opacity=0.6)
+    if skin.edges.size:
+        edges = np.insert(skin.edges, 0, 2, axis=1).ravel()
+        lines = pv.PolyData(skin.coordinates, lines=edges)
+        plotter.add_mesh(lines, color="#a0a0a0", line_width=1)
+    if not skin.triangles.size and not skin.edges.size:
+        plotter.add_mesh(pv.PolyData(mesh.coordinates), color="#808080", point_size=6)

@@ -1,0 +1,1 @@
+"""Whether an answer holds on what was not used."""
