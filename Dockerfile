@@ -17,7 +17,7 @@ RUN python3 -m venv /opt/modetune \
 
 FROM debian:12-slim
 RUN apt-get update \
- && apt-get install -y --no-install-recommends python3 calculix-ccx \
+ && apt-get install -y --no-install-recommends python3 calculix-ccx libosmesa6 \
  && rm -rf /var/lib/apt/lists/* \
  && useradd --create-home modetune \
  && mkdir /campaigns && chown modetune /campaigns

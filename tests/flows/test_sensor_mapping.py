@@ -17,6 +17,7 @@ from modetune.core.geometry import TestGeometry
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.flows.commands.sensors import sensor_lines, told_sensors
+from modetune.flows.report import mesh_picture
 from modetune.flows.report.sensor_figure import save_sensor_picture
 from modetune.flows.sensors.mapping import Mapping, map_sensors
 from modetune.flows.sensors.section import SensorSection
@@ -414,6 +415,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
     assert told["alignment"]["residual_rms"] is None
 
 
+@pytest.mark.skipif(not mesh_picture.can_draw(), reason="no OpenGL to draw with (libosmesa6)")
 def test_the_picture_shows_model_and_sensors(tmp_path: Path) -> None:
     places = at_nodes(plate(), SEATS)
     places[1, 2] += 60.0
@@ -423,6 +425,16 @@ def test_the_picture_shows_model_and_sensors(tmp_path: Path) -> None:
     for colour in ("#0072B2", "#D55E00"):  # good and left out
         wanted = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
         assert (np.abs(drawn - wanted).max(axis=2) < 0.02).sum() > 100, colour
+
+
+def test_a_machine_that_cannot_draw_is_told_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr(mesh_picture, "LIBRARIES", ("libthere-is-none.so.1",))
+    with pytest.raises(CampaignError, match="apt-get install libosmesa6"):
+        save_sensor_picture(tmp_path / "s.png", mapped(at_nodes(plate(), SEATS)), plate())
+    assert not (tmp_path / "s.png").exists()
 
 
 def test_a_picture_of_another_kind_is_refused(tmp_path: Path) -> None:
