@@ -11,10 +11,9 @@ Three questions, three answers:
   each turn the column with the longest part outside the span of those before; |R_ii| is the length
   of that part (Golub and Van Loan 2013, 5.4.2; for parameters of models Velez-Reyes and
   Verghese 1995).
-* Which few columns explain the residual? Forward selection takes at each turn the column whose
-  part outside the span of those before has the smallest angle with what is left of the residual,
-  which is the one that lowers the sum of squares most (Lallement and Piranda 1990; Friswell,
-  Mottershead and Ahmadian 1998).
+* Which few columns explain the residual? Forward selection takes at each turn the column that
+  lowers the sum of squares most, together with those before (Lallement and Piranda 1990; Friswell,
+  Mottershead and Ahmadian 1998), by changes that the parameters' bounds allow.
 * Which columns say the same? Those whose angle is small: |cos| of at least a threshold, directly
   or through others. In a group of like columns at most one parameter can be found.
 """
@@ -24,7 +23,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+from numpy.typing import ArrayLike
+from scipy import linalg, optimize
 from scipy.sparse.csgraph import connected_components
 
 from modetune.core.errors import CampaignError
@@ -107,38 +107,54 @@ def forward_selection(
     residual: Floats,
     least_gain: float = LEAST_GAIN,
     most: int | None = None,
+    lower: ArrayLike = -np.inf,
+    upper: ArrayLike = np.inf,
 ) -> ForwardSelection:
     """Columns that explain the residual, until the next would explain too little.
 
     sensitivity: (n_residuals, n_parameters), residual: (n_residuals,), both weighted; least_gain:
-    share of the first misfit that a column must explain; most: how many are chosen at most.
+    share of the first misfit that a column must explain; most: how many are chosen at most;
+    lower, upper: (n_parameters,), how far each may move, in the columns' units, 0 between them: a
+    weak column explains only what a change that is allowed explains.
     Raises CampaignError.
     """
     _check(sensitivity)
     if residual.shape != sensitivity.shape[:1] or not np.isfinite(residual).all():
         raise CampaignError(f"the residual must have {sensitivity.shape[0]} finite entries")
-    left, columns = residual.astype(np.float64), sensitivity.astype(np.float64)
-    lengths = np.linalg.norm(columns, axis=0)
+    n = sensitivity.shape[1]
+    bounds = np.broadcast_to(lower, n), np.broadcast_to(upper, n)
+    # Q of [S, z] leaves all lengths and angles as they are, in at most n + 1 rows.
+    small = np.asarray(np.linalg.qr(np.column_stack([sensitivity, residual]), mode="r"))
+    columns, target = small[:, :n], small[:, n]
     chosen: list[int] = []
-    misfits, cosines = [float(left @ left)], []
-    limit = min(most if most is not None else columns.shape[1], *columns.shape)
+    misfits, cosines = [float(target @ target)], []
+    limit = min(most if most is not None else n, n, sensitivity.shape[0])
     while len(chosen) < limit and misfits[-1] > 0.0:
-        outside = np.linalg.norm(columns, axis=0)
-        seen = outside > np.maximum(RANK_TOLERANCE * lengths.max(), 1e-8 * lengths)
-        seen[chosen] = False
-        along = np.divide(left @ columns, outside, out=np.zeros(outside.size), where=seen)
-        best = int(np.argmax(np.abs(along)))
-        if along[best] ** 2 < least_gain * misfits[0] or not seen[best]:
+        others = [place for place in range(n) if place not in chosen]
+        left = [_misfit(columns, target, [*chosen, other], bounds) for other in others]
+        best = int(np.argmin(left))
+        gain = misfits[-1] - left[best]
+        if gain < least_gain * misfits[0] or gain <= 1e-14 * misfits[0]:
             break
-        cosines.append(float(abs(along[best]) / np.sqrt(misfits[-1])))
-        unit = columns[:, best] / outside[best]
-        left = left - along[best] * unit
-        columns = columns - np.outer(unit, unit @ columns)
-        chosen.append(best)
-        misfits.append(float(left @ left))
+        cosines.append(float(np.sqrt(gain / misfits[-1])))
+        misfits.append(left[best])
+        chosen.append(others[best])
     return ForwardSelection(
-        np.array(chosen, dtype=np.int64), np.array(misfits), np.array(cosines), lengths.size
+        np.array(chosen, dtype=np.int64), np.array(misfits), np.array(cosines), n
     )
+
+
+def _misfit(
+    columns: Floats, target: Floats, chosen: list[int], bounds: tuple[Floats, Floats]
+) -> float:
+    """Sum of squares that the best allowed combination of these columns leaves."""
+    low, high = (bound[chosen] for bound in bounds)
+    picked = columns[:, chosen]
+    left = target - picked @ np.linalg.lstsq(picked, target, rcond=RANK_TOLERANCE)[0]
+    if np.isfinite([*low, *high]).any():
+        found = optimize.lsq_linear(picked, target, (low, high), method="bvls")
+        left = target - picked @ found.x
+    return float(left @ left)
 
 
 def column_cosines(sensitivity: Floats) -> Floats:

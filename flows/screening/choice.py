@@ -41,7 +41,8 @@ class Candidates:
     names; importance: (n_parameters,), standard deviations of the test; loudest: (n_parameters,),
     what each moves most, for people; missing: why a sensitivity could not be had, empty where it
     could. weighted: (n_residuals, n_parameters), weighted_residual: (n_residuals,), as
-    `core/subset.py` wants them.
+    `core/subset.py` wants them. lower, upper: (n_parameters,), how far each may move, in its
+    standard deviations.
     """
 
     names: tuple[str, ...]
@@ -50,6 +51,8 @@ class Candidates:
     missing: tuple[str, ...]
     weighted: Floats
     weighted_residual: Floats
+    lower: Floats
+    upper: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +156,10 @@ def _helpful(
     if not apart:
         return [], ()
     columns = candidates.weighted[:, apart]
-    found = forward_selection(columns, candidates.weighted_residual, LEAST_GAIN, most)
+    found = forward_selection(
+        columns, candidates.weighted_residual, LEAST_GAIN, most,
+        candidates.lower[apart], candidates.upper[apart],
+    )  # fmt: skip
     first = float(found.misfits[0])
     shares = found.misfits / first if first > 0.0 else np.zeros(1)
     order = [apart[column] for column in found.order.tolist()]

@@ -121,9 +121,14 @@ def _screening(
     runs: RunCounts, version: str, wall_s: float,
 ) -> Screening:  # fmt: skip
     values = importance(campaign, design, local, found)
+    parameters, start = campaign.parameters, nominal.theta
+    allowed = [
+        (bound - start) / parameters.standard_deviations
+        for bound in (parameters.lower, parameters.upper)
+    ]
     candidates = Candidates(
         campaign.parameters.names, values, loudest(campaign, design, local, found), local.missing,
-        local.weighted, local.weighted_residual,
+        local.weighted, local.weighted_residual, *allowed,
     )  # fmt: skip
     pairing = nominal.pairing
     return Screening(

@@ -108,6 +108,13 @@ def test_columns_that_say_nothing_of_the_residual_are_not_chosen() -> None:
     assert forward_selection(s, np.zeros(4)).order.size == 0
 
 
+def test_bounds_limit_what_a_column_explains() -> None:
+    # Of z = (4, 3) the first column may take 1 of 4: (4 - 1)^2 + 0 + 3^2 is left, then 3^2.
+    found = forward_selection(np.eye(2), np.array([4.0, 3.0]), upper=[1.0, np.inf])
+    assert found.order.tolist() == [1, 0]
+    np.testing.assert_allclose(found.misfits, [25.0, 16.0, 9.0])
+
+
 def test_a_repeated_column_is_chosen_once() -> None:
     s = np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
     found = forward_selection(s, np.array([3.0, 3.0, 1.0]), least_gain=0.0)

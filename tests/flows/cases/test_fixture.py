@@ -25,6 +25,8 @@ from modetune.flows.evaluation import Point
 from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import CampaignRun, job_engine, update_campaign
+from modetune.flows.screening.proposal import write_proposal
+from modetune.flows.screening.running import ScreeningRequest, screen_campaign
 from modetune.flows.sensitivities import Sensitivities
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "fixture"
@@ -38,6 +40,9 @@ class Silence:
         pass
 
     def iteration(self, record: IterationRecord) -> None:
+        pass
+
+    def points(self, done: int, total: int, ran: int, failed: int) -> None:
         pass
 
 
@@ -113,7 +118,9 @@ def test_shape_sensitivities_to_a_spring_agree_with_central_differences(folder: 
 
 
 def test_the_proposed_parameters_are_the_most_influential_five(folder: Path) -> None:
-    found = normalised_sensitivities(folder / "fixture_candidates.yaml", [COARSE])
+    found = normalised_sensitivities(
+        folder / "fixture_candidates.yaml", [COARSE, "test.use=[1,2,3,4,5,6,7,8,9]"]
+    )
     proposed = load_campaign(folder / "fixture.yaml", [COARSE]).parameters.names
     assert set(found.ranked()[:5]) == set(proposed)
     assert found.values.shape == (9, 13)
@@ -122,6 +129,18 @@ def test_the_proposed_parameters_are_the_most_influential_five(folder: Path) -> 
     assert min(largest[name] for name in proposed) > 1.5 * max(others)
     # Strain and spring energies are all of the energy: a half of each mode's eigenvalue.
     np.testing.assert_allclose(found.values.sum(axis=1), 0.5, rtol=1e-4)
+
+
+def test_screening_proposes_the_five_and_they_reach_the_agreement(folder: Path) -> None:
+    campaign = load_campaign(folder / "fixture_candidates.yaml", [COARSE])
+    screening = screen_campaign(campaign, ScreeningRequest("local"), Silence())
+    chosen = load_campaign(folder / "fixture.yaml", [COARSE]).parameters.names
+    assert set(screening.choice.chosen) == set(chosen)
+    proposed = write_proposal(campaign.file, screening, folder / "proposed.yaml")
+    again = load_campaign(proposed, [COARSE])
+    assert set(again.parameters.names) == set(chosen)
+    record = update_campaign(again, folder / "proposed", Silence()).record
+    assert holding(record)[1:] == [True, True, True, True]  # all but the fine mesh's start
 
 
 def test_frequencies_alone_do_not_tell_five_parameters(folder: Path) -> None:

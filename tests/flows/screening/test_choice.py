@@ -22,13 +22,18 @@ COLUMNS = np.array(
 NAMES = ("E_wing", "E_fin", "t_wing", "E_strut", "E_tail")
 
 
+def free(n: int) -> tuple[Floats, Floats]:
+    """Changes without bounds."""
+    return np.full(n, -np.inf), np.full(n, np.inf)
+
+
 def chosen(
     residual: Floats, most: int | None = None, missing: tuple[str, ...] = ("",) * 5
 ) -> Choice:
     importance = np.linalg.norm(COLUMNS, axis=0)
     loudest = ("frequency of mode 1",) * 5
     return choose_parameters(
-        Candidates(NAMES, importance, loudest, missing, COLUMNS, residual), most
+        Candidates(NAMES, importance, loudest, missing, COLUMNS, residual, *free(len(NAMES))), most
     )
 
 
@@ -87,14 +92,32 @@ def test_a_candidate_without_sensitivity_is_left_out_with_that_reason() -> None:
 
 def test_opposite_columns_are_told_by_their_difference() -> None:
     columns = np.array([[2.0, -1.9], [1.0, -1.0]])
-    candidates = Candidates(("a", "b"), np.ones(2) * 9.0, ("", ""), ("", ""), columns, np.ones(2))
+    candidates = Candidates(
+        ("a", "b"), np.ones(2) * 9.0, ("", ""), ("", ""), columns, np.ones(2), *free(2)
+    )
     choice = choose_parameters(candidates)
     assert "only their difference" in reason(choice, "b")
 
 
+def test_a_weak_parameter_whose_bounds_allow_too_little_is_not_chosen() -> None:
+    # The residual is 20 of the weak column; where that may move by 1, 361 of 400 is left, and by 2
+    # of the strong one 200.
+    columns = np.array([[1.0, 5.0], [0.0, 5.0]])
+    names, residual = ("weak", "strong"), np.array([20.0, 0.0])
+    importance = np.linalg.norm(columns, axis=0)
+    open_choice, bound_choice = (
+        choose_parameters(
+            Candidates(names, importance, names, ("", ""), columns, residual, -limit, limit), 1
+        )
+        for limit in (np.full(2, np.inf), np.array([1.0, 3.0]))
+    )
+    assert open_choice.chosen == ("weak",)
+    assert bound_choice.chosen == ("strong",)
+
+
 def test_nothing_seen_is_nothing_chosen() -> None:
     candidates = Candidates(
-        ("a",), np.zeros(1), ("frequency of mode 1",), ("",), np.zeros((3, 1)), np.ones(3)
+        ("a",), np.zeros(1), ("frequency of mode 1",), ("",), np.zeros((3, 1)), np.ones(3), *free(1)
     )
     choice = choose_parameters(candidates)
     assert choice.chosen == ()
@@ -109,7 +132,7 @@ def test_every_candidate_has_a_reason_and_ranks_are_without_gaps(seed: int) -> N
     names = tuple(f"p{place}" for place in range(9))
     importance = np.linalg.norm(columns, axis=0)
     choice = choose_parameters(
-        Candidates(names, importance, names, ("",) * 9, columns, rng.normal(size=6)), 6
+        Candidates(names, importance, names, ("",) * 9, columns, rng.normal(size=6), *free(9)), 6
     )
     assert [item.name for item in choice.verdicts] == list(names)
     assert all(item.reason for item in choice.verdicts)
