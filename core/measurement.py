@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,10 @@ class MeasuredFrfs:
     coherences: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        if self.kind not in get_args(Response):
+            raise ModesError(
+                f"response functions are {', '.join(get_args(Response))}, not {self.kind!r}"
+            )
         n_lines, n_functions = self.values.shape
         columns = (
             self.nodes, self.components, self.signs, self.reference_nodes,
@@ -48,8 +53,9 @@ class MeasuredFrfs:
             raise ModesError("the columns of the response functions do not fit together")
         if self.coherences.size and self.coherences.shape != self.values.shape:
             raise ModesError("the coherences do not fit the response functions")
-        if (np.diff(self.frequencies_hz) <= 0.0).any():
-            raise ModesError("the frequencies of response functions must ascend")
+        finite = np.isfinite(self.frequencies_hz).all()
+        if not finite or (np.diff(self.frequencies_hz) <= 0.0).any():
+            raise ModesError("the frequencies of response functions must be finite and ascend")
         if not np.isfinite(self.values).all():
             raise ModesError("a response function holds values that are not finite numbers")
 

@@ -97,7 +97,8 @@ def refine_poles(
     """Poles that fit the functions best, near the given ones, (n_modes,).
 
     As fit_residues. Functions weigh as they are scaled. A pole that would leave the stable half
-    plane, or its place by more than its half-width, keeps the value it was given.
+    plane, or its place by more than its resonance is wide (0.2 % at least), keeps the value it was
+    given.
     """
     data = _stacked(values)
     at, error = poles, _misfit(frequencies_hz, data, poles, kind)
@@ -138,7 +139,9 @@ def mode_shares(
         near = np.abs(frequencies_hz - abs(pole) / (2.0 * np.pi)) <= width
         without = np.abs(values[near] - others.synthesise(frequencies_hz[near])) ** 2
         gain = np.sum(without) - np.sum(left[near])
-        shares[mode] = np.sqrt(max(gain, 0.0) / np.sum(np.abs(values[near]) ** 2))
+        whole = float(np.sum(np.abs(values[near]) ** 2))
+        # A pole that was refined out of the band has no lines near it.
+        shares[mode] = np.sqrt(max(gain, 0.0) / whole) if whole > 0.0 else 0.0
     return np.minimum(shares, 1.0)
 
 

@@ -129,8 +129,7 @@ def twin(
     as_json: AsJson = False,
 ) -> None:
     """Run the model's modal analysis on several solvers and show their modes side by side."""
-    from rich.console import Console
-
+    from modetune.flows.terminal import terminal
     from modetune.flows.twin import run_twin, twin_summary
 
     with stoppable():
@@ -140,7 +139,7 @@ def twin(
     else:
         from modetune.flows.display import show_twin
 
-        show_twin(Console(), compared)
+        show_twin(terminal(), compared)
     raise typer.Exit(0 if len(compared.solvers) > 1 else 4)
 
 
@@ -200,17 +199,16 @@ def _update(
 
 
 def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefect: bool) -> Any:
-    from rich.console import Console
-
     from modetune.flows.display import ConsoleProgress
     from modetune.flows.server.process import use_server
+    from modetune.flows.terminal import terminal
     from modetune.flows.trust.starts import update_from_starts
 
     campaign = _load(campaign_file, settings)
     campaign.solver.version()
     server = use_server() if with_prefect else None
     try:
-        with ConsoleProgress(Console(stderr=True)).shown() as progress:
+        with ConsoleProgress(terminal(stderr=True)).shown() as progress:
             run = update_from_starts(
                 campaign, runs / campaign.name, progress, server, progress.forecast
             )
@@ -221,11 +219,10 @@ def _run_update(campaign_file: Path, settings: list[str], runs: Path, with_prefe
 
 
 def _show(run: Any) -> None:
-    from rich.console import Console
-
     from modetune.flows.display import show_run
+    from modetune.flows.terminal import terminal
 
-    show_run(Console(), run)
+    show_run(terminal(), run)
 
 
 def _load(campaign_file: Path, settings: list[str]) -> Any:

@@ -131,9 +131,12 @@ def pairing_lines(record: CampaignRecord) -> list[str]:
 
 def parameter_table(record: CampaignRecord) -> Table:
     """Parameters before and after, relative to the deck and in its units."""
-    table = Table(title="Parameters", title_justify="left")
-    table.add_column("parameter")
-    for heading in ("deck value", "updated", "change %", "std. error %", "by test %", "bounds"):
+    table = Table(
+        title="Parameters (±: standard error; by test: its share of the answer)",
+        title_justify="left",
+    )
+    table.add_column("parameter", no_wrap=True)
+    for heading in ("deck", "updated", "change %", "± %", "by test %", "bounds"):
         table.add_column(heading, justify="right")
     stuck = record.parameters.at_bounds(record.updated)
     for place, item in enumerate(record.parameters.parameters):

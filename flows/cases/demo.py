@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.text import Text
 
 from modetune import configs
@@ -19,6 +18,7 @@ from modetune.flows.cases.fixture import compare_fixture
 from modetune.flows.cases.lab import compare_lab, prepare_lab
 from modetune.flows.cases.six_mass_comparison import compare_six_mass
 from modetune.flows.running import CampaignRun
+from modetune.flows.terminal import terminal
 
 CONFIGS = Path(next(iter(configs.__path__)))
 
@@ -51,7 +51,7 @@ class GarteurComparison:
         return {}
 
     def show(self) -> None:
-        Console().print(Text(compare_with_thesis(self.record)), soft_wrap=True)
+        terminal().print(Text(compare_with_thesis(self.record)), soft_wrap=True)
 
 
 def compare_with_thesis(record: CampaignRecord) -> str:

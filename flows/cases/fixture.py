@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -28,6 +27,7 @@ from modetune.flows.evaluator import Evaluator
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.report.figures import frequency_figure, parameter_figure, save
 from modetune.flows.running import CampaignRun, job_engine
+from modetune.flows.terminal import terminal
 
 #: Thesis Tables 26 and 27: frequency errors and MAC of the first three modes, and its iterations.
 THESIS_BEFORE = (0.062, 0.344, 0.173)
@@ -78,7 +78,7 @@ class FixtureComparison:
         }
 
     def show(self) -> None:
-        console = Console()
+        console = terminal()
         console.print(mode_table(self.record))
         console.print(truth_table(self.record))
         console.print(claim_table(self.claims))

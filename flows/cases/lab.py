@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from modetune.adapters.measurements import read_measurement
 from modetune.configs.garteur.lab import TRUTH, true_modes, write_lab
@@ -18,6 +17,7 @@ from modetune.core.record import CampaignRecord
 from modetune.flows.cases.claims import Claim, claim_table, told_claims
 from modetune.flows.identification.files import write_modes
 from modetune.flows.identification.identify import IdentificationSettings, identify
+from modetune.flows.terminal import terminal
 
 BAND_HZ = (3.0, 57.0)
 #: Identified frequencies, and moduli that the test sees, are to be right within these shares.
@@ -38,7 +38,7 @@ class LabComparison:
         return {"claims": told_claims(self.claims)}
 
     def show(self) -> None:
-        Console().print(claim_table(self.claims, "from response functions"))
+        terminal().print(claim_table(self.claims, "from response functions"))
 
 
 def prepare_lab(folder: Path) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -25,6 +24,7 @@ from modetune.flows.cases.six_mass import (
 )
 from modetune.flows.report.figures import save
 from modetune.flows.running import CampaignRun
+from modetune.flows.terminal import terminal
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class SixMassComparison:
         }
 
     def show(self) -> None:
-        console = Console()
+        console = terminal()
         for table in (mac_table(self.outcomes), frequency_table(self.outcomes),
                       spring_table(self.record)):  # fmt: skip
             console.print(table)

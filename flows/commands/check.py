@@ -119,10 +119,11 @@ def _told_facts(facts: ModelFacts) -> dict[str, Any]:
 
 
 def _show(campaign: Campaign, report: GateReport) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console()
+    from modetune.flows.terminal import terminal
+
+    console = terminal()
     model = campaign.solver.model
     console.print(
         Text(

@@ -184,10 +184,11 @@ def _write_csv(path: Path, heads: list[str], rows: Any) -> Path:
 
 
 def _show(found: Correlation) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console()
+    from modetune.flows.terminal import terminal
+
+    console = terminal()
     console.print(_pair_table(found))
     if found.mac.size and max(found.mac.shape) <= SHOWN:
         console.print(_matrix_table(found))

@@ -146,10 +146,11 @@ def _number(value: float) -> float | None:
 
 
 def _show(found: Localisation) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console()
+    from modetune.flows.terminal import terminal
+
+    console = terminal()
     if found.maps is not None:
         console.print(_group_table(found.maps))
     console.print(_removal_table(found))

@@ -205,10 +205,11 @@ def _told_quality(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]
 
 
 def _show(found: Pretest) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console()
+    from modetune.flows.terminal import terminal
+
+    console = terminal()
     console.print(_sensor_table(found))
     for line in quality_lines(found):
         console.print(Text(line), soft_wrap=True)

@@ -86,11 +86,10 @@ def sample(
 
 
 def _progress() -> Any:
-    from rich.console import Console
-
     from modetune.flows.display import ConsoleProgress
+    from modetune.flows.terminal import terminal
 
-    return ConsoleProgress(Console(stderr=True)).shown()
+    return ConsoleProgress(terminal(stderr=True)).shown()
 
 
 def _figures(found: PosteriorRecord, folder: Path | None) -> list[Path]:
@@ -102,12 +101,12 @@ def _figures(found: PosteriorRecord, folder: Path | None) -> list[Path]:
 
 
 def _show(found: PosteriorRecord, written: list[Path]) -> None:
-    from rich.console import Console
     from rich.text import Text
 
     from modetune.flows.posterior.telling import findings
+    from modetune.flows.terminal import terminal
 
-    console = Console()
+    console = terminal()
     console.print(_table(found))
     left_out, checked = found.left_out.max(), found.check_errors.max()
     lines = [

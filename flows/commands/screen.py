@@ -85,11 +85,10 @@ def screen(
 
 
 def _progress() -> Any:
-    from rich.console import Console
-
     from modetune.flows.screening.progress import ConsoleScreening
+    from modetune.flows.terminal import terminal
 
-    return ConsoleScreening(Console(stderr=True)).shown()
+    return ConsoleScreening(terminal(stderr=True)).shown()
 
 
 def _figures(screening: Screening, folder: Path | None) -> list[Path]:
@@ -111,10 +110,11 @@ def _tell(screening: Screening, folder: Path, written: list[Path], as_json: bool
             part.write_text(json.dumps(shown, indent=1), encoding="utf-8")
         typer.echo(json.dumps(shown))
         return
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console()
+    from modetune.flows.terminal import terminal
+
+    console = terminal()
     for table in tables(screening):
         console.print(table)
     for line in lines(screening):

@@ -39,21 +39,20 @@ def validate(
     By what the campaign holds out, or with --leave-one-out by each used mode in turn. Nothing but
     the store is written. Exit code 3 where something that was held out got worse.
     """
-    from rich.console import Console
-
     from modetune.flows.campaign import load_campaign
     from modetune.flows.display import ConsoleProgress
+    from modetune.flows.terminal import terminal
     from modetune.flows.validation.leave_out import leave_one_out
     from modetune.flows.validation.leave_out import validate as by_held_out
 
     campaign = load_campaign(campaign_file, settings or [])
-    with stoppable(), ConsoleProgress(Console(stderr=True)).shown() as progress:
+    with stoppable(), ConsoleProgress(terminal(stderr=True)).shown() as progress:
         judge = leave_one_out if one_out else by_held_out
         found = judge(campaign, progress.working)
     if as_json:
         typer.echo(json.dumps(told(found, one_out)))
     else:
-        _show(Console(), found)
+        _show(terminal(), found)
     raise typer.Exit(0 if found.status == "good" else 3)
 
 

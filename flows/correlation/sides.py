@@ -17,6 +17,7 @@ import numpy as np
 
 from modetune.adapters.measurements import read_measurement
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.adapters.test_hdf5 import SEAL
 from modetune.core.eigen import solve_modes
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
@@ -77,12 +78,26 @@ def source(path: Path, at: Sequence[str] = ()) -> Source:
     kind: SourceKind = "test"
     if path.suffix.lower() in (".yaml", ".yml"):
         kind = "campaign"
-    elif h5py.is_hdf5(path):
-        with h5py.File(path, "r") as file:
-            kind = "record" if "iterations" in file else "test"
+    elif _is_record(path):
+        kind = "record"
     if at and kind != "campaign":
         raise CampaignError(f"{path} is no campaign file, so it has no values to set")
     return Source(path, kind, tuple(at))
+
+
+def _is_record(path: Path) -> bool:
+    """Whether a file is a campaign's record; a test as HDF5 is left to its own reader, since HDF5
+    must not see one that is damaged."""
+    try:
+        with path.open("rb") as file:
+            if file.read(len(SEAL)) == SEAL:
+                return False
+        if not h5py.is_hdf5(path):
+            return False
+        with h5py.File(path, "r") as record:
+            return "iterations" in record
+    except OSError:
+        return path.name == "campaign.h5"  # its reader says what is wrong
 
 
 def correlate_sources(

@@ -5,6 +5,8 @@ Nothing here knows the model. Limits are meant so that a sound test passes witho
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from modetune.core.correlation import auto_mac
@@ -61,7 +63,7 @@ def _frequencies(test: MeasuredModes) -> list[Finding]:
             Finding("doubtful", "test", "the frequencies do not ascend",
                     f"test mode {listed(late)}", "look whether columns were mixed up")
         )  # fmt: skip
-    for first, second in _pairs(len(test.numbers)):
+    for first, second in combinations(range(len(test.numbers)), 2):
         if abs(frequencies[second] / frequencies[first] - 1.0) < COPIED:
             found.append(
                 Finding("doubtful", "test",
@@ -102,7 +104,7 @@ def _alike(
     if n_dof < 2 or places.size < 2:
         return found
     table = auto_mac(shapes[:, places])
-    for first, second in _pairs(places.size):
+    for first, second in combinations(range(places.size), 2):
         value = float(table[first, second])
         names = [test.numbers[places[place]] for place in (first, second)]
         where = f"test modes {names[0]} and {names[1]}"
@@ -177,10 +179,6 @@ def _outliers(test: MeasuredModes, units: Floats) -> list[Finding]:
                     "look at its calibration and mounting, or leave its row out")
         )  # fmt: skip
     return found
-
-
-def _pairs(count: int) -> list[tuple[int, int]]:
-    return [(first, second) for first in range(count) for second in range(first + 1, count)]
 
 
 def _count(sensors: int) -> str:

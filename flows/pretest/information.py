@@ -72,7 +72,8 @@ class Information:
         parts = self.matrices[chosen]
         whole = self.base + parts.sum(axis=0)
         without = np.linalg.inv(whole - parts)
-        lost = 1.0 - np.linalg.det(whole - parts) / np.linalg.det(whole)
+        # By logarithms: determinants of many well-known parameters are beyond all numbers.
+        lost = -np.expm1(np.linalg.slogdet(whole - parts)[1] - np.linalg.slogdet(whole)[1])
         growth = np.diagonal(without, axis1=1, axis2=2) / np.diag(np.linalg.inv(whole))
         return lost, np.argmax(growth, axis=1).astype(np.int64)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 
 from modetune.core.record import CampaignRecord, IterationRecord
@@ -77,12 +79,12 @@ def repetition(record: CampaignRecord) -> Html:
         ["deck, SHA-256 of its content", mono(record.deck_digest or "not recorded")],
         ["first modal job", mono(record.iterations[0].modal_key)],
         ["modal job of the updated model", mono(record.best.modal_key)],
-        ["random numbers", "none are used: the same inputs give the same steps"],
+        ["random numbers", _random_numbers(record)],
     ]  # fmt: skip
     if record.settings:
         facts.append(["settings over the file (--set)", code("\n".join(record.settings))])
     command = " ".join(
-        ["modetune update CAMPAIGN.yaml", *(f"--set '{s}'" for s in record.settings)]
+        ["modetune update CAMPAIGN.yaml", *(f"--set {shlex.quote(s)}" for s in record.settings)]
     )
     return joined([
         table(("", ""), facts, (0, 1)),
@@ -91,6 +93,13 @@ def repetition(record: CampaignRecord) -> Html:
         folded("The campaign file", code(record.campaign_text), is_open=True),
         folded("Keys of all solver jobs, as they stand in the store", _keys(record)),
     ])  # fmt: skip
+
+
+def _random_numbers(record: CampaignRecord) -> str:
+    spread = None if record.trust is None else record.trust.spread
+    if spread is None:
+        return "none are used: the same inputs give the same steps"
+    return f"starts 2 to {len(spread.outcomes)}, drawn with seed {spread.seed}; steps use none"
 
 
 def _keys(record: CampaignRecord) -> Html:

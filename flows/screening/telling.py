@@ -121,7 +121,7 @@ def _table(title: str, first: str, headings: list[str]) -> Table:
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
-    table.add_column(first)
+    table.add_column(first, no_wrap=True)
     for heading in headings:
         table.add_column(heading, justify="right")
     return table
@@ -129,12 +129,13 @@ def _table(title: str, first: str, headings: list[str]) -> Table:
 
 def _local_table(screening: Screening, what: str, rows: Floats) -> Table:
     """Sensitivities (n_modes, n_parameters) at the deck's values."""
-    numbers = screening.numbers[:SHOWN]
-    table = _table(f"At the deck's values: {what}", "parameter",
-                   [*(f"mode {number}" for number in numbers), "by"])  # fmt: skip
+    numbers, methods = screening.numbers[:SHOWN], screening.local.methods
+    same = len(set(methods)) == 1
+    title = f"At the deck's values: {what} of test modes{f', by {methods[0]}' if same else ''}"
+    table = _table(title, "parameter", [*map(str, numbers), *([] if same else ["by"])])
     for place in screening.choice.ranking:
-        cells = [f"{value:+.3f}" for value in rows[: len(numbers), place].tolist()]
-        table.add_row(screening.names[place], *cells, screening.local.methods[place])
+        cells = [f"{value:+.2f}" for value in rows[: len(numbers), place].tolist()]
+        table.add_row(screening.names[place], *cells, *([] if same else [methods[place]]))
     return table
 
 
