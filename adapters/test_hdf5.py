@@ -46,7 +46,9 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
     image = io.BytesIO()
     with h5py.File(image, "w", userblock_size=BLOCK) as file:
         file.attrs.update(format=FORMAT, version=VERSION)
-        file.create_dataset("notes", data=list(measurement.notes), dtype=h5py.string_dtype())
+        # A note may name a path that is not UTF-8.
+        notes = [note.encode("utf-8", "backslashreplace") for note in measurement.notes]
+        file.create_dataset("notes", data=notes, dtype=h5py.string_dtype())
         if measurement.modes is not None:
             modes = measurement.modes.modes
             group = file.create_group("modes")

@@ -110,7 +110,7 @@ def _systems(files: Sequence[UniversalFile]) -> dict[int, CoordinateSystem]:
                 given.update({system.number: (system, item.place) for system in item.systems})
     found: dict[int, CoordinateSystem] = {}
     for number in given:
-        _resolve(number, given, found, ())
+        _resolve(number, given, found)
     return found
 
 
@@ -118,19 +118,27 @@ def _resolve(
     number: int,
     given: dict[int, tuple[CoordinateSystem, Place]],
     found: dict[int, CoordinateSystem],
-    above: tuple[int, ...],
 ) -> None:
-    """Put a system into global axes, those first that it is given in."""
-    if number in found:
-        return
-    system, place = given[number]
+    """Put a system into global axes, those first that it is given in, however many these are."""
+    chain: dict[int, None] = {}
+    # A missing one is the global one, as elsewhere.
+    while number and number in given and number not in found:
+        if number in chain:
+            place = given[number][1]
+            raise CampaignError(f"{place}: coordinate system {number} is given in terms of itself")
+        chain[number] = None
+        number = given[number][0].reference
+    for link in reversed(chain):
+        found[link] = _in_global_axes(given[link][0], found)
+
+
+def _in_global_axes(
+    system: CoordinateSystem, found: dict[int, CoordinateSystem]
+) -> CoordinateSystem:
+    """A system in global axes; the one that it is given in, if any, is in `found`."""
     reference = system.reference
-    if number in above:
-        raise CampaignError(f"{place}: coordinate system {number} is given in terms of itself")
-    if reference == 0 or reference not in given:  # a missing one is the global one, as elsewhere
-        found[number] = system
-        return
-    _resolve(reference, given, found, (*above, number))
+    if reference == 0 or reference not in found:
+        return system
     base = found[reference]
     # the points that give the axes are coordinates of the reference too, angles where it has them
     origin = _to_global(system.origin, reference, found)
@@ -139,7 +147,7 @@ def _resolve(
         if base.kind == 0
         else system.axes @ _axes_at(origin, reference, found)
     )
-    found[number] = CoordinateSystem(number, system.kind, 0, origin, axes)
+    return CoordinateSystem(system.number, system.kind, 0, origin, axes)
 
 
 def _to_global(point: Floats, number: int, systems: dict[int, CoordinateSystem]) -> Floats:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from modetune.core.modes import Floats
 from modetune.flows.correlation.correlate import Correlation, Side, dof_name
-from modetune.flows.report.figures import STYLES, _figure, save
+from modetune.flows.report.figures import STYLES, _figure, plain, save
 
 #: Numbers in the cells are left out beyond this many modes, they would be dust.
 NUMBERED = 24
@@ -48,9 +48,9 @@ def heat_figure(title: str, table: Floats, rows: Side, columns: Side) -> Figure:
     axes.set_xticks(range(width), [_tick(columns, place) for place in range(width)], rotation=90)
     axes.set_yticks(range(height), [_tick(rows, place) for place in range(height)])
     axes.tick_params(labelsize=8)
-    axes.set_xlabel(f"{columns.label}: mode, Hz")
-    axes.set_ylabel(f"{rows.label}: mode, Hz")
-    axes.set_title(title, fontsize=10)
+    axes.set_xlabel(plain(f"{columns.label}: mode, Hz"))
+    axes.set_ylabel(plain(f"{rows.label}: mode, Hz"))
+    axes.set_title(plain(title), fontsize=10)
     if max(height, width) <= NUMBERED:
         for row, column in np.ndindex(height, width):
             value = float(table[row, column])
@@ -76,9 +76,9 @@ def pair_figure(title: str, found: Correlation) -> Figure:
     axes.set_xlim(0.0, largest)
     axes.set_ylim(0.0, largest)
     axes.set_aspect("equal")
-    axes.set_xlabel(f"{found.first.label}, Hz")
-    axes.set_ylabel(f"{found.second.label}, Hz")
-    axes.set_title(title, fontsize=10)
+    axes.set_xlabel(plain(f"{found.first.label}, Hz"))
+    axes.set_ylabel(plain(f"{found.second.label}, Hz"))
+    axes.set_title(plain(title), fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left")
     return figure
@@ -100,7 +100,7 @@ def comac_figure(title: str, found: Correlation) -> Figure:
     lower.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     more = len(found.dofs) - len(names)
     said = f" (worst {len(names)} of {len(found.dofs)})" if more else ""
-    upper.set_title(f"{title}{said}", fontsize=10)
+    upper.set_title(plain(f"{title}{said}"), fontsize=10)
     for axes in (upper, lower):
         axes.grid(alpha=0.3, axis="y")
     return figure

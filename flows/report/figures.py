@@ -267,6 +267,11 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
+def plain(text: str) -> str:
+    """A user's text, in which no sign starts a formula."""
+    return text.replace("$", r"\$")
+
+
 def _figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)

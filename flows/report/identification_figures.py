@@ -16,7 +16,14 @@ from modetune.core.modes import Floats
 from modetune.core.stabilisation import OrderPoles, Stability
 from modetune.core.store import writing
 from modetune.flows.identification.identify import Identification
-from modetune.flows.report.figures import STYLES, ResponseCurve, _figure, response_figure, save
+from modetune.flows.report.figures import (
+    STYLES,
+    ResponseCurve,
+    _figure,
+    plain,
+    response_figure,
+    save,
+)
 
 #: Symbol, colour, size and name of a pole, by what it agrees in with the order before.
 POLES: dict[Stability, tuple[str, str, float, str]] = {
@@ -42,7 +49,7 @@ def stabilisation_figure(title: str, found: Identification) -> Figure:
                          label=label)  # fmt: skip
     poles.set_ylabel("order (pairs of poles)")
     poles.set_ylim(0.0, found.settings.order + 1.0)
-    poles.set_title(title)
+    poles.set_title(plain(title))
     figure.legend(*poles.get_legend_handles_labels(), loc="outside lower center", ncols=5,
                   title=LEGEND, fontsize=9)  # fmt: skip
     lines = found.frfs.frequencies_hz

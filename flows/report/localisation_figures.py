@@ -23,7 +23,7 @@ from modetune.core.modes import Floats
 from modetune.core.surface import Surface
 from modetune.flows.localisation.error_maps import ErrorMaps
 from modetune.flows.localisation.localise import Localisation
-from modetune.flows.report.figures import STYLES, _figure, save
+from modetune.flows.report.figures import STYLES, _figure, plain, save
 
 #: Bars that can be told apart on a page.
 BARS = 30
@@ -71,10 +71,10 @@ def removal_figure(title: str, names: Sequence[str], singles: Sequence[Removal])
 
 
 def _name_bars(axes: Any, names: Sequence[str], title: str) -> None:
-    axes.set_yticks(range(len(names)), [_plain(name) for name in names], fontsize=8)
+    axes.set_yticks(range(len(names)), [plain(name) for name in names], fontsize=8)
     axes.set_xlim(0.0, 100.0)
     axes.set_xlabel("%")
-    axes.set_title(_plain(title), fontsize=10)
+    axes.set_title(plain(title), fontsize=10)
     axes.grid(alpha=0.3, axis="x")
 
 
@@ -114,11 +114,6 @@ def surface_figure(title: str, surface: Surface, strains: Floats) -> Figure:
         axes.set(**{f"{name}lim": (centre - width, centre + width)})
     axes.set_box_aspect(room, zoom=1.3)
     axes.set_axis_off()
-    axes.set_title(_plain(title), fontsize=10)
+    axes.set_title(plain(title), fontsize=10)
     figure.colorbar(paint, ax=axes, shrink=0.6, label="strain of the error, of the largest")
     return figure
-
-
-def _plain(text: str) -> str:
-    """A user's text, in which no sign starts a formula."""
-    return text.replace("$", r"\$")

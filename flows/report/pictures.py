@@ -32,7 +32,7 @@ def write_pictures(record: CampaignRecord, folder: Path, form: Form) -> tuple[Pa
 def drawn_figures(record: CampaignRecord) -> Iterator[tuple[str, Figure]]:
     """Name and figure of everything the record gives, one after the other."""
     rows, first, last = mode_rows(record), record.iterations[0], record.best
-    title = _plain(record.name)
+    title = figures.plain(record.name)
     if record.test.has_shapes and mac_table(record, last).size:
         tables = [("before", mac_table(record, first)), ("after", mac_table(record, last))]
         yield "mac", figures.mac_figure(title, tables)
@@ -41,7 +41,7 @@ def drawn_figures(record: CampaignRecord) -> Iterator[tuple[str, Figure]]:
           for name in ("test_hz", "before_hz", "after_hz")]  # fmt: skip
     yield "frequencies", figures.frequency_figure(title, [row.number for row in rows], *hz)
     kept = [item for item in record.iterations if item.accepted]
-    names = [_plain(name) for name in record.parameters.names]
+    names = [figures.plain(name) for name in record.parameters.names]
     yield (
         "parameters",
         figures.parameter_figure(
@@ -68,8 +68,3 @@ def drawn_figures(record: CampaignRecord) -> Iterator[tuple[str, Figure]]:
     found = sensor_agreement(record)
     if found is not None and record.test.has_shapes:
         yield "comac", figures.comac_figure(title, found.labels, found.before, found.after)
-
-
-def _plain(text: str) -> str:
-    """A user's text, in which no sign starts a formula."""
-    return text.replace("$", r"\$")

@@ -24,6 +24,7 @@ settings.register_profile(
     "files", deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 FILES = settings.get_profile("files")
+TEXT = st.characters(codec="utf-8", exclude_characters="\0")
 
 
 def same(one: Any, other: Any) -> None:
@@ -38,11 +39,16 @@ def same(one: Any, other: Any) -> None:
 
 
 @settings(FILES, max_examples=40)
-@given(wanted_tests, st.lists(st.text(st.characters(exclude_characters="\0"), max_size=20)))
+@given(wanted_tests, st.lists(st.text(TEXT, max_size=20)))
 def test_a_test_is_read_back_exactly(tmp_path: Path, wanted: Wanted, notes: list[str]) -> None:
     test = replace(made(wanted), notes=tuple(notes))
     write_test_hdf5(tmp_path / "t.h5", test)
     same(read_test_hdf5(tmp_path / "t.h5"), test)
+
+
+def test_a_note_that_names_a_path_of_no_utf8_is_kept_readable(tmp_path: Path) -> None:
+    write_test_hdf5(tmp_path / "t.h5", Measurement(notes=("file \udce9.unv",)))
+    assert read_test_hdf5(tmp_path / "t.h5").notes == (r"file \udce9.unv",)
 
 
 def test_an_empty_test_is_read_back_and_refused_as_a_test_to_use(tmp_path: Path) -> None:

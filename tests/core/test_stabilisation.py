@@ -194,6 +194,12 @@ def test_the_share_of_a_mode_tells_resonance_from_nothing() -> None:
     assert shares[3] < 1e-6  # exact functions leave nothing to a mode that is not there
 
 
+def test_a_pole_out_of_the_band_has_no_share() -> None:
+    lines = np.linspace(20.0, 80.0, 601)
+    poles, values = system(lines, "accelerance")
+    assert mode_shares(lines, values, np.append(poles, pole(95.0, 0.01)), "accelerance")[3] == 0.0
+
+
 def test_a_pole_at_an_end_of_the_band_must_matter_more() -> None:
     wanted = Criteria().wanted_shares(np.array([10.5, 50.0, 99.0]), (10.0, 100.0))
     assert wanted.tolist() == [0.3, 0.05, 0.3]

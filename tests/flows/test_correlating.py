@@ -14,7 +14,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from modetune.adapters.measurements import read_measurement
 from modetune.adapters.modes_csv import write_modes_csv
+from modetune.adapters.test_hdf5 import write_test_hdf5
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import ModeSet, mode_set
 from modetune.core.record import CampaignRecord
@@ -294,6 +296,10 @@ def test_sources_that_cannot_be_compared_are_refused_in_a_sentence(
         file.create_group("iterations")
     with pytest.raises(CampaignError, match="is no record of a campaign"):
         correlate_sources(source(tmp_path / "odd.h5"), None)
+    write_test_hdf5(tmp_path / "cut.h5", read_measurement([SIX_MASS / "measured.csv"]))
+    (tmp_path / "cut.h5").write_bytes((tmp_path / "cut.h5").read_bytes()[:1500])
+    with pytest.raises(CampaignError, match="damaged or cut short"):
+        correlate_sources(source(tmp_path / "cut.h5"), source(SIX_MASS / "measured.csv"))
     (tmp_path / "text.csv").write_text("no test\n")
     with pytest.raises(CampaignError, match=r"text\.csv"):
         correlate_sources(source(tmp_path / "text.csv"), source(SIX_MASS / "measured.csv"))
