@@ -177,10 +177,15 @@ def stop_server(home: Path) -> Stopped:
 def is_keeper(pid: int) -> bool:
     """Whether a process is a living keeper of ours: numbers are given out again, and an ended
     child that nobody has waited for has no command line."""
-    try:
-        return b"modetune.flows.server.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return False
+    for _ in range(5):
+        try:
+            line = Path(f"/proc/{pid}/cmdline").read_bytes()
+        except OSError:
+            return False
+        if line:
+            return b"modetune.flows.server.process" in line
+        time.sleep(0.05)  # one that is just being started has none yet either
+    return False
 
 
 def _start(home: Path) -> Address:
@@ -247,6 +252,7 @@ def _wait_for_idleness(home: Path, server: subprocess.Popen[bytes]) -> None:
             elif time.monotonic() - used > limit:
                 _end(home, server)
                 return
+    sys.stderr.write(f"Prefect's server ended by itself with code {server.returncode}\n")
 
 
 if __name__ == "__main__":
