@@ -8,6 +8,7 @@ frequencies may repeat.
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from modetune.core.errors import StorageUnavailable
 from modetune.core.mesh import CellKind, Mesh, global_shapes
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.store import storage_errors
@@ -29,6 +31,8 @@ VTK_TYPES: dict[CellKind, int] = {
     "tetra": 10, "tetra10": 24, "pyramid": 14, "pyramid13": 27, "wedge": 13, "wedge15": 26,
     "hexahedron": 12, "hexahedron20": 25,
 }  # fmt: skip
+#: The files of a series in its folder.
+OWN_FILE = re.compile(r"mode_\d+\.vtu")
 #: Names of data at points and cells.
 SHAPE, NODE, ELEMENT = "mode_shape", "node", "element"
 #: Names of fields: the mode's number, its frequency, and what ParaView takes for the time.
@@ -69,12 +73,14 @@ def write_series(
     """Write NAME.pvd and NAME/mode_*.vtu; what stood there is replaced once all is written.
 
     grids: one a mode, in the order of frequencies_hz (n_modes,). Returns the .pvd file.
-    Raises StorageUnavailable, and what making the grids raises.
+    Raises StorageUnavailable, also where NAME holds what this function never wrote; and what
+    making the grids raises.
     """
     part, place, series = folder / f"{name}.part", folder / name, folder / f"{name}.pvd"
     digits = len(str(frequencies_hz.size))
     lines = []
-    with storage_errors(folder):
+    with storage_errors(part):
+        check_series(folder, name)
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
         try:
@@ -98,6 +104,29 @@ def write_series(
         part.rename(place)
         series.write_text("\n".join([PVD_HEAD, *lines, PVD_TAIL]) + "\n", encoding="utf-8")
     return series
+
+
+def check_series(folder: Path, name: str) -> None:
+    """Fail where what a series would replace is not a series. Raises StorageUnavailable."""
+    for old in (folder / name, folder / f"{name}.part"):
+        with storage_errors(old):
+            _refuse_strangers(old)
+
+
+def _refuse_strangers(folder: Path) -> None:
+    if not folder.exists() and not folder.is_symlink():
+        return
+    if folder.is_symlink() or not folder.is_dir():
+        raise StorageUnavailable(
+            f"{folder} is no folder of mode shapes, and one is written there; move it, or name "
+            "another place"
+        )
+    strange = sorted(file.name for file in folder.iterdir() if not OWN_FILE.fullmatch(file.name))
+    if strange:
+        raise StorageUnavailable(
+            f"{folder} holds {strange[0]}, which is no mode_*.vtu file of a series, so it is not "
+            "replaced; move it, or name another place"
+        )
 
 
 PVD_HEAD = (

@@ -13,13 +13,13 @@ MAC fell by more than 0.02 (the scatter of a good test's MAC), or where it is no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
-from modetune.core.pairing import LostMode, Pairing, pair_by_order, pair_by_shape, pair_by_tracking
+from modetune.core.pairing import LOST_MAC, Pairing, pair_by_order, pair_by_shape, without_rounding
 
 #: A MAC that falls by more than this got worse.
 MAC_FALL = 0.02
@@ -101,17 +101,21 @@ def pair_held_out(
     """Held-out modes among the computed ones that `pairing` leaves free, positions of all of them.
 
     computed: as the test's sensors see them where shapes were measured. A mode that is not there
-    has the position LOST.
+    has the position LOST, whatever becomes of the others.
     """
     free = np.setdiff1d(np.arange(computed.n_modes), pairing.computed)
-    try:
-        if held.has_shapes:
-            found = pair_by_shape(held.modes, computed.select(free), lost_mac=0.0)
-            return _at(found, free[found.computed])
-        found = pair_by_order(held.modes, computed, used.modes.frequencies_hz)
-    except LostMode as error:
-        return _lost(held.modes.n_modes, str(error))
-    return _at(found, np.where(np.isin(found.computed, free), found.computed, LOST))
+    if held.has_shapes:
+        return _by_shape(held.modes, computed, free)
+    found = _lost(held.modes.n_modes, "no computed mode has its place in the order of frequency")
+    known = np.concatenate([held.modes.frequencies_hz, used.modes.frequencies_hz])
+    ranks = np.argsort(np.argsort(known, kind="stable"), kind="stable")[: held.modes.n_modes]
+    there = np.flatnonzero(ranks < computed.n_modes)
+    if not there.size:
+        return found
+    ordered = pair_by_order(held.modes.select(there), computed, np.delete(known, there))
+    own = np.isin(ordered.computed, free)
+    reasons = np.array(ordered.reasons)[own].tolist()
+    return _placed(found, there[own], ordered.computed[own], reasons)
 
 
 def track_held_out(
@@ -121,14 +125,15 @@ def track_held_out(
 
     previous, computed: the computed modes of `before` and of now, at the same rows.
     """
-    if (before.computed == LOST).any():
-        return _lost(before.computed.size, "was not found before")
+    found = _lost(before.computed.size, "its shape does not continue")
+    known = np.flatnonzero(before.computed != LOST)
     free = np.setdiff1d(np.arange(computed.n_modes), pairing.computed)
-    try:
-        found = pair_by_tracking(before, previous, computed.select(free))
-    except LostMode as error:
-        return _lost(before.computed.size, str(error))
-    return _at(found, free[found.computed])
+    if not known.size:
+        return found
+    tracked = _by_shape(previous.select(before.computed[known]), computed, free)
+    there = tracked.computed != LOST
+    reasons = [f"continues its shape, MAC {mac:.3f}" for mac in tracked.mac[there].tolist()]
+    return _placed(found, known[there], tracked.computed[there], reasons)
 
 
 def judge_held_out(
@@ -176,8 +181,41 @@ def _frequencies(computed: ModeSet, pairing: Pairing) -> Floats:
     return values
 
 
-def _at(found: Pairing, positions: Integers) -> Pairing:
-    return Pairing(found.measured, positions, found.mac, found.subspace_mac, found.reasons)
+def _by_shape(wanted: ModeSet, computed: ModeSet, free: Integers) -> Pairing:
+    """As many of the wanted shapes as there are among the free computed modes; the others LOST."""
+    lost = _lost(wanted.n_modes, "no computed mode that is free resembles it")
+    if not free.size:
+        return lost
+    among = computed.select(free)
+    # Modes at rest, far from all others, stand in where there are too few: they resemble nothing.
+    spare = max(0, wanted.n_modes - free.size)
+    if spare:
+        shapes = without_rounding(among.mode_shapes)
+        far = 1e3 * max(among.frequencies_hz.max(), wanted.frequencies_hz.max())
+        among = mode_set(
+            np.concatenate([among.frequencies_hz, np.full(spare, far)]),
+            np.concatenate([shapes, np.zeros((shapes.shape[0], spare))], axis=1),
+            among.nodes,
+            among.components,
+        )
+    found = pair_by_shape(wanted, among, lost_mac=0.0)
+    there = found.judged_mac >= LOST_MAC
+    placed = _placed(lost, np.flatnonzero(there), free[found.computed[there]],
+                     np.array(found.reasons)[there].tolist())  # fmt: skip
+    return replace(
+        placed,
+        mac=np.where(there, found.mac, np.nan),
+        subspace_mac=np.where(there, found.subspace_mac, np.nan),
+    )
+
+
+def _placed(lost: Pairing, which: Integers, positions: Integers, reasons: Sequence[str]) -> Pairing:
+    """With the positions of some modes that were found."""
+    computed, said = lost.computed.copy(), list(lost.reasons)
+    computed[which] = positions
+    for mode, reason in zip(which.tolist(), reasons, strict=True):
+        said[mode] = reason
+    return replace(lost, computed=computed, reasons=tuple(said))
 
 
 def _lost(n_modes: int, reason: str) -> Pairing:

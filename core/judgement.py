@@ -138,13 +138,16 @@ def short_sentences(
     """
     known = np.isfinite(standard_errors) & (np.abs(remaining) > NEGLIGIBLE)
     far = np.where(known, np.abs(remaining) / np.where(known, standard_errors, 1.0), 0.0)
-    place = int(np.argmax(far))
-    if far[place] <= SHORT:
+    if not (far > SHORT).any():
         return ()
+    moves = ", ".join(
+        f"{names[place]} by {_percent(float(remaining[place]))}, {far[place]:.1f} standard errors"
+        for place in np.flatnonzero(far > SHORT).tolist()
+    )
     return (
-        f"Updating ended as soon as e1 was met; the least misfit lies further on ({names[place]} "
-        f"by {_percent(float(remaining[place]))}, {far[place]:.1f} standard errors). The standard "
-        "errors are those of the least misfit: for them to hold here, ask for a smaller e1.",
+        f"Updating ended as soon as e1 was met; the least misfit lies further on ({moves}). The "
+        "standard errors are those of the least misfit: for them to hold here, ask for a smaller "
+        "e1.",
     )
 
 
@@ -183,6 +186,11 @@ def _verdict_sentence(trust: Trust) -> str:
     doubtful = [item.name for item in trust.parameters if item.doubtful]
     n, told = len(trust.parameters), trust.identifiability.n_told
     reasons = []
+    if trust.meaningless:
+        reasons.append(
+            f"what is left is {trust.times_noise:.2g} times what noise explains, so standard "
+            "errors mean nothing"
+        )
     if doubtful:
         reasons.append(f"{len(doubtful)} of {n} parameters in doubt ({_listed(doubtful)})")
     if trust.unseen and not doubtful:

@@ -18,7 +18,8 @@ from modetune.core.modes import Floats, Integers, MeasuredModes
 class MeasuredFrfs:
     """Frequency response functions of a test, all on the same frequencies.
 
-    frequencies_hz: (n_lines,), ascending. values: (n_lines, n_functions), motion per force.
+    frequencies_hz: (n_lines,), ascending. values: (n_lines, n_functions), motion per force in
+    SI: m, m/s or m/s^2 (rad for rotations) per N (Nm for moments).
     nodes, components: (n_functions,), where and which way the response was measured: test node,
     and 1..6; signs: (n_functions,), -1 where the sensor looks the other way.
     reference_nodes, reference_components, reference_signs: (n_functions,), of the force likewise.

@@ -41,6 +41,10 @@ from modetune.core.modes import Floats, Integers
 
 #: Share of good models that are suspected all the same.
 LEVEL = 0.01
+#: Times noise from which a forecast tells a fault from what its linear model leaves out.
+FORECAST = 1.5
+#: Times noise below which the stated deviations are too large, where noise seldom leaves so little.
+OVERSTATED = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,8 @@ class ModelForm:
     """What the best admissible parameter values leave of a residual.
 
     statistic: chi^2; dof: its degrees of freedom, 0 or less where nothing is left to judge by;
-    p_value: probability that noise alone leaves more, NaN without degrees of freedom.
+    p_value: probability that noise alone leaves more, NaN without degrees of freedom; least: times
+    noise that have to be left before anything is suspected.
     change: (n_parameters,), d; at_bound: (n_parameters,), which end on a bound.
     left: (n_residuals,), z - S d; standardised: (n_residuals,), of deviation one if noise alone.
     """
@@ -61,11 +66,17 @@ class ModelForm:
     at_bound: NDArray[np.bool_]
     left: Floats
     standardised: Floats
+    least: float = 0.0
 
     @property
     def suspected(self) -> bool:
-        """Whether noise leaves so much in less than `level` of all cases."""
-        return self.p_value < self.level
+        """Whether noise leaves so much in less than `level` of all cases, and it is enough."""
+        return self.p_value < self.level and self.times_noise >= self.least
+
+    @property
+    def overstated(self) -> bool:
+        """Whether far less is left than the stated deviations lead to expect."""
+        return self.p_value > 1.0 - self.level and self.times_noise < OVERSTATED
 
     @property
     def times_noise(self) -> float:
@@ -82,6 +93,7 @@ def model_form(
     shapes: Integers | None = None,
     moved: Floats | None = None,
     level: float = LEVEL,
+    least: float = 0.0,
 ) -> ModelForm:
     """Judge the best admissible fit by measurement noise. Raises CampaignError.
 
@@ -89,7 +101,7 @@ def model_form(
     take part; lower, upper: (n_parameters,), bounds of the change; shapes: (n_residuals,),
     which shape an entry is of, from 0, or -1 for frequencies, as all are if left out; moved:
     (n_parameters,), how far parameters went since the sensitivity was computed, nowhere if left
-    out.
+    out; least: see ModelForm.
     """
     if variances.shape != residual.shape or not (variances > 0.0).all():
         raise CampaignError("each entry of the residual needs a variance above zero")
@@ -119,6 +131,7 @@ def model_form(
         at_bound=at_bound,
         left=left,
         standardised=np.where(loose > 1e-6, own / np.maximum(loose, 1e-6), 0.0),
+        least=least,
     )
 
 
@@ -168,9 +181,22 @@ def model_form_sentence(
             "measured values, so any test can be matched."
         )
     numbers = f"chi-square {found.statistic:.3g} with {found.dof} degrees of freedom"
+    leaves = "is" if updated else "would be"
+    if found.overstated:
+        return (
+            f"What is left of the residual {leaves} only {found.times_noise:.2g} times what the "
+            f"stated measurement deviations lead to expect ({numbers}): they are too large for "
+            "this test, and standard errors that follow from them are too large too."
+        )
+    if found.p_value < found.level and not found.suspected:
+        return (
+            f"What is left of the residual {leaves} {found.times_noise:.2g} times measurement "
+            f"noise ({numbers}): too little beyond it for a forecast to suspect anything."
+        )
     if not found.suspected:
-        leaves = "is" if updated else "would be"
         return f"What is left of the residual {leaves} within measurement noise ({numbers})."
+    # Doubles end near 1e-308, where a probability is rounded to nothing.
+    chance = f"p {found.p_value:.1e}" if found.p_value >= 1e-300 else "p < 1e-300"
     removes = "removes" if updated else "is expected to remove"
     most = [label for label, share in shares_left(found, labels) if share >= 0.2][:3]
     where = f", most of it in {', '.join(most)}" if most else ""
@@ -179,7 +205,7 @@ def model_form_sentence(
     return (
         f"No admissible parameter set {removes} the residual: what is left is "
         f"{found.times_noise:.2g} times what the stated measurement deviations explain "
-        f"({numbers}, p {found.p_value:.1e}){where}.{bounds} Something is wrong that none of the "
+        f"({numbers}, {chance}){where}.{bounds} Something is wrong that none of the "
         "parameters stands for: look at `modetune localise`, at boundary conditions and joints, "
         "and at the deviations under `residuals`."
     )

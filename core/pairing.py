@@ -71,7 +71,7 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
         raise ModesError("no sensor of the test is a node of the model's results")
     shapes_m = measured.mode_shapes[rows_m]
     shapes_c = without_rounding(computed.mode_shapes[rows_c])
-    table = _mac_or_zero(shapes_m, shapes_c)
+    table = mac_or_zero(shapes_m, shapes_c)
     apart = np.abs(computed.frequencies_hz[None, :] / measured.frequencies_hz[:, None] - 1.0)
     cost = -(table - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
     rows, columns = linear_sum_assignment(cost)
@@ -129,7 +129,7 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
         raise LostMode(f"only {computed.n_modes} elastic modes for {before.computed.size} pairs")
     shapes_before = without_rounding(previous.mode_shapes)[:, before.computed]
     shapes_now = without_rounding(computed.mode_shapes)
-    table = _mac_or_zero(shapes_before, shapes_now)
+    table = mac_or_zero(shapes_before, shapes_now)
     rows, columns = linear_sum_assignment(-table)
     reasons = []
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
@@ -149,7 +149,7 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     return Pairing(before.measured, columns.astype(np.int64), unknown, unknown, tuple(reasons))
 
 
-def _mac_or_zero(first: Shapes, second: Shapes) -> Floats:
+def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
     """MAC where a mode may rest at all sensors: it resembles nothing."""
     table = np.zeros((first.shape[1], second.shape[1]))
     rows, columns = first.any(axis=0), second.any(axis=0)

@@ -2,7 +2,7 @@
 
     /                     attributes: format, name, status, reason, solver, solver_version,
                           modetune_version, versions (of Python and packages, a line each), units,
-                          deck_digest (SHA-256 of the deck's content), e1_frequency, e1_mac, e2,
+                          deck_digest (SHA-256 and name of its file), e1_frequency, e1_mac, e2,
                           campaign (the file's text), settings (what --set put over it, a line
                           each), wall_s, configurations (their names, a line each; a
                           mode's number is then 1000 k + its own in the test of the k-th),

@@ -44,6 +44,8 @@ BLOCK = 512
 SEAL = b"modetune store entry 2\nsha256 "
 #: What the system says where a folder may not be written, or is a file.
 REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR)
+#: What it says of a disk or a share that does not work, and of a file larger than it takes.
+BROKEN = (errno.EIO, errno.ESTALE, errno.EFBIG)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,14 +205,46 @@ def storage_errors(path: Path, remedy: str = "name another place") -> Iterator[N
                 f"the disk that holds {path.parent} is full; nothing stored before was harmed; "
                 "free some space and run the same command again: finished jobs are not repeated"
             ) from error
+        if error.errno in (errno.ENOTDIR, errno.EEXIST) and (file := _file_in_the_way(path)):
+            raise StorageUnavailable(
+                f"{file} is a file, and a folder is needed there; move it, or {remedy}"
+            ) from error
+        if error.errno == errno.EISDIR and path.is_dir():
+            raise StorageUnavailable(
+                f"{path} is a folder, and a file is needed there; move it, or {remedy}"
+            ) from error
         if error.errno in REFUSED:
             raise StorageUnavailable(
                 f"{path.parent} cannot be written ({error.strerror}); give write permission, or "
                 f"{remedy}"
             ) from error
+        if error.errno in BROKEN or _is_of(error, path):
+            raise StorageUnavailable(
+                f"{path.parent} cannot be written ({error.strerror}); {remedy}"
+            ) from error
         if error.errno is None:  # HDF5 reports a failed write without the system's number
             raise StorageUnavailable(f"{path} could not be written: {error}") from error
         raise
+
+
+def _file_in_the_way(path: Path) -> Path | None:
+    """The file that stands where a folder above a path should be, or nothing."""
+    for above in path.parents:
+        with suppress(OSError):
+            if above.exists():
+                return None if above.is_dir() else above
+    return None
+
+
+def _is_of(error: OSError, path: Path) -> bool:
+    """Whether an error speaks of a path, a folder above it or a file beside it.
+
+    What goes on inside a job's folder is the job's own: a file that is missing there stays a fault.
+    """
+    if not isinstance(error.filename, str | os.PathLike):
+        return False
+    spoken, path = Path(os.fspath(error.filename)).absolute(), path.absolute()
+    return path.is_relative_to(spoken) or spoken.parent == path.parent
 
 
 def _seal(content: memoryview) -> bytes:

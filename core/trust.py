@@ -17,11 +17,12 @@ A matched frequency proves little, so each parameter is asked questions, and eac
 
 All but alike and uncertain put a parameter in doubt.
 
-The verdict. Not to be trusted: more than half of the parameters are in doubt, or other starts fit
-as well with other values of parameters that nothing else puts in doubt. With reservations: any
-parameter in doubt or alike, a combination of parameters that the test cannot see, e1 not met, or a
-concern that others raise (what was held out got worse, an error that no parameter can remove).
-Else trusted.
+The verdict. Not to be trusted: more than half of the parameters are in doubt, other starts fit as
+well with other values of parameters that nothing else puts in doubt, or what is left is more than
+three times what measurement noise explains, since standard errors mean nothing then. With
+reservations: any parameter in doubt or alike, a combination of parameters that the test cannot see,
+e1 not met, or a concern: what was held out got worse, an error that no parameter can remove, the
+least misfit lies further on. Else trusted.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ Verdict = Literal["trusted", "trusted with reservations", "not to be trusted"]
 
 #: Flags that put no parameter in doubt.
 NO_DOUBT = {"uncertain", "alike"}
+#: What is left, over what noise explains, beyond which standard errors mean nothing.
+MEANINGLESS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,9 @@ class Trust:
     agrees: whether e1 is met; unseen: a sentence a combination that the test does not tell;
     curve: the L-curve of the last step, None where there was none; regularisation: the factor that
     this step used; age: iterations since the sensitivity behind all this was computed; spread: of
-    several starts; concerns: sentences of others; notes: sentences that doubt nothing.
+    several starts; concerns: sentences of others; notes: sentences that doubt nothing;
+    times_noise: how many times more is left than noise explains where a model-form error is
+    suspected, else 0.
     """
 
     parameters: tuple[ParameterTrust, ...]
@@ -118,6 +123,12 @@ class Trust:
     spread: StartSpread | None = None
     concerns: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    times_noise: float = 0.0
+
+    @property
+    def meaningless(self) -> bool:
+        """Whether so much is left that standard errors mean nothing."""
+        return self.times_noise > MEANINGLESS
 
     @property
     def flagged(self) -> tuple[ParameterTrust, ...]:
@@ -126,7 +137,7 @@ class Trust:
     @property
     def verdict(self) -> Verdict:
         doubtful = [item for item in self.parameters if item.doubtful]
-        if 2 * len(doubtful) > len(self.parameters):
+        if self.meaningless or 2 * len(doubtful) > len(self.parameters):
             return "not to be trusted"
         if any(set(item.flags) - NO_DOUBT == {"starts"} for item in doubtful):
             return "not to be trusted"

@@ -1,7 +1,8 @@
 """The group /trust of a campaign's record: how far its parameters can be trusted.
 
     /trust/               attributes: verdict, sentences, unseen, concerns, notes (a line each),
-                          agrees, condition, n_told, regularisation, age, collinearity (whole)
+                          agrees, condition, n_told, regularisation, age, collinearity (whole),
+                          times_noise
                           test_shares, standard_errors, updated, on_bound    (n_parameters,)
                           names, collinear_with, flags, clauses (a line each one), sentence
                           singular_values (n_parameters,), vectors, resolution (n_par, n_par)
@@ -39,6 +40,7 @@ def write_trust(file: h5py.Group, trust: Trust | None) -> None:
         concerns="\n".join(trust.concerns),
         notes="\n".join(trust.notes),
         agrees=trust.agrees,
+        times_noise=trust.times_noise,
         condition=found.condition,
         n_told=found.n_told,
         regularisation=trust.regularisation,
@@ -99,6 +101,7 @@ def read_trust(file: h5py.Group) -> Trust | None:
         spread=_read_starts(group),
         concerns=_lines(attrs["concerns"]),
         notes=_lines(attrs["notes"]),
+        times_noise=float(attrs.get("times_noise", 0.0)),
     )
 
 

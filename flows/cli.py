@@ -150,12 +150,13 @@ def demo(
 ) -> None:
     """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
     from modetune.core.errors import CampaignError
+    from modetune.core.store import check_writable
     from modetune.flows.cases.demo import CASES
 
     if case not in CASES:
         raise CampaignError(f"there is no demo {case!r}; there is {', '.join(CASES)}")
     chosen, folder = CASES[case], Path("demo") / case
-    folder.mkdir(parents=True, exist_ok=True)
+    check_writable(folder, "run it in another folder")
     for file in chosen.files:
         shutil.copyfile(file, folder / file.name)
     if chosen.prepare is not None:

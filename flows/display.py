@@ -17,7 +17,6 @@ from rich.text import Text
 from modetune.core.judgement import trust_sentences
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.forecast import Forecast, cost_text, forecast_text
-from modetune.flows.localisation.form_verdict import record_verdict
 from modetune.flows.report.drawing import PAGE
 from modetune.flows.running import CampaignRun
 from modetune.flows.twin import Twin
@@ -163,9 +162,6 @@ def trust_lines(record: CampaignRecord) -> list[str]:
     if record.trust is None:
         return []
     flagged = [item.sentence for item in record.trust.flagged]
-    form = record_verdict(record)
-    if form is not None and form.form.suspected:
-        flagged.append(form.sentence)
     return [*trust_sentences(record.trust), *(f"- {line}" for line in flagged)]
 
 

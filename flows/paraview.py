@@ -16,7 +16,7 @@ from typing import Literal
 
 from modetune.adapters.calculix.frd import convert_frd
 from modetune.adapters.calculix.solver import JOB, CalculixSolver
-from modetune.adapters.paraview import mode_grids, write_series
+from modetune.adapters.paraview import check_series, mode_grids, write_series
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Values
@@ -127,6 +127,8 @@ def write_paraview(
             "there is nothing to show in ParaView"
         )
     check_writable(out, "name another place with --out")
+    for state in states:
+        check_series(out, state)
     return tuple(_write_state(campaign, state, values, out) for state, values in states.items())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -10,14 +11,19 @@ from pathlib import Path
 import numpy as np
 
 from modetune import __version__
+from modetune.adapters.calculix.solver import CalculixSolver
+from modetune.adapters.matrices.solver import MatricesSolver
+from modetune.adapters.nastran.solver import NastranSolver
+from modetune.adapters.solver import Solver
+from modetune.adapters.translation.solver import TranslatedSolver
 from modetune.core.estimation import parameter_covariance
 from modetune.core.held_out import HeldOut
-from modetune.core.keys import Json, canonical_json, content_key
+from modetune.core.keys import Json
 from modetune.core.modes import Floats
 from modetune.core.numbering import configuration_of
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.flows.campaign import Campaign
-from modetune.flows.evaluator import Matrix, campaign_analysis
+from modetune.flows.evaluator import Matrix
 from modetune.flows.localisation.form_verdict import verdict_summary
 from modetune.flows.showing import sensor_places, shown_surface
 from modetune.flows.trust.judging import campaign_trust, trust_summary
@@ -83,10 +89,21 @@ def _versions() -> tuple[str, ...]:
 
 
 def _deck_digest(campaign: Campaign) -> str:
-    """SHA-256 of the deck's content at its own values, with the modes asked of it."""
-    values = campaign.parameters.values(np.ones(len(campaign.parameters)))
-    content = campaign.solver.content(values, campaign_analysis(campaign))
-    return content_key(canonical_json(content))
+    """SHA-256 and name of each deck's file, as `sha256sum` tells them; includes are not in it."""
+    single = [each.campaign for each in campaign.configurations] or [campaign]
+    files = [file for each in single if (file := _deck_file(each.solver)) is not None]
+    try:
+        told = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
+    except OSError:  # moved since it was read
+        return ""
+    return "; ".join(dict.fromkeys(told))
+
+
+def _deck_file(solver: Solver) -> Path | None:
+    """The file that a solver's deck was read from, None where it is from none."""
+    if isinstance(solver, CalculixSolver | NastranSolver | TranslatedSolver):
+        return solver.deck.deck.file
+    return solver.deck.file.path if isinstance(solver, MatricesSolver) else None
 
 
 def _trust(

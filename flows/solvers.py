@@ -69,6 +69,8 @@ def is_nastran(deck: Path) -> bool:
             first = next((line for line in lines if line.strip()), "")
     except OSError as error:
         raise ModelError(f"{deck} cannot be read: {error.strerror}") from error
+    if not first:
+        raise ModelError(f"{deck} is empty; a deck was expected")
     return NASTRAN_START.match(first) is not None
 
 

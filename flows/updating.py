@@ -32,6 +32,7 @@ from modetune.flows.evaluation import Evaluation, expects_agreement
 from modetune.flows.evaluator import Evaluator, Matrix
 from modetune.flows.recording import campaign_record
 from modetune.flows.showing import shown_field
+from modetune.flows.trust.judging import checked
 
 logger = logging.getLogger(__name__)
 
@@ -312,7 +313,7 @@ class Updating:
 
     def _end(self, status: str, reason: str) -> CampaignRecord:
         held_out = self.evaluator.held_out(self.kept[0], self.kept[-1])
-        record = replace(self._record(status, reason), held_out=held_out)
+        record = checked(replace(self._record(status, reason), held_out=held_out))
         at_bounds = self.campaign.parameters.at_bounds(record.updated)
         if at_bounds:
             record = replace(record, reason=f"{reason}; on a bound: {', '.join(at_bounds)}")

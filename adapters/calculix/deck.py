@@ -73,6 +73,8 @@ def read_deck(path: Path) -> Deck:
     _read_file(path, path.parent, (path.resolve(),), lines, includes)
     cards = tuple(_cards(lines))
     if not cards:
+        if not any(line.text.strip() for line in lines):
+            raise ModelError(f"{path} is empty; a deck was expected")
         raise ModelError(
             f"{path}, line 1: the file holds no CalculiX keyword (a line that starts with one `*`)"
         )

@@ -26,10 +26,14 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Dataset 164. metres: length of the file's unit of length in metres."""
+    """Dataset 164. metres, newtons: the file's units of length and force in SI.
+
+    newtons: NaN where the file gives no factor that can be one.
+    """
 
     place: Place
     metres: float
+    newtons: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +106,7 @@ class Function:
 
     kind: 4 response function, 6 coherence, ... direction: 1..6 with the sensor's sign, 0 for a
     scalar. numerator, denominator: kinds of quantity, 8 displacement, 11 velocity, 12 acceleration,
-    13 force. unit: label of the numerator's unit.
+    13 force. unit, denominator_unit: labels of their units.
     """
 
     place: Place
@@ -116,6 +120,7 @@ class Function:
     numerator: int
     denominator: int
     unit: str
+    denominator_unit: str
 
 
 Content = Units | NodeTable | CoordinateSystems | Drawing | Shape | Function

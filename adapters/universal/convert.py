@@ -29,7 +29,9 @@ def units(place: Place, block: Block, read: Any) -> Units:
     factor = float(read["length"])
     if not (math.isfinite(factor) and factor > 0.0):
         raise ValueError(f"has {factor:g} as factor of lengths, which must be above zero")
-    return Units(place, 1.0 / factor)
+    force = float(read["force"])
+    newtons = 1.0 / force if math.isfinite(force) and force > 0.0 else math.nan
+    return Units(place, 1.0 / factor, newtons)
 
 
 def node_table(place: Place, block: Block, read: Any) -> NodeTable:
@@ -166,6 +168,7 @@ def function(place: Place, block: Block, read: Any) -> Function:
         numerator=int(read["ordinate_spec_data_type"]),
         denominator=int(read["orddenom_spec_data_type"]),
         unit=str(read["ordinate_axis_units_lab"]).strip(),
+        denominator_unit=str(read["orddenom_axis_units_lab"]).strip(),
     )
 
 

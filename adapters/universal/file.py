@@ -26,7 +26,7 @@ from modetune.adapters.universal.convert import (
     units,
 )
 from modetune.adapters.universal.shapes import shape_55, shape_2414
-from modetune.adapters.universal.tidy import tidy
+from modetune.adapters.universal.tidy import bad_row, tidy
 from modetune.core.errors import CampaignError
 
 #: How what pyuff returns for each dataset becomes what modetune knows.
@@ -45,13 +45,16 @@ CONVERT: dict[int, Callable[[Place, Block, Any], Content | None]] = {
 #: Datasets whose content is not needed: a header with names and dates.
 UNUSED = {151}
 
+#: What was passed over, by the reason.
+Passed = dict[str, list[tuple[Place, Block]]]
+
 
 def read_file(path: Path) -> UniversalFile:
     """A file's datasets. Raises CampaignError where it is cut short or nothing can be read."""
     blocks = read_blocks(path)
     notes: list[str] = []
     unknown: dict[str, list[int]] = {}
-    passed: dict[str, list[Place]] = {}
+    passed: Passed = {}
     wanted: list[tuple[Place, Block, bytes]] = []
     for block in blocks:
         place = Place(path, block.line, block.name)
@@ -62,21 +65,17 @@ def read_file(path: Path) -> UniversalFile:
         try:
             wanted.append((place, block, tidy(block)))
         except ValueError as problem:
-            passed.setdefault(str(problem), []).append(place)
+            passed.setdefault(str(problem), []).append((place, block))
     for name, lines in unknown.items():
         notes.append(f"{path}: dataset {name} ({_lines(lines)}) is not one that is read here")
     contents = _contents(wanted, passed)
-    for reason, places in passed.items():
-        more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
-        notes.append(f"{places[0]} {reason}; passed over{more}")
+    notes += [_passed_over(reason, found) for reason, found in passed.items()]
     if not contents:
         raise CampaignError([f"{path} holds nothing of a test that can be read", *notes])
     return UniversalFile(path, tuple(block.name for block in blocks), tuple(contents), tuple(notes))
 
 
-def _contents(
-    wanted: Sequence[tuple[Place, Block, bytes]], passed: dict[str, list[Place]]
-) -> list[Content]:
+def _contents(wanted: Sequence[tuple[Place, Block, bytes]], passed: Passed) -> list[Content]:
     """What datasets say; those that cannot be read are put into `passed` by the reason."""
     contents: list[Content] = []
     with tempfile.TemporaryDirectory(prefix="modetune-") as folder:
@@ -93,11 +92,21 @@ def _contents(
             try:
                 content = CONVERT[block.kind](place, block, _read_set(file, index))
             except ValueError as problem:
-                passed.setdefault(str(problem), []).append(place)
+                passed.setdefault(str(problem), []).append((place, block))
                 continue
             if content is not None:
                 contents.append(content)
     return contents
+
+
+def _passed_over(reason: str, found: Sequence[tuple[Place, Block]]) -> str:
+    place, block = found[0]
+    # a dataset that says something else than is wanted here is not damaged
+    doubt = "" if reason.startswith(("holds", "is the conjugate")) else "doubtful: "
+    row = bad_row(block) if doubt else None
+    where = "" if row is None else f" (line {block.line + row} is not made of numbers)"
+    more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+    return f"{doubt}{place} {reason}{where}; passed over{more}"
 
 
 def _read_set(file: Any, index: int) -> Any:

@@ -9,8 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from modetune.adapters.universal.contents import Function, UniversalFile
+from modetune.adapters.universal.units import in_si, motion_label
 from modetune.core.frf import Response
 from modetune.core.measurement import MeasuredFrfs
+from modetune.core.modes import Floats
 
 RESPONSE_FUNCTION, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
 #: What the kinds of dataset 58 are called, for people.
@@ -23,11 +25,16 @@ KINDS = {
 QUANTITIES: dict[int, Response] = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _ACCELERATION = re.compile(r"m/s(\^|\*\*)?2|\bg\b|in/s(\^|\*\*)?2|ft/s(\^|\*\*)?2", re.IGNORECASE)
 
+#: Kinds of quantity that a force may have: not told, general, reaction force, excitation force.
+FORCES = (0, 1, 9, 13)
+#: What the others are called, for people.
+MOTIONS = {8: "a displacement", 11: "a velocity", 12: "an acceleration"}
+
 Dof = tuple[int, int, int, int]
 
 
 def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | None:
-    """All response functions over the same frequencies, or nothing where there are none."""
+    """All response functions over the same frequencies in SI, or nothing where there are none."""
     functions = [item for file in files for item in file.contents if isinstance(item, Function)]
     _note_others(functions, notes)
     usable: dict[tuple[Response, bytes], dict[Dof, Function]] = {}
@@ -56,31 +63,46 @@ def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | Non
             f"{left} response functions have other frequencies or another quantity than the "
             f"{len(usable[chosen])} that are used; passed over"
         )
-    return _measured(chosen[0], usable[chosen], functions)
-
-
-def _measured(
-    quantity: Response, group: dict[Dof, Function], functions: Sequence[Function]
-) -> MeasuredFrfs:
-    first = next(iter(group.values()))
+    group = usable[chosen]
     names = np.array(list(group), dtype=np.int64)
-    coherent = {_dof(item): item for item in functions if item.kind == COHERENCE}
-    of_all = {_dof(item)[:2]: item for item in functions if item.kind == MULTIPLE_COHERENCE}
-    found = [coherent.get(dof) or of_all.get(dof[:2]) for dof in group]
-    fitting = [item.values.real for item in found if item and item.values.size == first.values.size]
-    coherences = np.column_stack(fitting) if len(fitting) == len(found) else np.zeros((0, 0))
+    values = in_si(list(group.values()), chosen[0], files, notes)
     return MeasuredFrfs(
-        kind=quantity,
-        frequencies_hz=first.abscissae,
-        values=np.column_stack([item.values for item in group.values()]).astype(np.complex128),
+        kind=chosen[0],
+        frequencies_hz=next(iter(group.values())).abscissae,
+        values=np.column_stack(values),
         nodes=names[:, 0],
         components=np.abs(names[:, 1]),
         signs=np.sign(names[:, 1]).astype(np.float64),
         reference_nodes=names[:, 2],
         reference_components=np.abs(names[:, 3]),
         reference_signs=np.sign(names[:, 3]).astype(np.float64),
-        coherences=coherences,
+        coherences=_coherences(group, functions, notes),
     )
+
+
+def _coherences(
+    group: dict[Dof, Function], functions: Sequence[Function], notes: list[str]
+) -> Floats:
+    """Coherences of these functions, (n_lines, n_functions), empty where one has none."""
+    broken = [
+        item
+        for item in functions
+        if item.kind in (COHERENCE, MULTIPLE_COHERENCE) and not np.isfinite(item.values).all()
+    ]
+    if broken:
+        more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
+        notes.append(
+            f"doubtful: {broken[0].place}: a coherence with values that are not finite numbers; "
+            f"passed over{more}"
+        )
+    places = {item.place for item in broken}
+    functions = [item for item in functions if item.place not in places]
+    first = next(iter(group.values()))
+    coherent = {_dof(item): item for item in functions if item.kind == COHERENCE}
+    of_all = {_dof(item)[:2]: item for item in functions if item.kind == MULTIPLE_COHERENCE}
+    found = [coherent.get(dof) or of_all.get(dof[:2]) for dof in group]
+    fitting = [item.values.real for item in found if item and item.values.size == first.values.size]
+    return np.column_stack(fitting) if len(fitting) == len(found) else np.zeros((0, 0))
 
 
 def _note_others(functions: Sequence[Function], notes: list[str]) -> None:
@@ -101,6 +123,13 @@ def _unusable(function: Function) -> str | None:
         return "without node or direction of its sensor"
     if not 1 <= abs(function.reference_direction) <= 6 or function.reference_node < 1:
         return "without node or direction of its force"
+    below = function.denominator
+    by_label = below in (0, 1) and motion_label(function.denominator_unit) is not None
+    if below not in FORCES or by_label:
+        what = MOTIONS.get(below) or (
+            f"a quantity of kind {below}" if below not in FORCES else function.denominator_unit
+        )
+        return f"over {what}, not over a force (a transmissibility)"
     if not np.iscomplexobj(function.values):
         return "with real values only"
     if not (np.isfinite(function.values).all() and np.isfinite(function.abscissae).all()):

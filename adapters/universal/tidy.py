@@ -20,6 +20,14 @@ from modetune.adapters.universal.blocks import WIDTHS, Block
 _EXPONENT = re.compile(r"(?<=[0-9.])[dD](?=[+-]?\d)")
 #: Rows before the values: dataset 55, 58 and 2414, counted from the dataset's number on.
 HEADERS = {55: 9, 58: 12, 2414: 14}
+#: The row from which on a text dataset holds nothing but numbers.
+NUMBERS_FROM = {15: 1, 55: 6, 58: 12, 82: 3, 2411: 1, 2412: 1, 2414: 9}
+#: Numbers with or without blanks between, as columns of fixed width have them; tried in one way
+#: only, so that a long row takes no longer.
+_NUMBERS = re.compile(
+    r"(?:\s*+[+-]?+(?:\d++\.?+\d*+|\.\d++|nan|inf(?:inity)?+)(?:[eEdD][+-]?+\d++)?+)*+\s*+",
+    re.IGNORECASE,
+)
 #: Elements with a third record, as pyuff takes them.
 RODS = {11, 21, 22, 23, 24}
 #: Rows that hold text for people.
@@ -50,6 +58,15 @@ def tidy(block: Block) -> bytes:
     text = "\n".join(["    -1", *rows, ""]).encode("ascii")
     values = b"" if block.binary is None else _doubles(block)
     return text + values + b"    -1\n"
+
+
+def bad_row(block: Block) -> int | None:
+    """The first row of a dataset's numbers that holds something else, nothing if none does."""
+    first = NUMBERS_FROM.get(block.kind)
+    if first is None or block.binary is not None:
+        return None
+    rows = enumerate(block.rows[first:], start=first)
+    return next((number for number, row in rows if not _NUMBERS.fullmatch(row)), None)
 
 
 def data_kind(row: str) -> tuple[int, int, bool]:

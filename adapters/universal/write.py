@@ -2,7 +2,8 @@
 triangles (2412), modes (55), response functions and coherences (58).
 
 Numbers have the digits of the format: 6 for shapes, frequencies and damping ratios, 12 for response
-functions, 17 for points. HDF5 keeps all (`test_hdf5.py`).
+functions, 17 for points. Response functions are written in the units of dataset 164, and with
+their SI units as labels where the unit of length is not known. HDF5 keeps all (`test_hdf5.py`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.store import writing
 
 QUANTITIES: dict[Response, int] = {"receptance": 8, "mobility": 11, "accelerance": 12}
+LABELS: dict[Response, str] = {"receptance": "m", "mobility": "m/s", "accelerance": "m/s^2"}
 FREQUENCY, FORCE = 18, 13
 #: Numbers that a trace line may hold (Record 1 of dataset 82), in pairs and the zero after each.
 PAIRS_A_TRACE = 250 // 3
@@ -60,7 +62,8 @@ def _datasets(measurement: Measurement) -> Iterator[Fields]:
     if measurement.modes is not None:
         yield from _modes(measurement.modes)
     if measurement.frfs is not None:
-        yield from _functions(measurement.frfs)
+        metres = math.nan if measurement.geometry is None else measurement.geometry.metres
+        yield from _functions(measurement.frfs, metres)
 
 
 def _geometry(points: TestGeometry) -> Iterator[Fields]:
@@ -128,14 +131,21 @@ def _modes(measured: MeasuredModes) -> Iterator[Fields]:
         yield dataset
 
 
-def _functions(frfs: MeasuredFrfs) -> Iterator[Fields]:
+def _functions(frfs: MeasuredFrfs, metres: float) -> Iterator[Fields]:
+    """Functions and coherences; metres: the file's unit of length, NaN where it gives none."""
     _check_numbers(np.concatenate([frfs.nodes, frfs.reference_nodes]))
     even = _even(frfs.frequencies_hz)
     directions = (frfs.components * frfs.signs).astype(np.int64)
     references = (frfs.reference_components * frfs.reference_signs).astype(np.int64)
-    kinds = [(4, frfs.values, QUANTITIES[frfs.kind], FORCE)]
+    # SI divided by the units of dataset 164: lengths of translations, and of moments
+    unit = 1.0 if math.isnan(metres) else metres
+    turning = (frfs.components > 3).astype(np.int64)
+    moments = (frfs.reference_components > 3).astype(np.int64)
+    values = frfs.values * unit ** (moments + turning - 1.0)
+    labels = (LABELS[frfs.kind], "N") if math.isnan(metres) else ("NONE", "NONE")
+    kinds = [(4, values, QUANTITIES[frfs.kind], FORCE)]
     if frfs.coherences.size:
-        kinds.append((6, frfs.coherences, 0, 0))  # type: ignore[arg-type]  # real values
+        kinds.append((6, frfs.coherences, 0, 0))
     for kind, values, numerator, denominator in kinds:
         for column in range(values.shape[1]):
             yield {
@@ -145,6 +155,8 @@ def _functions(frfs: MeasuredFrfs) -> Iterator[Fields]:
                 "data": values[:, column], "abscissa_spacing": int(even),
                 "abscissa_spec_data_type": FREQUENCY, "abscissa_axis_units_lab": "Hz",
                 "ordinate_spec_data_type": numerator, "orddenom_spec_data_type": denominator,
+                "ordinate_axis_units_lab": labels[0] if numerator else "NONE",
+                "orddenom_axis_units_lab": labels[1] if numerator else "NONE",
             }  # fmt: skip
 
 

@@ -119,6 +119,7 @@ def _told_facts(facts: ModelFacts) -> dict[str, Any]:
 
 
 def _show(campaign: Campaign, report: GateReport) -> None:
+    from rich.table import Table
     from rich.text import Text
 
     from modetune.flows.terminal import terminal
@@ -140,9 +141,16 @@ def _show(campaign: Campaign, report: GateReport) -> None:
     for item in sorted(report.findings, key=lambda item: item.level == "good"):
         where = f"{item.where}: " if item.where else ""
         remedy = f"; {item.remedy}" if item.remedy else ""
-        line = Text(f"{item.level:9}", style=MARKS[item.level])
-        console.print(line.append(f"{item.subject:11}{where}{item.what}{remedy}", style=""),
-                      soft_wrap=True)  # fmt: skip
+        head = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
+        said = Text(f"{where}{item.what}{remedy}")
+        if not console.is_terminal:  # there a finding stays one line
+            console.print(head + said, soft_wrap=True)
+            continue
+        row = Table.grid(padding=0)  # a long sentence goes on under its own beginning
+        row.add_column(width=len(head), no_wrap=True)
+        row.add_column(overflow="fold")
+        row.add_row(head, said)
+        console.print(row)
     console.print(Text(_end(report)), soft_wrap=True)
 
 

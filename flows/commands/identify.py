@@ -29,11 +29,8 @@ def identify(
         tuple[float, float] | None, typer.Option(help="Lowest and highest frequency, Hz.")
     ] = None,
     order: Annotated[int, typer.Option(min=2, help="Pairs of poles of the largest model.")] = 60,
-    poles: Annotated[
-        str, typer.Option(help="auto, or pick: those nearest to the frequencies of --pick.")
-    ] = "auto",
     pick: Annotated[
-        str | None, typer.Option(help="Frequencies of poles, with commas: 5.5,12.3,15.1")
+        str | None, typer.Option(help="Take the poles nearest to these, with commas: 5.5,12.3")
     ] = None,
     criteria: Annotated[
         str, typer.Option(help="A stable pole agrees in frequency,damping,shape to this share.")
@@ -50,7 +47,7 @@ def identify(
     from modetune.flows.identification.files import check_out, write_modes
     from modetune.flows.identification.identify import identify as identify_modes
 
-    settings = _settings(band, order, poles, pick, criteria)
+    settings = _settings(band, order, pick, criteria)
     if out is not None:
         check_out(out)
     with stoppable("stopped; the same command starts from the beginning"):
@@ -78,18 +75,13 @@ def identify(
 
 
 def _settings(
-    band: tuple[float, float] | None, order: int, poles: str, pick: str | None, criteria: str
+    band: tuple[float, float] | None, order: int, pick: str | None, criteria: str
 ) -> IdentificationSettings:
     from modetune.core.errors import CampaignError
     from modetune.core.stabilisation import Criteria
     from modetune.flows.identification.identify import IdentificationSettings
 
     picked = _numbers("--pick", pick) if pick else ()
-    if poles not in ("auto", "pick") or ((poles == "pick") and not picked):
-        raise CampaignError(
-            f"--poles {poles}: expected auto, or pick with the frequencies of --pick; "
-            "--figures writes a diagram to pick from"
-        )
     limits = _numbers("--criteria", criteria)
     if len(limits) != 3:
         raise CampaignError("--criteria wants three numbers: frequency,damping,shape")

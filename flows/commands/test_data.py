@@ -19,6 +19,15 @@ if TYPE_CHECKING:
 
 __test__ = False  # tests are what it reads, not what it is
 
+#: Names of units of length, by their metres.
+UNIT_NAMES = {
+    "metres": 1.0,
+    "centimetres": 1e-2,
+    "millimetres": 1e-3,
+    "inches": 0.0254,
+    "feet": 0.3048,
+}
+
 
 def inspect(
     files: Annotated[list[Path], typer.Argument(help="Files of one test: UFF, CSV, HDF5.")],
@@ -144,6 +153,14 @@ def _told_modes(inspection: Inspection) -> list[dict[str, Any]]:
     ]
 
 
+def _unit(metres: float) -> str:
+    """A unit of length by its name where it has one; files give its factor with few digits."""
+    for name, length in UNIT_NAMES.items():
+        if math.isclose(metres, length, rel_tol=1e-4):
+            return f"in {name}"
+    return f"in units of {metres:g} m"
+
+
 def _lines(told: dict[str, Any]) -> list[str]:
     """What is told, for people."""
     lines = []
@@ -156,9 +173,7 @@ def _lines(told: dict[str, Any]) -> list[str]:
         )
     points, frfs = told["points"], told["response_functions"]
     if points is not None:
-        unit = (
-            "unit of length not told" if points["metres"] is None else f"in {points['metres']:g} m"
-        )
+        unit = "unit of length not told" if points["metres"] is None else _unit(points["metres"])
         size = " x ".join(f"{length:.4g}" for length in points["size"])
         lines.append(
             f"points     {points['count']}, {size}, {unit}; {points['lines']} lines, "

@@ -111,11 +111,12 @@ def _show(console: Console, found: Validation) -> None:
                       soft_wrap=True)  # fmt: skip
     if len(found.folds) > 1:
         table = Table(title="Parameters over the updates", title_justify="left")
-        table.add_column("parameter")
+        table.add_column("without", no_wrap=True)
+        for parameter in found.parameters:
+            table.add_column(parameter, justify="right")
         for fold in found.folds:
-            table.add_column(f"without {fold.number}", justify="right")
-        for place, parameter in enumerate(found.parameters):
-            table.add_row(parameter, *(f"{fold.updated[place]:.4f}" for fold in found.folds))
+            cells = (f"{value:.4f}" if math.isfinite(value) else "-" for value in fold.updated)
+            table.add_row(mode_name(found.configurations, fold.number), *cells)
         console.print(table)
     runs = found.runs
     said = {

@@ -40,6 +40,7 @@ from modetune.flows.gate.parameters import (
     energy_shares,
 )
 from modetune.flows.gate.sensors import sensor_findings
+from modetune.flows.gate.suspects import suspected_sensors
 from modetune.flows.gate.test_data import data_findings
 from modetune.flows.running import job_engine
 
@@ -128,6 +129,13 @@ def judged(
     modes = tuple(mode for mode in every if mode.number in campaign.test.numbers)
     shares = energy_shares(result, np.array([mode.computed - 1 for mode in modes]))
     found += pairing_findings(modes, float(elastic.frequencies_hz.max()))
-    found += unmeasured(test, elastic, every)
+    found += suspected_sensors(test, elastic, every)
+    found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
     found += energy_findings(campaign, result, shares)
     return GateReport(tuple(found), facts, modes, shares, runs)
+
+
+def _leaves_modes_out(campaign: Campaign) -> bool:
+    """Whether the test measured modes that the campaign neither uses nor judges by."""
+    there = campaign.measurement.modes
+    return there is not None and not set(there.numbers) <= set(campaign.measured.numbers)

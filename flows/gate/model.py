@@ -13,6 +13,7 @@ from modetune.core.modes import Floats, ModeSet
 from modetune.core.results import ModalResult
 from modetune.flows.campaign import RIGID_MODES, Campaign
 from modetune.flows.gate.findings import Finding
+from modetune.flows.schema import Units
 from modetune.flows.units import KILOGRAMS, METRES
 
 #: Structures that are tested, metres and kilograms; beyond it the units are likely wrong.
@@ -104,10 +105,10 @@ def mass_findings(campaign: Campaign, facts: ModelFacts) -> list[Finding]:
                     "model.units",
                     "look at densities, point masses and units (Nastran: PARAM,WTMASS)")
         ]  # fmt: skip
-    return found + _body_findings(facts)
+    return found + _body_findings(facts, campaign.units)
 
 
-def _body_findings(facts: ModelFacts) -> list[Finding]:
+def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
     body = facts.body
     if body is None:
         unknown = f"centre of gravity and inertia are not known: {facts.body_missing}"
@@ -116,7 +117,11 @@ def _body_findings(facts: ModelFacts) -> list[Finding]:
     shown = np.where(np.abs(body.centre) < 1e-6 * np.abs(body.centre).max(), 0.0, body.centre)
     centre = ", ".join(f"{value:.5g}" for value in shown)
     moments = ", ".join(f"{value:.5g}" for value in body.inertia.diagonal())
-    said = f"centre of gravity ({centre}), moments of inertia about it ({moments})"
+    length, mass, _ = units.split("-")
+    said = (
+        f"centre of gravity ({centre}) {length}, moments of inertia about it ({moments}) "
+        f"{mass} {length}^2"
+    )
     found = [Finding("good", "model", said)]
     if body.spread > MASS_TOLERANCE:
         found.append(
@@ -128,8 +133,8 @@ def _body_findings(facts: ModelFacts) -> list[Finding]:
     if apart > MASS_TOLERANCE:
         found.append(
             Finding("doubtful", "model",
-                    f"the rigid-body modes move a mass of {body.mass:.6g}, the solver tells "
-                    f"{facts.mass:.6g}", "",
+                    f"the rigid-body modes move a mass of {body.mass:.6g} {mass}, the solver "
+                    f"tells {facts.mass:.6g} {mass}", "",
                     "some mass is not joined to the structure, or not counted by the solver")
         )  # fmt: skip
     return found

@@ -17,6 +17,7 @@ from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
 from modetune.core.pairing import LOST_MAC, Pairing, close_modes, pair_by_order, pair_by_shape
 from modetune.flows.gate.findings import Finding, listed
+from modetune.flows.gate.test_data import ALIKE
 
 #: Below it a pair is believed with doubt.
 WEAK_MAC = 0.6
@@ -28,6 +29,8 @@ LARGE_ERROR = 0.4
 MARGIN = 0.1
 #: Frequencies that are all off by one factor, within this share, are off by a unit.
 COMMON_FACTOR = 0.1
+#: A computed shape this short beside the paired ones, at the sensors, is hardly seen by them.
+HARDLY_SEEN = 0.1
 #: Measured over computed frequency, by the mistake behind it.
 FACTORS = {
     "frequencies in rad/s": 2.0 * np.pi,
@@ -43,7 +46,8 @@ class ModePreview:
 
     computed: number of the elastic mode, from 1; error: of its frequency, relative to the test's;
     mac, space_mac: with that mode, and with the close ones together; second, second_mac: the best
-    of any mode that is not close, from 1, and its MAC; NaN without shapes.
+    of any mode that is not close, from 1, and its MAC; NaN without shapes; answering: elastic modes
+    whose space answers it, from 1: its pair and the close ones.
     """
 
     number: int
@@ -55,6 +59,7 @@ class ModePreview:
     space_mac: float
     second: int
     second_mac: float
+    answering: tuple[int, ...] = ()
 
     @property
     def judged_mac(self) -> float:
@@ -115,6 +120,7 @@ def _by_shape(
     return ModePreview(
         test.numbers[row], test_hz, column + 1, computed_hz, computed_hz / test_hz - 1.0,
         float(table[row, column]), space, int(others.argmax()) + 1, max(float(others.max()), 0.0),
+        tuple((close + 1).tolist()),
     )  # fmt: skip
 
 
@@ -198,18 +204,54 @@ def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> l
 
 
 def unmeasured(
-    test: MeasuredModes, elastic: ModeSet, modes: tuple[ModePreview, ...]
+    test: MeasuredModes, elastic: ModeSet, modes: tuple[ModePreview, ...], left_out: bool
 ) -> list[Finding]:
-    """Computed modes within the test's band that answer no test mode; told, no fault."""
+    """Computed modes within the test's band that answer no test mode.
+
+    A fault of the test unless the campaign left modes of it out (left_out), or its sensors hardly
+    see such a mode or cannot tell it from another one; then it is told and no more.
+    """
     if not test.has_shapes:
         return []
     paired = {mode.computed for mode in modes}
     low, high = test.modes.frequencies_hz.min(), test.modes.frequencies_hz.max()
     free = [
-        f"{place + 1} at {frequency:.4g} Hz"
+        place
         for place, frequency in enumerate(elastic.frequencies_hz.tolist())
         if place + 1 not in paired and low <= frequency <= high
     ]
-    if not free:
+    told_apart = [] if left_out else _told_apart(test, elastic, free, len(modes), paired)
+    found = [
+        Finding("doubtful", "modes",
+                f"the test has no mode for the model's {_at(elastic, told_apart)} within its band",
+                "", "not excited, or not identified?")
+    ] if told_apart else []  # fmt: skip
+    rest = [place for place in free if place not in told_apart]
+    if rest:
+        said = f"elastic mode {_at(elastic, rest)} answers no mode of the test"
+        found.append(Finding("good", "modes", said))
+    return found
+
+
+def _at(elastic: ModeSet, places: list[int]) -> str:
+    """Numbers of elastic modes with their frequencies."""
+    return listed(f"{place + 1} ({elastic.frequencies_hz[place]:.4g} Hz)" for place in places)
+
+
+def _told_apart(
+    test: MeasuredModes, elastic: ModeSet, free: list[int], n_paired: int, paired: set[int]
+) -> list[int]:
+    """Which of these computed modes the sensors see, and as no other computed one of the band."""
+    _, rows = common_dofs(test.modes, elastic)
+    shapes = elastic.mode_shapes[rows]
+    if rows.size < n_paired + len(free):  # fewer sensors than modes
         return []
-    return [Finding("good", "modes", f"elastic mode {listed(free)} answers no mode of the test")]
+    sizes = np.linalg.norm(shapes, axis=0)
+    usual = float(np.median(sizes[[number - 1 for number in paired]]))
+    seen = [place for place in free if sizes[place] > HARDLY_SEEN * usual]
+    apart = []
+    for place in seen:
+        others = [n for n in {*free, *(number - 1 for number in paired)} if n != place and sizes[n]]
+        if not others or mac(shapes[:, [place]], shapes[:, others]).max() <= ALIKE:
+            apart.append(place)
+    return apart

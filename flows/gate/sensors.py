@@ -9,6 +9,8 @@ from modetune.flows.gate.findings import Finding, listed
 from modetune.flows.gate.test_data import sensor_name
 from modetune.flows.sensors.mapping import SensorRow
 
+#: Readers of test files begin a note of something doubtful with it.
+DOUBT = "doubtful:"
 #: Cosine of an angle between directions that are as good as one.
 ONE_DIRECTION = 0.99
 
@@ -19,15 +21,24 @@ def sensor_findings(campaign: Campaign) -> list[Finding]:
         return []
     mapping = campaign.mapping
     found = [
-        Finding("good", "sensors", note)
+        _of_note(note)
         for note in (*campaign.measurement.notes, *mapping.notes)
     ] + _by_reason(mapping.doubtful) + _by_reason(mapping.left_out, "left out: ")  # fmt: skip
     if mapping.alignment is not None:
         nodes, unit = np.unique(mapping.sensors.model_nodes).size, mapping.unit
         furthest = float(mapping.sensors.distances.max())
-        said = f"{mapping.sensors.n_sensors} sensors on {nodes} nodes, at most {furthest:.4g} away"
-        found.append(Finding("good", "sensors", f"{said} {unit}".rstrip()))
+        said = f"{mapping.sensors.n_sensors} sensors on {nodes} nodes, at most"
+        away = f"{furthest:.4g} {unit}".rstrip()
+        found.append(Finding("good", "sensors", f"{said} {away} away"))
     return found + _alike(campaign)
+
+
+def _of_note(note: str) -> Finding:
+    """What reader or mapping said: a doubt where the sentence begins so."""
+    if note.startswith(DOUBT):
+        return Finding("doubtful", "sensors", note.removeprefix(DOUBT).strip(), "",
+                       "look at the test's files")  # fmt: skip
+    return Finding("good", "sensors", note)
 
 
 def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:

@@ -47,7 +47,7 @@ def comments(found: Identification, source: str) -> tuple[str, ...]:
     chosen = f"nearest to {', '.join(map(str, settings.pick))} Hz" if settings.pick else "automatic"
     collinear = ", ".join(f"{value:.3f}" for value in found.phase_collinearity)
     worst = int(found.worst_functions[0])
-    scale = {"mass": "unit modal mass, units of the functions", "max": "largest entry 1"}
+    scale = {"mass": "unit modal mass in kg", "max": "largest entry 1"}
     return (
         f"identified by modetune from {names}",
         f"{found.frac.size} functions ({found.frfs.kind}), {lines[0]:g} to {lines[-1]:g} Hz, "

@@ -264,11 +264,13 @@ def _doubts(found: Identification) -> list[str]:
     if worst:
         names = ", ".join(f"{found.function_name(k)} ({found.frac[k]:.2f})" for k in worst)
         said.append(f"functions that the modes do not make up well (FRAC): {names}")
-    if found.frfs.coherences.size:
-        mean = found.frfs.coherences.mean(axis=0)
-        low = int(mean.argmin())
+    coherences = found.frfs.coherences
+    told = np.flatnonzero(np.isfinite(coherences).all(axis=0)) if coherences.size else np.zeros(0)
+    if told.size:
+        mean = coherences[:, told].mean(axis=0)
+        low = int(told[mean.argmin()])
         said.append(
-            f"mean coherence in the band is {mean.mean():.2f}, least {mean[low]:.2f} at "
+            f"mean coherence in the band is {mean.mean():.2f}, least {mean.min():.2f} at "
             f"{found.function_name(low)}; the fit does not weigh by it"
         )
     return said

@@ -13,8 +13,8 @@ import numpy as np
 
 from modetune.core.keys import Json
 from modetune.core.model_form import ModelForm, model_form, model_form_sentence, shares_left
-from modetune.core.modes import Floats
-from modetune.core.numbering import mode_name
+from modetune.core.modes import Floats, common_dofs
+from modetune.core.numbering import CONFIGURATION, mode_name
 from modetune.core.parameters import ParameterSet
 from modetune.core.record import CampaignRecord
 from modetune.core.residual import Residual
@@ -27,23 +27,24 @@ def residual_form(
     parameters: ParameterSet,
     theta: Floats,
     moved: Floats | None = None,
-    alike: bool = True,
+    entries: Sequence[int] | None = None,
+    least: float = 0.0,
 ) -> tuple[ModelForm, tuple[str, ...]]:
     """The test for model-form error, and what each entry that took part is of.
 
     sensitivity: (n_residuals, n_parameters), at theta (n_parameters,); modes: names of the test's
-    modes, in the order of the pairs; moved: (n_parameters,), how far parameters went since; alike:
-    whether all modes were measured at the same sensors. Raises CampaignError.
+    modes, in the order of the pairs; moved: (n_parameters,), how far parameters went since;
+    entries: how many entries each pair's shape has, equally many if left out; least: times noise
+    that have to be left before a fault is suspected. Raises CampaignError.
     """
     n_pairs = found.n_frequencies
     n_shapes = found.values.size - n_pairs
     labels = [f"the frequency of {name}" for name in modes]
-    if alike:
-        labels += [f"the shape of {name}" for name in modes for _ in range(n_shapes // n_pairs)]
-    else:
-        labels += ["the shapes"] * n_shapes
-    names = list(dict.fromkeys(labels[n_pairs:]))
-    owner = np.array([-1] * n_pairs + [names.index(label) for label in labels[n_pairs:]])
+    sizes = [n_shapes // n_pairs] * n_pairs if entries is None else list(entries)
+    labels += [
+        f"the shape of {name}" for name, size in zip(modes, sizes, strict=True) for _ in range(size)
+    ]
+    owner = np.concatenate([np.full(n_pairs, -1), np.repeat(np.arange(n_pairs), sizes)])
     used = found.weights > 0.0
     form = model_form(
         sensitivity[used],
@@ -53,6 +54,7 @@ def residual_form(
         np.maximum(parameters.upper - theta, 0.0),
         shapes=owner[used],
         moved=moved,
+        least=least,
     )
     return form, tuple(label for label, on in zip(labels, used.tolist(), strict=True) if on)
 
@@ -88,10 +90,28 @@ def record_verdict(record: CampaignRecord) -> FormVerdict | None:
     names = [mode_name(record.configurations, number) for number in numbers]
     form, labels = residual_form(
         last.sensitivity, best.residual, names, record.parameters, best.parameters,
-        best.parameters - start, alike=not record.configurations,
+        best.parameters - start, _entries(record) if record.configurations else None,
     )  # fmt: skip
     said = model_form_sentence(form, labels, record.parameters.names, updated=True)
     return FormVerdict(form, labels, said)
+
+
+def _entries(record: CampaignRecord) -> list[int]:
+    """How many entries the shape of each pair has, where configurations have sensors of their own.
+
+    Node n of the configuration at a place stands as base * place + n, the base a power of ten.
+    """
+    best = record.best
+    places = [record.test.numbers[pair] // CONFIGURATION for pair in best.pairing.measured.tolist()]
+    rows, _ = common_dofs(record.test.modes, best.computed)
+    nodes = record.test.modes.nodes[rows]
+    fits = [base for base in 10 ** np.arange(18, 2, -1) if np.isin(nodes // base, places).all()]
+    sizes = [int(np.sum(nodes // fits[0] == place)) for place in places] if fits else []
+    n_shapes = best.residual.values.size - best.residual.n_frequencies
+    if sum(sizes) == n_shapes and sizes:
+        return sizes
+    # Shapes that take no part in some configurations: equally many is as near as can be known.
+    return [part.size for part in np.array_split(np.arange(n_shapes), len(places))]
 
 
 def verdict_summary(record: CampaignRecord) -> Json:

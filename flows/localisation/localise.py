@@ -14,7 +14,7 @@ from pathlib import Path
 
 from modetune.core.errors import CampaignError
 from modetune.core.localisation import Removal, removals
-from modetune.core.model_form import ModelForm, model_form_sentence
+from modetune.core.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.core.modes import Floats
 from modetune.core.record import RunCounts
 from modetune.core.record_file import read_record
@@ -123,6 +123,7 @@ def localise(campaign: Campaign, theta: Floats | None = None) -> Localisation:
     )  # fmt: skip
     form, labels = residual_form(
         matrix.values, found, [f"mode {number}" for number in numbers], campaign.parameters, values,
+        least=0.0 if updated else FORECAST,
     )  # fmt: skip
     return Localisation(
         parameters=campaign.parameters.names, theta=values, modes=numbers, singles=singles,

@@ -19,6 +19,7 @@ from modetune.core.record import CampaignRecord
 from modetune.flows.report.comparison import (
     ModeRow,
     SensorAgreement,
+    mode_label,
     residual_norm,
     scaled_test,
 )
@@ -26,10 +27,10 @@ from modetune.flows.report.markup import chart_text
 from modetune.flows.report.palette import AFTER, BEFORE, PARAMETER_COLOURS, TEST
 
 
-def mac_maps(before: Floats, after: Floats, numbers: Sequence[int]) -> go.Figure:
+def mac_maps(before: Floats, after: Floats, numbers: Sequence[str]) -> go.Figure:
     """MAC tables before and after side by side, their values written in while there is room."""
     figure = make_subplots(1, 2, subplot_titles=("before", "after"), horizontal_spacing=0.09)
-    columns = [str(number) for number in numbers]
+    columns = list(numbers)
     few = before.size <= 150
     for place, mac in enumerate((before, after), start=1):
         figure.add_heatmap(
@@ -57,7 +58,7 @@ def frequency_lines(rows: Sequence[ModeRow]) -> go.Figure:
     largest = 1.06 * max(max(row.test_hz, row.before_hz, row.after_hz) for row in rows)
     figure.add_scatter(x=[0, largest], y=[0, largest], mode="lines", name="equal", hoverinfo="skip",
                        line={"color": "#8a8f98", "width": 1}, row=1, col=1)  # fmt: skip
-    labels = [str(row.number) for row in rows]
+    labels = [chart_text(row.label) for row in rows]
     for name, values, colour, symbol in (
         ("before", [row.before_hz for row in rows], BEFORE, "circle"),
         ("after", [row.after_hz for row in rows], AFTER, "x-thin"),
@@ -130,7 +131,7 @@ def correlation_map(names: Sequence[str], correlation: Floats) -> go.Figure:
 
 
 def sensitivity_bars(
-    numbers: Sequence[int], names: Sequence[str], matrices: Sequence[tuple[int, Floats]]
+    numbers: Sequence[str], names: Sequence[str], matrices: Sequence[tuple[int, Floats]]
 ) -> go.Figure:
     """Normalised sensitivities, a chart a mode, a bar a parameter (as thesis, figures 49 to 51).
 
@@ -262,7 +263,8 @@ def sensor_shapes(record: CampaignRecord) -> go.Figure:
     labels = [f"{modes.nodes[row]}.{COMPONENTS[modes.components[row] - 1]}" for row in rows]
     n, across = test.shape[1], min(3, test.shape[1])
     down = -(-n // across)
-    numbers = [record.test.numbers[place] for place in first.pairing.measured]
+    numbers = [chart_text(mode_label(record, record.test.numbers[place]))
+               for place in first.pairing.measured]  # fmt: skip
     figure = make_subplots(down, across, subplot_titles=[f"mode {number}" for number in numbers],
                            vertical_spacing=0.3 / down, horizontal_spacing=0.05)  # fmt: skip
     for name, shapes, colour in curves:

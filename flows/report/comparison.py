@@ -6,22 +6,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.correlation import comac, mac
+from modetune.core.correlation import comac, ecomac, mac
 from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers, common_dofs
+from modetune.core.numbering import mode_name
 from modetune.core.record import CampaignRecord, IterationRecord
 
 #: Correlation of two estimated parameters from which the test can hardly tell them apart.
 ENTANGLED = 0.95
 #: A MAC that needs a look, and a share of the value that a standard error should stay below.
 DOUBTFUL_MAC, DOUBTFUL_ERROR = 0.8, 0.2
+#: By how much a MAC may fall before it is remarked.
+FALLEN_MAC = 0.05
+#: A sensor stands out with a COMAC below the first while the median is above the second.
+ODD_COMAC, GOOD_COMAC = 0.8, 0.95
+#: ... or with an ECOMAC above this: on average it differs by 30 % of the largest motion.
+ODD_ECOMAC = 0.15
 
 
 @dataclass(frozen=True, slots=True)
 class ModeRow:
-    """A measured mode and its partner before and after; errors are relative, a MAC may be NaN."""
+    """A measured mode and its partner before and after; errors are relative, a MAC may be NaN.
+
+    label: what people call it behind the word "mode".
+    """
 
     number: int
+    label: str
     test_hz: float
     before_hz: float
     after_hz: float
@@ -52,6 +63,11 @@ class SensorAgreement:
         return tuple(f"{node}.{COMPONENTS[part - 1]}" for node, part in names)
 
 
+def mode_label(record: CampaignRecord, number: int) -> str:
+    """What a measured mode is called behind the word "mode": 3, or 3 of its configuration."""
+    return mode_name(record.configurations, number).removeprefix("mode ")
+
+
 def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
     """Every measured mode, in the order of the pairs."""
     first, last, rows = record.iterations[0], record.best, []
@@ -61,6 +77,7 @@ def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
         rows.append(
             ModeRow(
                 number=record.test.numbers[measured],
+                label=mode_label(record, record.test.numbers[measured]),
                 test_hz=float(record.test.modes.frequencies_hz[measured]),
                 before_hz=float(first.computed.frequencies_hz[before]),
                 after_hz=float(last.computed.frequencies_hz[after]),
@@ -164,7 +181,7 @@ def model_scales(record: CampaignRecord, item: IterationRecord) -> Floats:
 
 def remarks(record: CampaignRecord) -> tuple[str, ...]:
     """What a careful engineer would look at before handing the model on, a sentence each."""
-    found = list(_mode_remarks(record))
+    found = [*_mode_remarks(record), *_sensor_remarks(record)]
     at_bounds = record.parameters.at_bounds(record.updated)
     if at_bounds:
         found.append(
@@ -192,22 +209,50 @@ def _mode_remarks(record: CampaignRecord) -> list[str]:
     for row in mode_rows(record):
         if abs(row.error_after) > record.e1_frequency:
             found.append(
-                f"Mode {row.number} is {100 * row.error_after:+.2f} % off in frequency, beyond the "
+                f"Mode {row.label} is {100 * row.error_after:+.2f} % off in frequency, beyond the "
                 f"campaign's {100 * record.e1_frequency:g} %."
             )
         elif abs(row.error_after) > abs(row.error_before) + 1e-3:
             found.append(
-                f"Mode {row.number} was nearer to the test before "
+                f"Mode {row.label} was nearer to the test before "
                 f"({100 * row.error_before:+.2f} %, now {100 * row.error_after:+.2f} %)."
             )
         if row.mac_after < DOUBTFUL_MAC:
-            found.append(f"Mode {row.number} has a MAC of {row.mac_after:.2f} only: {row.reason}.")
+            found.append(f"Mode {row.label} has a MAC of {row.mac_after:.2f} only: {row.reason}.")
+        if row.mac_after < row.mac_before - FALLEN_MAC:
+            found.append(
+                f"Mode {row.label} was nearer before in shape: its MAC fell from "
+                f"{row.mac_before:.3f} to {row.mac_after:.3f}."
+            )
         if row.partner_before != row.partner_after:
             found.append(
-                f"Test mode {row.number} is the model's elastic mode {row.partner_after} now; it "
+                f"Test mode {row.label} is the model's elastic mode {row.partner_after} now; it "
                 f"was mode {row.partner_before} before."
             )
     return found
+
+
+def _sensor_remarks(record: CampaignRecord) -> list[str]:
+    """Sensors that stand out where most agree; where most do not, it is no matter of a sensor."""
+    agreement, item = sensor_agreement(record), record.best
+    if agreement is None or not np.median(agreement.after) > GOOD_COMAC:
+        return []
+    rows_m, rows_c = common_dofs(record.test.modes, item.computed)
+    measured = record.test.modes.mode_shapes[rows_m][:, item.pairing.measured]
+    differences = ecomac(measured, item.computed.mode_shapes[rows_c][:, item.pairing.computed])
+    test, model = scaled_test(record, item)
+    against = np.sum(test * model, axis=1) < 0.0
+    low = agreement.after < ODD_COMAC
+    return [
+        f"Sensor {label} {'moves against' if turned else 'does not move as'} the model's"
+        f" (COMAC {value:.2f}, ECOMAC {difference:.2f}): "
+        f"{'turned round' if turned else 'turned round, swapped, or mounted elsewhere'}?"
+        for label, value, difference, turned, odd in zip(
+            agreement.labels, agreement.after, differences, against & ~low,
+            low | (differences > ODD_ECOMAC), strict=True,
+        )
+        if odd
+    ]  # fmt: skip
 
 
 def entangled(record: CampaignRecord) -> list[tuple[str, str, float]]:

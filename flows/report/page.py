@@ -24,6 +24,7 @@ from modetune.flows.report import charts, provenance, sections, space_charts
 from modetune.flows.report.comparison import (
     fresh_matrices,
     mac_table,
+    mode_label,
     mode_rows,
     sensor_agreement,
 )
@@ -144,7 +145,7 @@ def _correlation(record: CampaignRecord, drawn: Drawn) -> Html:
     before, after = (mac_table(record, item) for item in (record.iterations[0], record.best))
     if before.size == 0 or not record.test.has_shapes:
         return Html("")
-    numbers = record.test.numbers
+    numbers = [chart_text(mode_label(record, number)) for number in record.test.numbers]
     bars = [
         element("figure", element("figcaption", name) + drawn.place(
             f"mac-{name}", space_charts.mac_bars(mac, numbers), f"MAC {name} as bars"))
@@ -218,7 +219,8 @@ def _sensitivities(record: CampaignRecord, drawn: Drawn) -> Html:
     if not matrices:
         return Html("")
     names = [chart_text(name) for name in record.parameters.names]
-    numbers = [record.test.numbers[place] for place in record.iterations[0].pairing.measured]
+    numbers = [chart_text(mode_label(record, record.test.numbers[place]))
+               for place in record.iterations[0].pairing.measured]  # fmt: skip
     told = paragraph(
         "Change of each natural frequency in percent where a parameter changes by one percent, at "
         "the first and the last set a sensitivity was computed at.", "note",

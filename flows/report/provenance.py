@@ -76,7 +76,7 @@ def repetition(record: CampaignRecord) -> Html:
         ["solver", f"{record.solver} {record.solver_version}"],
         ["ran with", ", ".join(record.versions) or "not recorded"],
         ["units", record.units or "not recorded"],
-        ["deck, SHA-256 of its content", mono(record.deck_digest or "not recorded")],
+        *_deck(record),
         ["first modal job", mono(record.iterations[0].modal_key)],
         ["modal job of the updated model", mono(record.best.modal_key)],
         ["random numbers", _random_numbers(record)],
@@ -93,6 +93,15 @@ def repetition(record: CampaignRecord) -> Html:
         folded("The campaign file", code(record.campaign_text), is_open=True),
         folded("Keys of all solver jobs, as they stand in the store", _keys(record)),
     ])  # fmt: skip
+
+
+def _deck(record: CampaignRecord) -> list[list[Html | str]]:
+    """The deck's digest; records of before have one of the job's content, without a file's name."""
+    if not record.deck_digest:
+        return []
+    is_file = " " in record.deck_digest
+    return [["deck, as sha256sum tells it" if is_file else "content key of the deck",
+             mono(record.deck_digest)]]  # fmt: skip
 
 
 def _random_numbers(record: CampaignRecord) -> str:

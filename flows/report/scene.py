@@ -16,7 +16,7 @@ from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.core.surface import Surface, display_surface
-from modetune.flows.report.comparison import model_scales, scaled_test
+from modetune.flows.report.comparison import mode_label, model_scales, scaled_test
 
 #: Nodes of a surface that a browser without a graphics card still moves smoothly.
 AT_MOST = 12_000
@@ -41,7 +41,7 @@ class Motion:
 class SceneMode:
     """A measured mode before and after updating."""
 
-    number: int
+    label: str
     test_hz: float
     before: Motion
     after: Motion
@@ -98,7 +98,7 @@ def scene(record: CampaignRecord) -> Scene | None:
         before, after = (_motion(record, item, pair, surface, sensors) for item in (first, last))
         modes.append(
             SceneMode(
-                record.test.numbers[measured],
+                mode_label(record, record.test.numbers[measured]),
                 float(record.test.modes.frequencies_hz[measured]),
                 before,
                 _in_phase(after, before),

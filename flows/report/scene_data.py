@@ -26,7 +26,7 @@ def told_scene(shown: Scene) -> dict[str, Json]:
         "lines": _packed(shown.lines, "<u4"),
         "modes": [
             {
-                "number": mode.number,
+                "label": mode.label,
                 "test_hz": mode.test_hz,
                 "before": _told_motion(mode.before),
                 "after": _told_motion(mode.after),

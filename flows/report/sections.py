@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from modetune.core.record import CampaignRecord, IterationRecord
-from modetune.flows.report.comparison import ModeRow, mode_rows, remarks
+from modetune.flows.report.comparison import ModeRow, mode_label, mode_rows, remarks
+from modetune.flows.report.deck_units import unit_of
 from modetune.flows.report.markup import (
     Html,
     bullets,
@@ -28,12 +29,17 @@ STATUS = {
     "stationary": ("was brought as near to its test as these parameters can", "fair"),
     "running": ("is still being updated", "fair"),
 }
+#: ... where it is in some, or in no respect nearer to its test than before.
+IN_PART = ("came nearer to its test in part only", "fair")
+NO_NEARER = ("did not come nearer to its test", "outside")
+#: A MAC that changes by less is as before: shown digits.
+SAME_MAC = 5e-4
 
 
 def headline(record: CampaignRecord) -> Html:
     """One paragraph that a person understands, and the figures beside it."""
     rows, kept = mode_rows(record), record.best
-    said, mood = STATUS.get(record.status, (f"ended as {record.status}", "fair"))
+    said, mood = _ending(record, rows)
     paragraphs = paragraph(
         joined([
             "The model of ", element("strong", record.name), " ", element("strong", said, mood),
@@ -49,17 +55,49 @@ def headline(record: CampaignRecord) -> Html:
     return paragraphs + _tiles(record, rows) + reason
 
 
+def _ending(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[str, str]:
+    """How the campaign's end reads, and its mood."""
+    if record.status in ("max_iterations", "stationary") and record.best.number > 0:
+        nearer = _changes(rows)
+        if not any(change > 0.0 for change in nearer):
+            return NO_NEARER
+        if any(change < 0.0 for change in nearer):
+            return IN_PART
+    return STATUS.get(record.status, (f"ended as {record.status}", "fair"))
+
+
+def _changes(rows: Sequence[ModeRow]) -> tuple[float, float, float]:
+    """By how much worst error, mean error and least MAC are better than before.
+
+    The MAC's is zero where it is as before, or unknown.
+    """
+    before = np.abs([row.error_before for row in rows])
+    after = np.abs([row.error_after for row in rows])
+    rise = min(row.mac_after for row in rows) - min(row.mac_before for row in rows)
+    return (
+        float(before.max() - after.max()),
+        float(before.mean() - after.mean()),
+        rise if abs(rise) >= SAME_MAC else 0.0,
+    )
+
+
 def _frequencies(rows: Sequence[ModeRow]) -> str:
     worst_before = max(rows, key=lambda row: abs(row.error_before))
     worst_after = max(rows, key=lambda row: abs(row.error_after))
     means = [float(np.mean([abs(getattr(row, f"error_{when}")) for row in rows]))
              for when in ("before", "after")]  # fmt: skip
     modes = f"all {len(rows)} measured modes were" if len(rows) > 1 else "the measured mode was"
+    worst, mean, _ = _changes(rows)
+    before = f"{percent(abs(worst_before.error_before), sign=False)} (mode {worst_before.label})"
+    after = f"{percent(abs(worst_after.error_after), sign=False)} (mode {worst_after.label})"
+    largest = (
+        f"frequencies that were off by up to {before} are now within {after}"
+        if worst > 0.0
+        else f"the largest frequency error did not improve: {before} before, {after} now"
+    )
     return (
-        f"{modes.capitalize()} found in it; frequencies that were off by up to "
-        f"{percent(abs(worst_before.error_before), sign=False)} (mode {worst_before.number}) "
-        f"are now within {percent(abs(worst_after.error_after), sign=False)} "
-        f"(mode {worst_after.number}); the mean error went from "
+        f"{modes.capitalize()} found in it; {largest}; the mean error "
+        f"{'fell' if mean > 0.0 else 'did not improve: it went'} from "
         f"{percent(means[0], sign=False)} to {percent(means[1], sign=False)}. "
     )
 
@@ -69,10 +107,15 @@ def _shapes(rows: Sequence[ModeRow]) -> str:
     if not np.isfinite(macs).all():
         return "No shapes were measured, so modes were paired by frequency and tracked by shape. "
     least = min(rows, key=lambda row: row.mac_after)
-    before = min(row.mac_before for row in rows)
+    before = min(rows, key=lambda row: row.mac_before)
+    if _changes(rows)[2] < 0.0:
+        return (
+            f"Mode shapes did not improve: the least MAC fell from {before.mac_before:.3f} "
+            f"(mode {before.label}) to {least.mac_after:.3f} (mode {least.label}). "
+        )
     return (
-        f"Mode shapes agree with a MAC of at least {least.mac_after:.3f} (mode {least.number}; "
-        f"{before:.3f} before). "
+        f"Mode shapes agree with a MAC of at least {least.mac_after:.3f} (mode {least.label}; "
+        f"{before.mac_before:.3f} before). "
     )
 
 
@@ -127,7 +170,7 @@ def modes_table(record: CampaignRecord) -> Html:
     rows = mode_rows(record)
     lines: list[list[Html | str]] = [
         [
-            str(row.number), hertz(row.test_hz), hertz(row.before_hz), percent(row.error_before),
+            row.label, hertz(row.test_hz), hertz(row.before_hz), percent(row.error_before),
             hertz(row.after_hz), _judged(row.error_after, record), number(row.mac_before, ".3f"),
             _judged_mac(row.mac_after, record), str(row.partner_after),
         ]
@@ -172,17 +215,19 @@ def parameters_table(record: CampaignRecord) -> Html:
         updated, start = float(record.updated[place]), float(record.iterations[0].parameters[place])
         error = float(record.standard_errors[place])
         bounds = f"{item.lower:g} … {item.upper:g}"
+        unit = unit_of(record.units, item.quantity)
         lines.append([
             item.name,
             " of ".join([_words(item.quantity), *([", ".join(item.targets)] * bool(item.targets))]),
-            number(float(record.deck_values[place]), ".6g"),
-            number(float(record.deck_values[place]) * updated, ".6g"),
+            f"{number(float(record.deck_values[place]), '.6g')} {unit}".rstrip(),
+            f"{number(float(record.deck_values[place]) * updated, '.6g')} {unit}".rstrip(),
             number(start, ".4f"), number(updated, ".4f"), percent(updated / start - 1.0, 1),
-            "not known" if not np.isfinite(error) else f"±{number(error, '.2g')}",
+            "not known" if not np.isfinite(error) else f"±{percent(error, sign=False)}",
             element("span", f"{bounds} (on it)", "outside") if item.name in at_bounds else bounds,
         ])  # fmt: skip
     headings = ("parameter", "what it is", "deck", "updated", "start, relative",
-                "updated, relative", "change", "standard error", "bounds, relative")  # fmt: skip
+                "updated, relative", "change", "standard error, of deck",
+                "bounds, relative")  # fmt: skip
     return table(headings, lines, (0, 1))
 
 
@@ -197,7 +242,7 @@ def _pairing(record: CampaignRecord, item: IterationRecord) -> Html:
         zip(pairing.measured.tolist(), pairing.computed.tolist(), strict=True)
     ):
         lines.append([
-            str(record.test.numbers[measured]), str(computed + 1),
+            mode_label(record, record.test.numbers[measured]), str(computed + 1),
             hertz(float(record.test.modes.frequencies_hz[measured])),
             hertz(float(item.computed.frequencies_hz[computed])),
             percent(float(item.frequency_errors[pair])),

@@ -106,9 +106,9 @@
         line: { color: colour("line"), width: 1 } },
       { type: "scatter3d", mode: "markers", ...xyz(sensors), name: "test", visible: hasTest,
         text: scene.nodes.map((node) => "test point " + node), hoverinfo: "text",
-        marker: { size: 5, color: "#D55E00" } },
+        marker: { size: 5, color: colour("ink") } },
       { type: "scatter3d", mode: "lines", ...xyz(wires), hoverinfo: "skip", showlegend: false,
-        visible: hasTest, line: { color: "#D55E00", width: 4 } },
+        visible: hasTest, line: { color: colour("ink"), width: 4 } },
     ];
   }
 
@@ -180,7 +180,7 @@
     const by = (id) => document.getElementById(id);
     const select = by("shape-mode"), play = by("shape-play");
     scene.modes.forEach((mode, place) => {
-      select.add(new Option(mode.number + "  –  " + mode.test_hz.toPrecision(5) + " Hz", place));
+      select.add(new Option(mode.label + "  –  " + mode.test_hz.toPrecision(5) + " Hz", place));
     });
     select.addEventListener("change", () => { now.mode = Number(select.value); choose(); });
     document.querySelectorAll("button.state").forEach((button, _, all) => {

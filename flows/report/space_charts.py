@@ -25,7 +25,7 @@ FACES = np.array([
 STROKE = (0, 1, 3, 2, 0, 4, 5, 7, 6, 4, -1, 1, 5, -1, 2, 6, -1, 3, 7, -1)
 
 
-def mac_bars(mac: Floats, numbers: Sequence[int]) -> go.Figure:
+def mac_bars(mac: Floats, numbers: Sequence[str]) -> go.Figure:
     """MAC (n_computed, n_measured) as bars in space; numbers: of the measured modes."""
     computed, measured = (index.ravel() + 1.0 for index in np.indices(mac.shape))
     heights = np.maximum(mac.ravel(), 0.004)
@@ -57,9 +57,11 @@ def mac_bars(mac: Floats, numbers: Sequence[int]) -> go.Figure:
         height=400, margin={"l": 0, "r": 0, "t": 8, "b": 0},
         scene={
             "xaxis": _modes_axis("test mode", numbers),
-            "yaxis": _modes_axis("computed mode", range(1, mac.shape[0] + 1)),
+            "yaxis": _modes_axis("computed mode", [str(row + 1) for row in range(mac.shape[0])]),
             "zaxis": {"title": {"text": "MAC"}, "range": [0, 1], "dtick": 0.25},
-            "camera": {"eye": {"x": -1.2, "y": -1.45, "z": 0.95}, "center": {"z": -0.12}},
+            # Across the diagonal and from above: the bars of the pairs stand beside each other.
+            "camera": {"eye": {"x": 1.5, "y": -1.15, "z": 1.25}, "center": {"z": -0.12},
+                       "projection": {"type": "orthographic"}},
             "aspectratio": {"x": 1.0, "y": 1.0, "z": 0.62},
         },
     )  # fmt: skip
@@ -106,9 +108,11 @@ def _strokes(coordinates: Floats, edges: Integers) -> tuple[Floats, Floats, Floa
     return x, y, z
 
 
-def _modes_axis(title: str, numbers: Sequence[int]) -> dict[str, Any]:
+def _modes_axis(title: str, numbers: Sequence[str]) -> dict[str, Any]:
+    named = any(not number.isdigit() for number in numbers)  # long, and the title would cross them
     return {
-        "title": {"text": title},
+        "title": {"text": "" if named else title},
+        "tickfont": {"size": 9 if named else 12},
         "tickvals": list(range(1, len(numbers) + 1)),
-        "ticktext": [str(number) for number in numbers],
+        "ticktext": list(numbers),
     }

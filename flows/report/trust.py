@@ -56,8 +56,8 @@ def trust_words(record: CampaignRecord) -> Html:
 
 def _model_form(record: CampaignRecord) -> Html:
     """Whether what is left of the residual is noise, or a fault that no parameter stands for."""
-    found = record_verdict(record)
-    if found is None:
+    found, trust = record_verdict(record), record.trust
+    if found is None or (trust and found.sentence in (*trust.concerns, *trust.notes)):
         return Html("")
     mood = "outside" if found.form.suspected else "note"
     return element("p", element("span", found.sentence, mood))

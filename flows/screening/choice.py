@@ -32,6 +32,8 @@ from modetune.core.subset import (
 
 #: Standard deviations of the test that a parameter must move the responses by.
 LEAST_IMPORTANCE = 1.0
+#: Shares below this, 1e-6 %, are shown as 0.
+LEAST_SHOWN = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,11 @@ def choose_parameters(candidates: Candidates, most: int | None = None) -> Choice
     return Choice(verdicts, ranking, groups, misfits)
 
 
+def percent(share: float) -> str:
+    """A share in per cent for people; what is no more than rounding is 0."""
+    return f"{100 * share:.3g}" if share >= LEAST_SHOWN else "0"
+
+
 def _seen(candidates: Candidates, reasons: dict[int, str]) -> list[int]:
     """Positions of the candidates that the test sees."""
     alive = []
@@ -141,10 +148,10 @@ def _apart(
             kept.append(column)
             continue
         nearest = max(like, key=lambda k: abs(cosines[k, column]))
-        told = "sum" if cosines[nearest, column] > 0.0 else "difference"
         reasons[alive[column]] = (
             f"collinear with {candidates.names[alive[nearest]]} (cosine "
-            f"{cosines[nearest, column]:+.3f}): the test tells only their {told}"
+            f"{cosines[nearest, column]:+.3f}): the test tells only a combination of the "
+            "two"
         )
     return groups, sorted(alive[column] for column in kept)
 
@@ -165,8 +172,8 @@ def _helpful(
     order = [apart[column] for column in found.order.tolist()]
     for step, place in enumerate(order):
         reasons[place] = (
-            f"brings the residual's square from {100 * shares[step]:.3g} % down to "
-            f"{100 * shares[step + 1]:.3g} % of the first"
+            f"brings the residual's square from {percent(shares[step])} % down to "
+            f"{percent(shares[step + 1])} % of the first"
         )
     if most is not None or not order:
         order += _independent(candidates, apart, order, most, reasons)

@@ -1,6 +1,6 @@
 """The record of a screening: everything from which its tables and figures follow.
 
-/                     attributes: name, method, seed, solver, solver_version, units, wall_s,
+/                     attributes: name, method, seed, solver, solver_version, units, wall_s, wanted,
                       runs_modal, runs_sensitivity, runs_reused, campaign (text of the file)
 parameters/           names, lower, upper, deviations (n_parameters,)
 modes/                numbers, test_hz, nominal_hz, nominal_mac (n_modes,)
@@ -79,7 +79,8 @@ class Screening:
 
     names, deviations: of the parameters; numbers: of the used modes; test_hz, nominal_hz,
     nominal_mac: (n_modes,), of the pairs at the deck's values. indices: None for `local`.
-    importance: (n_parameters,).
+    importance: (n_parameters,). wanted: how many parameters were asked for, 0 where the choice
+    was free.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Screening:
     choice: Choice
     runs: RunCounts = field(default_factory=RunCounts)
     wall_s: float = 0.0
+    wanted: int = 0
 
     @property
     def response_names(self) -> tuple[str, ...]:
@@ -112,7 +114,7 @@ class Screening:
 
 
 #: Fields that are plain attributes of the file.
-TEXTS = ("name", "seed", "solver", "solver_version", "units", "wall_s")
+TEXTS = ("name", "seed", "solver", "solver_version", "units", "wall_s", "wanted")
 
 
 def write_screening(path: Path, screening: Screening) -> None:
@@ -211,6 +213,7 @@ def _read(file: h5py.File) -> Screening:
             float(attrs["core_s"]),
         ),
         wall_s=float(attrs["wall_s"]),
+        wanted=int(attrs.get("wanted", 0)),
     )
 
 

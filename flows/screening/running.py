@@ -152,6 +152,7 @@ def _screening(
         choice=choose_parameters(candidates, request.choose),
         runs=runs,
         wall_s=wall_s,
+        wanted=request.choose or 0,
     )
 
 
@@ -202,11 +203,14 @@ class _Points:
                 failures[place] = ""
                 frequencies[place] = found.seen.frequencies_hz[found.pairing.computed]
                 macs[place] = found.pairing.judged_mac[:shaped]
+            lost = [place for place in lost if not self._has_all(points[place])]
             if not lost or widening == WIDENINGS:
                 break
             wider = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
-            logger.warning("a mode is lost at %d points; widening the range to %d modes there",
-                           len(lost), wider)  # fmt: skip
+            logger.warning(
+                "a mode is lost at %d point%s; widening the range to %d modes there",
+                len(lost), "" if len(lost) == 1 else "s", wider,
+            )  # fmt: skip
             self.analysis, waiting = replace(self.analysis, n_modes=wider), lost
         return Responses(frequencies, macs, tuple(failures), tuple(keys))
 
@@ -234,6 +238,13 @@ class _Points:
 
     def _job(self, point: Floats) -> Job:
         return Job(self.campaign.parameters.values(point), self.analysis)
+
+    def _has_all(self, point: Floats) -> bool:
+        """Whether a solved point had all modes there are, so that no wider range holds more."""
+        result = self.engine.result(self._job(point))
+        assert isinstance(result, ModalResult)
+        few = result.modes.frequencies_hz.size < self.analysis.n_modes
+        return few and self.campaign.solver.name == "matrices"
 
     def _compared(self, point: Floats, done: Done) -> tuple[str, Evaluation]:
         outcome = _outcome(done)

@@ -8,7 +8,9 @@ import numpy as np
 
 from modetune.core.keys import Json
 from modetune.core.modes import Floats
+from modetune.flows.screening.choice import percent
 from modetune.flows.screening.indices import UNITS
+from modetune.flows.screening.notes import notes
 from modetune.flows.screening.record import Screening
 
 if TYPE_CHECKING:
@@ -52,6 +54,7 @@ def told(screening: Screening) -> dict[str, Json]:
         "collinear": [[screening.names[place] for place in group] for group in choice.groups],
         "chosen": list(choice.chosen),
         "residual_left": list(choice.misfits),
+        "notes": list(notes(screening)),
     }  # fmt: skip
 
 
@@ -211,6 +214,7 @@ def lines(screening: Screening) -> list[str]:
     chosen = screening.choice.chosen
     said.append(f"proposed: {', '.join(chosen) if chosen else 'none of them'}"
                 + _explained(screening))  # fmt: skip
+    said.extend(f"note: {note}" for note in notes(screening))
     said.append(
         f"solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered "
         f"by the store; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes"
@@ -222,7 +226,7 @@ def _explained(screening: Screening) -> str:
     left = screening.choice.misfits
     if len(left) < 2:
         return ""
-    return f"; linearly, {100 * left[-1]:.3g} % of the residual's square would be left"
+    return f"; linearly, {percent(left[-1])} % of the residual's square would be left"
 
 
 def _list(values: Floats) -> list[Json]:

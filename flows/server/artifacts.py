@@ -23,10 +23,10 @@ from uuid import UUID
 
 import numpy as np
 
-from modetune.core.correlation import mode_set_mac
 from modetune.core.criteria import Tolerances
 from modetune.core.keys import Json
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, common_dofs
+from modetune.core.pairing import mac_or_zero
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.updating import Progress
 
@@ -101,7 +101,7 @@ def mac_picture(record: CampaignRecord) -> bytes:
 
     first, last = record.iterations[0], record.best
     figure = mac_figure(
-        record.name, [("before", _mac(record, first)), ("after", _mac(record, last))]
+        record.name, [("before", mac_table(record, first)), ("after", mac_table(record, last))]
     )
     drawn = b""
     for resolution in RESOLUTIONS:
@@ -195,10 +195,13 @@ def _nearness(record: IterationRecord, tolerances: Tolerances) -> float:
     return min(shares)
 
 
-def _mac(record: CampaignRecord, iteration: IterationRecord) -> Floats:
+def mac_table(record: CampaignRecord, iteration: IterationRecord) -> Floats:
     """MAC (n_computed, n_measured) up to the last computed mode that is paired."""
     last = int(iteration.pairing.computed.max()) + 1
-    return mode_set_mac(iteration.computed, record.test.modes)[:last]
+    computed, measured = iteration.computed, record.test.modes
+    rows_c, rows_m = common_dofs(computed, measured)
+    # Of several configurations a mode rests at all sensors but those of its own.
+    return mac_or_zero(computed.mode_shapes[rows_c, :last], measured.mode_shapes[rows_m])
 
 
 def _iteration_row(item: IterationRecord) -> dict[str, Json]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,10 +17,12 @@ from modetune.core.judgement import (
 )
 from modetune.core.keys import Json
 from modetune.core.modes import Floats
-from modetune.core.record import IterationRecord
-from modetune.core.trust import StartSpread, Trust
+from modetune.core.numbering import mode_name
+from modetune.core.record import CampaignRecord, IterationRecord
+from modetune.core.trust import StartSpread, Trust, with_concerns
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluator import Matrix
+from modetune.flows.localisation.form_verdict import record_verdict
 
 #: Collinear subsets that the summary names.
 NAMED = 10
@@ -57,11 +60,35 @@ def campaign_trust(
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,
-        notes=_notes(campaign, last, matrix, standard_errors) if agrees else (),
+        concerns=_short(campaign, last, matrix, standard_errors) if agrees else (),
     )  # fmt: skip
 
 
-def _notes(
+def checked(record: CampaignRecord) -> CampaignRecord:
+    """The record of an update that has ended, its trust judged by what is left and held out too."""
+    if record.trust is None:
+        return record
+    trust, found = record.trust, record_verdict(record)
+    if found is not None and found.form.suspected:
+        trust = replace(with_concerns(trust, found.sentence), times_noise=found.form.times_noise)
+    elif found is not None and found.form.overstated:
+        trust = replace(trust, notes=(*trust.notes, found.sentence))
+    return replace(record, trust=with_concerns(trust, *_worse(record)))
+
+
+def _worse(record: CampaignRecord) -> tuple[str, ...]:
+    """A sentence where held-out modes got worse."""
+    held = record.held_out
+    if held is None or not held.any_worse:
+        return ()
+    names = [mode_name(record.configurations, number) for number in held.numbers[held.worse]]
+    return (
+        f"{len(names)} of {held.numbers.size} held-out modes got worse by updating "
+        f"({', '.join(names)}): the parameters may have been bent to fit the others.",
+    )
+
+
+def _short(
     campaign: Campaign, last: IterationRecord, matrix: Matrix, standard_errors: Floats
 ) -> tuple[str, ...]:
     if campaign.update.step == "pulled_to_initial":

@@ -116,17 +116,23 @@ def update_from_starts(
         ends = _run_starts(own, engine, starts, progress)
         spent = replace(_counted(ends), core_s=engine.ledger.core_s,
                         licence_s=engine.ledger.licence_s)  # fmt: skip
+    for earlier in (folder / "starts").glob("*.h5"):
+        earlier.unlink()  # of a run with more starts, or others
     for number, end in enumerate(ends):
         if end.record is not None:
             write_record(folder / "starts" / f"{number:02d}.h5", end.record)
     spread = start_spread(campaign, ends)
     settings = own.update.model_copy(update={"start": "deck", "starts": 1})
-    best = replace(own, update=settings, begin=tuple(starts[spread.chosen].tolist()))
+    best = replace(
+        own, update=settings, begin=tuple(starts[spread.chosen].tolist()),
+        report=own.report.model_copy(update={"page": False}),  # drawn below, of all starts
+    )  # fmt: skip
     run = update_campaign(best, folder, progress, server, forecast)
     record = replace(_joined(run.record, ends, spread, spent), wall_s=time.monotonic() - began)
     write_record(folder / "campaign.h5", record)
     if campaign.report.page:
-        draw_report(record, folder)
+        progress.working("drawing the report")
+        run = replace(run, page=draw_report(record, folder))
     return replace(run, record=record)
 
 

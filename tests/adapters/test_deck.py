@@ -21,6 +21,7 @@ from modetune.adapters.calculix.deck import (
     write_edited,
 )
 from modetune.core.errors import ModelError
+from modetune.flows.solvers import is_nastran
 
 #: Files are written, at the speed of a busy machine.
 UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -174,9 +175,17 @@ def test_a_binary_file_names_file_and_line(tmp_path: Path) -> None:
         read_deck(main)
 
 
-@pytest.mark.parametrize("text", ["", "\n", "** only a comment\n"])
-def test_an_empty_deck_names_the_file(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize("text", ["", "\n"])
+def test_an_empty_deck_is_called_empty(tmp_path: Path, text: str) -> None:
     main = write(tmp_path, main=text)
+    with pytest.raises(ModelError, match=re.escape(f"{main} is empty; a deck was expected")):
+        read_deck(main)
+    with pytest.raises(ModelError, match=re.escape(f"{main} is empty; a deck was expected")):
+        is_nastran(main)
+
+
+def test_a_deck_without_keywords_names_the_file(tmp_path: Path) -> None:
+    main = write(tmp_path, main="** only a comment\n")
     with pytest.raises(ModelError, match=re.escape(f"{main}, line 1: the file holds no CalculiX")):
         read_deck(main)
 

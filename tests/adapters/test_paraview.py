@@ -222,6 +222,18 @@ def test_a_series_written_again_leaves_nothing_of_the_one_before(tmp_path: Path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["updated", "updated.pvd"]
 
 
+@pytest.mark.parametrize("name", ["updated", "updated.part"])
+def test_a_folder_with_other_files_is_never_replaced(tmp_path: Path, name: str) -> None:
+    modes = mode_set([1.0], np.ones((1, 1)), nodes=[3], components=[1])
+    write_series(tmp_path, "updated", mode_grids(bar(), modes), modes.frequencies_hz)
+    (tmp_path / name).mkdir(exist_ok=True)
+    kept = tmp_path / name / "thesis.tex"
+    kept.write_text("ten years' work")
+    with pytest.raises(StorageUnavailable, match=r"holds thesis\.tex, .*so it is not replaced"):
+        write_series(tmp_path, "updated", mode_grids(bar(), modes), modes.frequencies_hz)
+    assert kept.read_text() == "ten years' work"
+
+
 def test_a_series_that_breaks_off_leaves_the_one_before(tmp_path: Path) -> None:
     modes = mode_set([1.0, 2.0], np.ones((1, 2)), nodes=[3], components=[1])
     file = write_series(tmp_path, "updated", mode_grids(bar(), modes), modes.frequencies_hz)
@@ -241,7 +253,7 @@ def test_a_series_that_breaks_off_leaves_the_one_before(tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     modes = mode_set([1.0], np.ones((1, 1)), nodes=[3], components=[1])
-    with pytest.raises(StorageUnavailable, match="cannot be written"):
+    with pytest.raises(StorageUnavailable, match="file is a file, and a folder is needed there"):
         write_series(tmp_path / "file", "initial", mode_grids(bar(), modes), modes.frequencies_hz)
 
 

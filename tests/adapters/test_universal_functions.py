@@ -19,6 +19,7 @@ from tests.adapters.universal_text import (
     head_58,
     nodes_15,
     save,
+    units_164,
 )
 
 VALUES = [1.5 + 2j, -3.25 + 0.5j, 0.125 - 7j, 1e-9 + 1e9j, 2 + 0j]
@@ -32,7 +33,9 @@ def read(path: Path) -> tuple[MeasuredFrfs, str]:
 
 
 def test_a_response_function_has_its_ends_directions_and_frequencies(tmp_path: Path) -> None:
-    frfs, notes = read(save(tmp_path / "t.unv", even_58(VALUES, ENDS, start=2.0, step=0.5)))
+    frfs, notes = read(
+        save(tmp_path / "t.unv", units_164(1.0), even_58(VALUES, ENDS, start=2.0, step=0.5))
+    )
     assert frfs.kind == "accelerance"
     assert frfs.frequencies_hz.tolist() == [2.0, 2.5, 3.0, 3.5, 4.0]
     assert frfs.values[:, 0].tolist() == VALUES
@@ -211,3 +214,139 @@ def test_a_function_that_cannot_be_used_is_named_with_its_line(
     assert frfs.values.shape == (5, 1)
     assert f"{path}, line 18 (dataset 58)" in notes
     assert reason in notes
+
+
+#: Inches a metre and pounds a newton: dataset 164 of unit code 7.
+INCHES, POUNDS = 1.0 / 0.0254, 1.0 / 4.4482216152605
+
+
+@pytest.mark.parametrize(
+    ("quantities", "ends", "factor"),
+    [
+        ((12, 13), (7, 3, 12, 2), 0.0254 / 4.4482216152605),  # (in/s^2)/lbf: 1 / 175.127
+        ((8, 13), (7, 3, 12, 2), 0.0254 / 4.4482216152605),
+        ((12, 13), (7, 5, 12, 2), 1.0 / 4.4482216152605),  # a rotation has no length
+        ((12, 13), (7, 3, 12, -5), 1.0 / 4.4482216152605),  # over a moment, in lbf
+        ((12, 13), (7, 5, 12, 5), 1.0 / 4.4482216152605 / 0.0254),
+    ],
+)
+def test_functions_in_inches_and_pounds_are_converted_to_si(
+    tmp_path: Path, quantities: tuple[int, int], ends: tuple[int, int, int, int], factor: float
+) -> None:
+    function = even_58(VALUES, ends, quantities=quantities)
+    frfs, notes = read(save(tmp_path / "t.unv", units_164(INCHES, POUNDS), function))
+    np.testing.assert_allclose(frfs.values[:, 0], np.array(VALUES) * factor, rtol=1e-12)
+    said = f"dataset 164: 1 response functions are converted to SI, times {factor:.6g}"
+    assert said in notes
+    assert "doubtful" not in notes
+
+
+def test_functions_without_any_unit_are_taken_as_si_and_doubtful(tmp_path: Path) -> None:
+    path = save(tmp_path / "t.unv", even_58(VALUES, ENDS), even_58(VALUES, (8, 1, 12, 2)))
+    frfs, notes = read(path)
+    assert frfs.values[:, 0].tolist() == VALUES
+    assert f"doubtful: {path}: 2 response functions are taken as SI" in notes
+
+
+def test_a_factor_of_forces_that_can_be_none_leaves_si_and_the_unit_of_length(
+    tmp_path: Path,
+) -> None:
+    path = save(
+        tmp_path / "t.unv",
+        units_164(1000.0, 0.0),
+        nodes_15((7, 0, 0, (1, 2, 3))),
+        even_58(VALUES, ENDS),
+    )
+    measurement = read_universal([path]).measurement
+    assert measurement.frfs is not None
+    assert measurement.geometry is not None
+    assert measurement.frfs.values[:, 0].tolist() == VALUES
+    assert measurement.geometry.metres == pytest.approx(0.001)
+    assert any("taken as SI" in note for note in measurement.notes)
+
+
+@pytest.mark.parametrize(
+    ("quantities", "unit", "below", "factor"),
+    [
+        ((12, 13), "g", "N", 9.80665),
+        ((12, 13), "g/N", "NONE", 9.80665),
+        ((12, 13), "g", "lbf", 9.80665 / 4.4482216152605),
+        ((12, 13), "(in/s^2)/lbf", "", 0.0254 / 4.4482216152605),
+        ((12, 13), "mm/s²", "N", 1e-3),
+        ((11, 13), "in/s", "lbf", 0.0254 / 4.4482216152605),
+        ((8, 13), "mm", "kN", 1e-6),
+        ((12, 13), "m/s^2", "N", 1.0),
+        ((1, 13), "g/N", "NONE", 9.80665),
+    ],
+)
+def test_the_labels_of_its_axes_say_what_a_function_is_in(
+    tmp_path: Path, quantities: tuple[int, int], unit: str, below: str, factor: float
+) -> None:
+    text = even_58(VALUES, ENDS, quantities=quantities, unit=unit, below=below)
+    frfs, notes = read(save(tmp_path / "t.unv", text))
+    np.testing.assert_allclose(frfs.values[:, 0], np.array(VALUES) * factor, rtol=1e-12)
+    assert "doubtful" not in notes
+    assert ("are converted to SI" in notes) == (factor != 1.0)
+
+
+def test_g_goes_with_the_force_of_dataset_164(tmp_path: Path) -> None:
+    text = even_58(VALUES, ENDS, unit="g")
+    frfs, notes = read(save(tmp_path / "t.unv", units_164(INCHES, POUNDS), text))
+    factor = 9.80665 / 4.4482216152605
+    np.testing.assert_allclose(frfs.values[:, 0], np.array(VALUES) * factor, rtol=1e-12)
+    assert "doubtful" not in notes
+
+
+def test_labels_that_contradict_dataset_164_are_taken_and_doubtful(tmp_path: Path) -> None:
+    text = even_58(VALUES, ENDS, unit="m/s^2", below="N")
+    frfs, notes = read(save(tmp_path / "t.unv", units_164(INCHES, POUNDS), text))
+    assert frfs.values[:, 0].tolist() == VALUES
+    assert "doubtful: " in notes
+    assert "contradict dataset 164" in notes
+
+
+def test_half_a_label_without_dataset_164_is_doubtful(tmp_path: Path) -> None:
+    frfs, notes = read(save(tmp_path / "t.unv", even_58(VALUES, ENDS, unit="g")))
+    np.testing.assert_allclose(frfs.values[:, 0], np.array(VALUES) * 9.80665, rtol=1e-12)
+    assert "doubtful: " in notes
+    assert "the force of 1 functions is taken as SI" in notes
+
+
+@pytest.mark.parametrize(
+    ("quantities", "below", "what"),
+    [
+        ((12, 8), "NONE", "over a displacement"),
+        ((12, 11), "NONE", "over a velocity"),
+        ((12, 12), "NONE", "over an acceleration"),
+        ((12, 15), "NONE", "over a quantity of kind 15"),
+        ((12, 0), "g", "over g"),
+    ],
+)
+def test_a_transmissibility_is_no_response_function(
+    tmp_path: Path, quantities: tuple[int, int], below: str, what: str
+) -> None:
+    path = save(
+        tmp_path / "t.unv",
+        even_58(VALUES, ENDS),
+        even_58(VALUES, (8, 1, 12, 2), quantities=quantities, below=below),
+    )
+    frfs, notes = read(path)
+    assert frfs.nodes.tolist() == [7]
+    assert f"a response function {what}, not over a force (a transmissibility)" in notes
+
+
+def test_a_coherence_that_is_not_finite_is_passed_over(tmp_path: Path) -> None:
+    coherence = even_58([1.0, 0.9, float("nan"), 0.7, 0.6], ENDS, kind=6, quantities=(0, 0))
+    path = save(tmp_path / "t.unv", coherence, even_58(VALUES, ENDS))
+    frfs, notes = read(path)
+    assert frfs.coherences.size == 0
+    assert f"doubtful: {path}, line 2 (dataset 58): a coherence with values that are not" in notes
+
+
+def test_the_line_of_a_broken_row_is_told(tmp_path: Path) -> None:
+    broken = even_58(VALUES, (8, 1, 12, 2)).replace("-3.25000E+00", "-3.2*000E+00")
+    path = save(tmp_path / "t.unv", even_58(VALUES, ENDS), broken)
+    _, notes = read(path)
+    # the second dataset's number stands in line 18, its values from 12 lines below on
+    assert f"doubtful: {path}, line 18 (dataset 58) " in notes
+    assert "(line 30 is not made of numbers); passed over" in notes

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from modetune.adapters.measurements import read_measurement
+from modetune.adapters.universal.contents import Function
 from modetune.adapters.universal.read import read_universal
 from modetune.adapters.universal.write import write_universal
 from modetune.core.errors import ModesError, StorageUnavailable
@@ -147,3 +148,24 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 def test_metres_that_are_not_known_are_not_written(tmp_path: Path) -> None:
     write_universal(tmp_path / "t.unv", made(Wanted(7, metres=math.nan)))
     assert "164" not in read_universal([tmp_path / "t.unv"]).files[0].datasets
+
+
+@pytest.mark.parametrize("metres", [0.0254, math.nan])
+def test_functions_are_written_in_the_units_that_the_file_tells(
+    tmp_path: Path, metres: float
+) -> None:
+    test = made(Wanted(8, metres=metres))
+    assert test.frfs is not None
+    turned = replace(
+        test.frfs,
+        components=np.where(np.arange(test.frfs.nodes.size) % 2, 2, test.frfs.components),
+    )
+    write_universal(tmp_path / "t.unv", replace(test, frfs=turned))
+    read = read_universal([tmp_path / "t.unv"])
+    assert read.measurement.frfs is not None
+    np.testing.assert_allclose(read.measurement.frfs.values, turned.values, rtol=1e-10)
+    assert not any("contradict" in note for note in read.measurement.notes)
+    written = [item for item in read.files[0].contents if isinstance(item, Function)]
+    # the second is a translation over a force: in inches a newton it is SI divided by 0.0254
+    expected = turned.values[:, 1] / (1.0 if math.isnan(metres) else metres)
+    np.testing.assert_allclose(written[1].values, expected, rtol=1e-10)

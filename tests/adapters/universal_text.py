@@ -47,11 +47,11 @@ def system_18(
     return head, f"SYS{number}", e13([*origin, *x]), e13(xz)
 
 
-def units_164(factor: float) -> str:
+def units_164(factor: float, force: float = 1.0) -> str:
     return dataset(
         164,
         f"{9:10d}{'USER_DEFINED':20}{2:10d}",
-        "".join(f"{value:25.17E}" for value in (factor, 1.0, 1.0)).replace("E", "D"),
+        "".join(f"{value:25.17E}" for value in (factor, force, 1.0)).replace("E", "D"),
         f"{273.15:25.17E}".replace("E", "D"),
     )
 
@@ -98,6 +98,7 @@ def head_58(
     form: tuple[int, int, int, float, float],
     quantities: tuple[int, int] = (12, 13),
     unit: str = "NONE",
+    below: str = "NONE",
 ) -> list[str]:
     """Records 1 to 11; ends: node, direction, reference node, direction; form: record 7."""
     node, direction, reference, along = ends
@@ -109,7 +110,7 @@ def head_58(
         f"{form[0]:10d}{form[1]:10d}{form[2]:10d}{e13([form[3], form[4], 0.0])}",
         f"{18:10d}{0:5d}{0:5d}{0:5d} {'NONE':20} {'Hz':20}",
         f"{numerator:10d}{0:5d}{0:5d}{0:5d} {'NONE':20} {unit:20}",
-        f"{denominator:10d}{0:5d}{0:5d}{0:5d} {'NONE':20} {'NONE':20}",
+        f"{denominator:10d}{0:5d}{0:5d}{0:5d} {'NONE':20} {below:20}",
         f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20} {'NONE':20}",
     ]
 
@@ -123,6 +124,7 @@ def even_58(
     step: float = 1.0,
     quantities: tuple[int, int] = (12, 13),
     unit: str = "NONE",
+    below: str = "NONE",
 ) -> str:
     """A function at even abscissae, complex or real, in single precision."""
     is_complex = any(isinstance(value, complex) for value in values)
@@ -132,7 +134,7 @@ def even_58(
         else [value.real for value in values]
     )
     head = head_58(
-        kind, ends, (5 if is_complex else 2, len(values), 1, start, step), quantities, unit
+        kind, ends, (5 if is_complex else 2, len(values), 1, start, step), quantities, unit, below
     )
     rows = [e13(flat[first : first + 6]) for first in range(0, len(flat), 6)]
     return dataset(58, *head, *rows)

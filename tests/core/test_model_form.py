@@ -221,3 +221,31 @@ def test_a_good_fit_is_said_to_be_within_noise() -> None:
     form = model_form(np.zeros((4, 1)), np.full(4, 0.9), np.ones(4), -FREE, FREE)
     said = model_form_sentence(form, ("a",) * 4, ("p",), updated=True)
     assert said.startswith("What is left of the residual is within measurement noise")
+
+
+def test_a_forecast_suspects_nothing_close_to_noise() -> None:
+    # 1000 values of 1.1 deviations each: chi-square 1210 of 1000, p 5e-6, 1.1 times noise.
+    values = (np.zeros((1000, 1)), np.full(1000, 1.1), np.ones(1000), -FREE, FREE)
+    assert model_form(*values).suspected
+    form = model_form(*values, least=1.5)
+    assert form.times_noise == pytest.approx(1.1)
+    assert not form.suspected
+    said = model_form_sentence(form, ("a",) * 1000, ("p",), updated=False)
+    assert said.startswith("What is left of the residual would be 1.1 times measurement noise")
+    assert model_form(values[0], 1.6 * np.ones(1000), *values[2:], least=1.5).suspected
+
+
+def test_far_too_small_a_chi_square_blames_the_deviations() -> None:
+    form = model_form(np.zeros((50, 1)), np.full(50, 0.2), np.ones(50), -FREE, FREE)
+    said = model_form_sentence(form, ("a",) * 50, ("p",), updated=True)
+    assert "only 0.2 times what the stated measurement deviations lead to expect" in said
+    assert "standard errors that follow from them are too large too" in said
+    # Two values leave so little by chance in more than one of a hundred cases.
+    few = model_form(np.zeros((2, 1)), np.full(2, 0.2), np.ones(2), -FREE, FREE)
+    assert not few.overstated
+
+
+def test_a_probability_of_nothing_is_said_to_be_small() -> None:
+    form = model_form(np.zeros((9, 1)), np.full(9, 100.0), np.ones(9), -FREE, FREE)
+    said = model_form_sentence(form, ("a",) * 9, ("p",), updated=True)
+    assert ", p < 1e-300)" in said

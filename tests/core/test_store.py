@@ -16,7 +16,7 @@ from modetune.core.errors import StorageUnavailable
 from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.modes import mode_set
 from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
-from modetune.core.store import Entry, Store, check_writable, writing
+from modetune.core.store import Entry, Store, check_writable, storage_errors, writing
 
 KEY = "ab" + "0" * 62
 
@@ -170,6 +170,32 @@ def test_a_place_that_cannot_be_a_folder_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageUnavailable, match="use MODETUNE_STORE"):
         check_writable(tmp_path / "file" / "store", "use MODETUNE_STORE")
+
+
+def test_every_place_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+
+    def write(path: Path) -> None:
+        with writing(path, "name another") as part:
+            part.write_text("")
+
+    for place in (file / "a.csv", file / "deep" / "a.csv"):
+        with pytest.raises(StorageUnavailable, match=f"^{file} is a file, and a folder is needed"):
+            write(place)
+    with pytest.raises(StorageUnavailable, match=f"^{tmp_path} is a folder, and a file is needed"):
+        write(tmp_path)
+    with pytest.raises(StorageUnavailable, match=r"^/proc cannot be written .*name another"):
+        write(Path("/proc/a.csv"))
+    with pytest.raises(StorageUnavailable, match=r"^/proc/nothing cannot be written"):
+        check_writable(Path("/proc/nothing"), "name another")
+    with pytest.raises(StorageUnavailable, match=r"cannot be written \(File name too long\)"):
+        write(tmp_path / ("x" * 300) / "a.csv")
+
+
+def test_an_error_of_another_file_is_not_the_places(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), storage_errors(tmp_path / "job.part"):
+        (tmp_path / "job.part" / "result").read_text()
 
 
 def test_a_lock_lets_one_in_at_a_time(store: Store) -> None:

@@ -172,15 +172,26 @@ def test_without_agreement_or_with_a_concern_there_are_reservations() -> None:
     assert trust_sentences(found)[-1] == "No parameter can remove the residual."
 
 
-def test_an_answer_short_of_the_least_misfit_is_told_and_doubts_nothing() -> None:
+def test_what_no_noise_explains_takes_the_trust_away() -> None:
+    for times, verdict in ((2.9, "trusted with reservations"), (3.1, "not to be trusted")):
+        found = replace(with_concerns(trust(WELL_POSED, [1.1] * 4), "One."), times_noise=times)
+        assert found.verdict == verdict
+    assert "3.1 times what noise explains, so standard errors mean nothing" in (
+        trust_sentences(found)[0])  # fmt: skip
+    assert "none in doubt" not in trust_sentences(found)[0]
+
+
+def test_an_answer_short_of_the_least_misfit_is_a_reservation_and_names_all() -> None:
     names = ("a", "b", "c")
     errors = np.array([0.01, 0.001, np.inf])
     (said,) = short_sentences(names, np.array([0.025, 0.005, 0.3]), errors)
     # a by 2.5 of its errors; b by five, but below one percent; nothing is known of c's.
     assert "(a by +2.5 %, 2.5 standard errors)" in said
+    (both,) = short_sentences(names, np.array([0.025, -0.02, 0.3]), errors)
+    assert "(a by +2.5 %, 2.5 standard errors, b by -2 %, 20.0 standard errors)" in both
     assert short_sentences(names, np.array([0.015, 0.005, 0.3]), errors) == ()
-    found = replace(trust(WELL_POSED, [1.1] * 4), notes=(said,))
-    assert found.verdict == "trusted"
+    found = with_concerns(trust(WELL_POSED, [1.1] * 4), said)
+    assert found.verdict == "trusted with reservations"
     assert trust_sentences(found)[-1] == said
 
 
@@ -212,7 +223,8 @@ def test_the_file_gives_back_what_was_written(tmp_path: Path, whole: bool) -> No
     if whole:
         curve = LCurve(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]), 1.5)
         found = with_spread(with_concerns(found, "One.", "Two."), spread(4, (1,), ("a", "b")))
-        found = replace(found, curve=curve, regularisation=0.5, age=2, notes=("Three.",))
+        found = replace(found, curve=curve, regularisation=0.5, age=2, notes=("Three.",),
+                        times_noise=1.7)  # fmt: skip
     with h5py.File(tmp_path / "trust.h5", "w") as file:
         write_trust(file, found)
         assert repr(read_trust(file)) == repr(found)

@@ -29,10 +29,12 @@ from modetune.flows.configurations.joint import JointEvaluator
 from modetune.flows.display import pairing_lines
 from modetune.flows.dry_run import dry_run
 from modetune.flows.execution.work import ThreadExecution
+from modetune.flows.localisation.form_verdict import record_verdict
 from modetune.flows.recording import summary
 from modetune.flows.report.page import page
 from modetune.flows.running import update_campaign
 from modetune.flows.schema import SensitivitySection
+from modetune.flows.server import artifacts
 from modetune.flows.validation.leave_out import leave_one_out, leave_out
 from tests.flows.conftest import ScriptedSolver
 
@@ -103,6 +105,18 @@ def test_two_configurations_find_what_one_cannot(bench: Any, watcher: Any, shape
     np.testing.assert_allclose(record.updated, list(TRUTH.values()), rtol=1e-6)
     assert record.test.numbers == (1001, 2001)
     assert record.configurations == ("empty", "loaded")
+
+
+def test_the_mac_of_modes_of_different_configurations_is_zero(bench: Any, watcher: Any) -> None:
+    record = run(bench, watcher, both(bench, modes=(1, 2), shapes=True))
+    table = artifacts.mac_table(record, record.best)
+    for place, row in enumerate(record.best.pairing.computed.tolist()):
+        assert table[row, place] == pytest.approx(1.0)
+    # Two modes of each configuration: each rests at the sensors of the other.
+    paired = table[record.best.pairing.computed]
+    np.testing.assert_array_equal(paired[:2, 2:], 0.0)
+    np.testing.assert_array_equal(paired[2:, :2], 0.0)
+    assert artifacts.mac_picture(record).startswith(b"\x89PNG")
 
 
 def test_a_joint_residual_and_sensitivity_are_those_of_the_parts_in_their_order(
@@ -226,6 +240,10 @@ def test_configurations_may_have_other_sensors_and_other_numbers_of_modes(
     # Three frequencies, two shapes at four sensors, one at six.
     assert record.best.residual.values.size == 3 + 2 * 4 + 6
     assert record.best.pairing.mac.min() > 1.0 - 1e-9
+    verdict = record_verdict(record)
+    assert verdict is not None
+    # Of 17 entries two parameters take one each, and each of the three shapes its scale.
+    assert verdict.form.dof == 17 - 2 - 3
 
 
 def test_a_configuration_that_is_held_out_is_judged_and_changes_nothing(

@@ -5,17 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 from modetune.core.alignment import Alignment
 from modetune.core.correlation import rigid_body_shapes
 from modetune.core.errors import CampaignError
+from modetune.core.measurement import Measurement
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.parameters import Quantity
@@ -25,6 +28,7 @@ from modetune.flows.commands.check import register, told
 from modetune.flows.gate.findings import Finding, worst
 from modetune.flows.gate.judging import NO_RUN, GateReport, check_campaign, judged
 from modetune.flows.gate.model import count_near_zero
+from modetune.flows.gate.pairing import preview, unmeasured
 from modetune.flows.gate.test_data import data_findings
 from modetune.flows.running import update_campaign
 from modetune.flows.schema import SensitivitySection, UpdateSection
@@ -237,6 +241,9 @@ def test_a_free_model_tells_mass_centre_and_inertia_from_its_modes(bench: Any) -
     assert body.mass == pytest.approx(10.0)
     assert body.centre == pytest.approx([0.2, 0.6, 1.2])
     assert body.inertia[0, 0] == pytest.approx(3 * 4 + 4 * 9 - 10 * (0.36 + 1.44))
+    # About y and z alike: 2 + 36 - 10 (0.04 + 1.44), 2 + 12 - 10 (0.04 + 0.36).
+    assert (": centre of gravity (0.2, 0.6, 1.2) m, moments of inertia about it (30, 23.2, 10) "
+            "kg m^2") in at("good", report.findings)  # fmt: skip
     assert any("free: 6 rigid-body modes" in text for text in at("good", report.findings))
 
 
@@ -350,19 +357,86 @@ def test_a_large_frequency_error_is_told(bench: Any) -> None:
 
 
 def test_a_test_near_the_end_of_the_computed_range_is_told(bench: Any) -> None:
-    report = judge_changed(bench, lambda test: test, modes=(1, 4))
+    report = judge_changed(bench, lambda test: test, modes=(1, 2, 3, 4))
     assert "less than 10 % to spare" in only("doubtful", report.findings)
 
 
 def test_a_model_with_no_further_modes_has_margin_enough(bench: Any) -> None:
     result, mesh = free_result()
-    campaign = solid_campaign(bench, result, mesh, (1, 4))
+    campaign = solid_campaign(bench, result, mesh, (1, 2, 3, 4))
     assert judged(campaign, result, (), 12, NO_RUN).level == "good"
 
 
-def test_modes_that_the_test_left_out_are_said(bench: Any) -> None:
+def test_a_computed_mode_that_the_test_lacks_is_told(bench: Any) -> None:
     report = judge_changed(bench, lambda test: test, modes=(1, 3))
-    assert ": elastic mode 2 at 2 Hz answers no mode of the test" in at("good", report.findings)
+    (found,) = [item for item in report.findings if item.level != "good"]
+    assert (found.level, found.remedy) == ("doubtful", "not excited, or not identified?")
+    assert found.what == "the test has no mode for the model's 2 (2 Hz) within its band"
+
+
+def test_modes_that_the_campaign_leaves_out_are_said_and_no_fault(bench: Any) -> None:
+    result, mesh = free_result()
+    campaign = solid_campaign(bench, result, mesh, (1, 2, 3))
+    some = replace(campaign, measurement=Measurement(campaign.test), test=campaign.test.use((1, 3)))
+    report = judged(some, result, (), 10, NO_RUN)
+    assert report.level == "good"
+    assert ": elastic mode 2 (2 Hz) answers no mode of the test" in at("good", report.findings)
+
+
+def test_a_computed_mode_that_the_sensors_hardly_see_is_no_fault(bench: Any) -> None:
+    result, mesh = free_result()
+    shapes = result.modes.mode_shapes.copy()
+    shapes[:, 7] *= 0.05  # elastic mode 2
+    quiet = replace(result, modes=replace(result.modes, mode_shapes=shapes))
+    campaign = solid_campaign(bench, quiet, mesh, (1, 3))
+    found = unmeasured(campaign.test, campaign.sensors.observe(quiet.elastic),
+                       preview(campaign.test, quiet.elastic), False)  # fmt: skip
+    assert [item.level for item in found] == ["good"]
+
+
+def test_computed_modes_that_the_sensors_cannot_tell_apart_are_no_fault(bench: Any) -> None:
+    result, mesh = free_result()
+    shapes = result.modes.mode_shapes.copy()
+    # By hand: MAC with elastic mode 1 is 1 / (1 + 0.3^2) = 0.92 for shapes at right angles.
+    units = shapes / np.linalg.norm(shapes, axis=0)
+    shapes[:, 7] = units[:, 6] + 0.3 * units[:, 7]
+    alike = replace(result, modes=replace(result.modes, mode_shapes=shapes))
+    campaign = solid_campaign(bench, alike, mesh, (1, 3))
+    found = unmeasured(campaign.test, campaign.sensors.observe(alike.elastic),
+                       preview(campaign.test, alike.elastic), False)  # fmt: skip
+    assert [item.level for item in found] == ["good"]
+
+
+def test_a_sensor_upside_down_is_named_with_what_turning_it_gives(bench: Any) -> None:
+    def turn(test: MeasuredModes) -> MeasuredModes:
+        shapes = test.modes.mode_shapes.copy()
+        shapes[8] *= -1.0  # node 3, z
+        return replace(test, modes=replace(test.modes, mode_shapes=shapes))
+
+    result, mesh = free_result()
+    campaign = solid_campaign(bench, result, mesh, (1, 2, 3))
+    report = judged(replace(campaign, test=turn(campaign.test)), result, (), 10, NO_RUN)
+    # By hand: with share s of a shape's squared length at the sensor, the MAC is (1 - 2 s)^2.
+    shapes = campaign.test.modes.mode_shapes
+    macs = (1.0 - 2.0 * shapes[8] ** 2 / np.sum(shapes**2, axis=0)) ** 2
+    worst_mode = int(np.argmin(macs))
+    assert only("doubtful", report.findings) == (
+        f"sensor 3.z: turned round, the MAC of mode {worst_mode + 1} would be 1.00 instead of "
+        f"{macs[worst_mode]:.2f}"
+    )
+
+
+def test_swapped_sensors_are_named(bench: Any) -> None:
+    result, mesh = free_result()
+    campaign = solid_campaign(bench, result, mesh, (1, 2, 3))
+    shapes = campaign.test.modes.mode_shapes.copy()
+    shapes[[4, 8]] = shapes[[8, 4]]
+    modes = replace(campaign.test.modes, mode_shapes=shapes)
+    report = judged(replace(campaign, test=replace(campaign.test, modes=modes)), result, (), 10,
+                    NO_RUN)  # fmt: skip
+    said = [text for text in at("doubtful", report.findings) if "swapped" in text]
+    assert len(said) == 1
+    assert said[0].startswith("sensors 2.y and 3.z: swapped? Exchanged, the MAC of mode")
 
 
 def mixed(test: MeasuredModes, column: int, shape: Any) -> MeasuredModes:
@@ -545,12 +619,21 @@ def test_doubtful_sensors_and_those_left_out_are_named_by_their_reason(bench: An
     assert ": fitted to 2 mm" in at("good", report.findings)
 
 
+def test_a_note_that_begins_with_doubt_is_filed_so(bench: Any) -> None:
+    campaign = bench.campaign(TRUTH, shapes=True)
+    notes = ("doubtful: modes 2 are far from real", "12 rows were read")
+    read = replace(campaign, measurement=replace(campaign.measurement, notes=notes))
+    found = check_campaign(read, run=False).findings
+    assert only("doubtful", found) == ": modes 2 are far from real"
+    assert ": 12 rows were read" in at("good", found)
+
+
 def test_distances_are_said_where_sensors_were_placed(bench: Any) -> None:
     campaign = bench.campaign(TRUTH, shapes=True)
     sensors = replace(campaign.sensors, distances=np.array([0.0, 0.0, 3.5, 0.0, 0.0, 0.0]))
     here = Alignment(1.0, np.eye(3), np.zeros(3), np.zeros(6))
     report = check_campaign(remapped(campaign, sensors=sensors, alignment=here), run=False)
-    assert any("6 sensors on 6 nodes, at most 3.5 away" in said
+    assert any("6 sensors on 6 nodes, at most 3.5 m away" in said
                for said in at("good", report.findings))  # fmt: skip
 
 
@@ -627,6 +710,22 @@ def test_the_command_ends_with_two_where_something_is_wrong(
     assert "as with frequencies in rad/s" in ended.stdout
     assert "Modes before updating" in ended.stdout
     assert ended.stdout.splitlines()[-1].startswith("wrong: 1 wrong")
+
+
+def test_long_findings_go_on_under_their_own_beginning(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = bench.campaign(TRUTH, shapes=True)
+    note = "doubtful: " + " ".join(["twelve words"] * 12)
+    campaign = replace(campaign, measurement=replace(campaign.measurement, notes=(note,)))
+    said = StringIO()
+    wide = Console(file=said, force_terminal=True, width=60, color_system=None)
+    monkeypatch.setattr("modetune.flows.terminal.terminal", lambda: wide)
+    command(monkeypatch, campaign, "--no-run")
+    lines = said.getvalue().splitlines()
+    first = next(n for n, line in enumerate(lines) if line.startswith("doubtful sensors    twelve"))
+    assert lines[first + 1].startswith(20 * " " + "t")  # the width of level and subject
+    assert max(map(len, lines[first : first + 4])) <= 60
 
 
 def test_the_command_without_a_run_says_so(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:

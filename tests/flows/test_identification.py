@@ -249,6 +249,16 @@ def test_coherence_is_told_with_its_worst_function() -> None:
     )
 
 
+def test_a_coherence_that_is_not_finite_is_in_no_mean() -> None:
+    frfs = measured(noise=0.01)
+    coherences = np.where(frfs.nodes == 4, np.nan, 1.0) * np.ones(frfs.values.shape)
+    found = identify(replace(frfs, coherences=coherences), BAND)
+    assert len(found.notes) == 1
+    assert "mean coherence in the band is 1.00, least 1.00 at " in found.notes[0]
+    none = identify(replace(frfs, coherences=coherences * np.nan), BAND)
+    assert none.notes == ()
+
+
 def test_figures_are_written_and_show_something(tmp_path: Path) -> None:
     found = identify(measured(references=2), BAND)
     written = write_figures(tmp_path, "a test", found)
@@ -324,8 +334,6 @@ def test_people_get_a_table_with_quality(universal: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--poles", "pick"), "auto, or pick with the frequencies of --pick"),
-        (("--poles", "manual"), "expected auto, or pick"),
         (("--pick", "5.5;12"), "--pick wants numbers with commas"),
         (("--pick", "nan"), "--pick wants numbers with commas"),
         (("--criteria", "0.01,0.05"), "three numbers: frequency,damping,shape"),

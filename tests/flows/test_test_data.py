@@ -67,6 +67,20 @@ def test_a_file_is_told_in_a_few_lines(test_file: Path) -> None:
     assert "note: 1 of 2 points have no shape" in lines
 
 
+@pytest.mark.parametrize(
+    ("metres", "said"),
+    [
+        ("1", "in metres;"),
+        ("0.001", "in millimetres;"),
+        ("0.0254000508", "in inches;"),  # a factor of 39.37, as many files have it
+        ("0.3048", "in feet;"),
+        ("0.5", "in units of 0.5 m;"),
+    ],
+)
+def test_a_unit_of_length_is_told_by_its_name(test_file: Path, metres: str, said: str) -> None:
+    assert said in run(test_file, "--metres", metres).splitlines()[1]
+
+
 def test_the_same_is_told_to_machines(test_file: Path) -> None:
     told = json.loads(run(test_file, "--json", "--metres", "0.001"))
     assert told["files"] == [

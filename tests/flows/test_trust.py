@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from html import escape
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,8 @@ import pytest
 from rich.console import Console
 
 from modetune.core.estimation import StepForm
+from modetune.core.judgement import trust_sentences
+from modetune.core.modes import MeasuredModes
 from modetune.core.record_file import read_record
 from modetune.core.trust import Trust
 from modetune.flows.campaign import load_campaign
@@ -53,11 +57,58 @@ def test_an_update_that_e1_ends_early_says_where_its_standard_errors_hold(
                            e1=E1Section(frequency=0.02, mac=0.0))  # fmt: skip
     found = trust_of(run(bench, watcher, bench.campaign(TRUTH, update=update)))
     assert found.agrees
-    (note,) = found.notes
-    assert note.startswith("Updating ended as soon as e1 was met; the least misfit lies further on")
+    (concern,) = found.concerns
+    assert found.verdict == "trusted with reservations"
+    assert concern.startswith("Updating ended as soon as e1 was met; the least misfit lies")
     exact = UpdateSection(step="regularised", e2=0.0, e1=E1Section(frequency=1e-5, mac=0.0))
     told = update_campaign(bench.campaign(TRUTH, update=exact), bench.folder / "exact", watcher)
-    assert trust_of(told).notes == ()
+    assert trust_of(told).concerns == ()
+
+
+@pytest.mark.parametrize("truth", [TRUTH, {**TRUTH, "k5": 1.5}])
+def test_what_no_parameter_stands_for_takes_the_trust_away_everywhere(
+    bench: Any, watcher: Any, truth: dict[str, float]
+) -> None:
+    parameters: Any = dict.fromkeys(TRUTH, "spring_stiffness")
+    update = UpdateSection(step="weighted_least_squares", e2=0.0, step_limit=0.5,
+                           e1=E1Section(frequency=1e-4, mac=0.0))  # fmt: skip
+    campaign = bench.campaign(truth, shapes=True, parameters=parameters, update=update)
+    held = replace(campaign, test=campaign.test.use((1, 2, 4, 5)),
+                   held_out=campaign.test.use((3,)))  # fmt: skip
+    told = run(bench, watcher, held)
+    found = trust_of(told)
+    summed: Any = summary(told.record, told.folder)
+    console = Console(file=StringIO(), width=2000)
+    show_run(console, told)
+    shown = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+    for sentence in trust_sentences(found):
+        assert sentence in shown
+        assert sentence in summed["trust"]["sentences"]
+        assert escape(sentence) in page(told.record)
+    assert summed["trust"]["verdict"] == found.verdict
+    kept = read_record(told.folder / "campaign.h5").trust
+    assert kept is not None
+    assert kept.verdict == found.verdict
+    if "k5" not in truth:
+        assert found.verdict == "trusted"
+        assert found.concerns == ()
+        return
+    assert found.times_noise > 3.0
+    assert found.verdict == "not to be trusted"
+    assert any("No admissible parameter set" in concern for concern in found.concerns)
+
+
+def test_a_held_out_mode_that_got_worse_is_a_reservation(bench: Any, watcher: Any) -> None:
+    campaign = bench.campaign(TRUTH, shapes=True)
+    modes = campaign.test.use((4,)).modes
+    lies = MeasuredModes((4,), replace(
+        modes, frequencies_hz=bench.measured({}, (4,), False).frequencies_hz))  # fmt: skip
+    # Measured as the model has it before, so updating takes the model away from it.
+    told = run(bench, watcher, replace(
+        campaign, test=campaign.test.use((1, 2, 3, 5)), held_out=lies))  # fmt: skip
+    found = trust_of(told)
+    assert found.verdict == "trusted with reservations", trust_sentences(found)
+    assert "1 of 1 held-out modes got worse by updating (mode 4)" in found.concerns[-1]
 
 
 def test_shares_and_singular_values_are_those_of_the_chain(bench: Any, watcher: Any) -> None:

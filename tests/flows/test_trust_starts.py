@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,13 +15,16 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from modetune.core.errors import SolverRejected
+from modetune.core.record import CampaignRecord
 from modetune.core.record_file import read_record
 from modetune.core.trust import StartSpread
+from modetune.flows import running
 from modetune.flows.display import show_run
 from modetune.flows.recording import summary
 from modetune.flows.report.page import page
 from modetune.flows.running import CampaignRun
-from modetune.flows.schema import E1Section, UpdateSection
+from modetune.flows.schema import E1Section, ReportSection, UpdateSection
+from modetune.flows.trust import starts
 from modetune.flows.trust.starts import latin_hypercube, update_from_starts
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1}
@@ -72,6 +77,29 @@ def test_starts_of_a_well_posed_twin_end_at_the_truth(bench: Any, watcher: Any) 
     assert told.record.runs.reused >= len(told.record.iterations)
     kept = sorted(path.name for path in (told.folder / "starts").iterdir())
     assert kept == ["00.h5", "01.h5", "02.h5", "03.h5", "04.h5"]
+
+
+def test_the_report_is_drawn_once_and_earlier_starts_go(
+    bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[int] = []
+
+    def draw(record: CampaignRecord, folder: Path) -> Path:
+        assert record.trust is not None
+        assert record.trust.spread is not None  # the record of all starts
+        drawn.append(len(record.trust.spread.outcomes))
+        return folder / "report.html"
+
+    monkeypatch.setattr(starts, "draw_report", draw)
+    monkeypatch.setattr(running, "draw_report", draw)
+    truth, told = {"k1": 1.2, "k7": 0.8}, None
+    for n in (3, 2):
+        campaign = replace(bench.campaign(truth, update=settings(n), bounds=(0.5, 2.0)),
+                           report=ReportSection(page=True))  # fmt: skip
+        told = run(bench, watcher, campaign)
+        assert told.page == told.folder / "report.html"
+        assert len(list((told.folder / "starts").iterdir())) == n
+    assert drawn == [3, 2]
 
 
 def test_a_second_run_of_the_starts_needs_no_solver(bench: Any, watcher: Any) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -212,7 +213,7 @@ def test_a_held_out_mode_takes_no_partner_from_a_used_one() -> None:
     # Both measured shapes resemble the first computed mode most; the used one has it.
     computed = mode_set([10.0, 20.0, 30.0], np.eye(3), [1, 2, 3], [1, 1, 1])
     used = MeasuredModes((1,), mode_set([10.0], [[1.0], [0.1], [0.0]], [1, 2, 3], [1, 1, 1]))
-    held = MeasuredModes((2,), mode_set([21.0], [[0.9], [0.5], [0.0]], [1, 2, 3], [1, 1, 1]))
+    held = MeasuredModes((2,), mode_set([21.0], [[0.8], [0.6], [0.0]], [1, 2, 3], [1, 1, 1]))
     pairing = pair_by_shape(used.modes, computed)
     found = pair_held_out(held, used, computed, pairing)
     assert pairing.computed.tolist() == [0]
@@ -230,6 +231,31 @@ def test_a_mode_that_is_no_longer_found_got_worse() -> None:
     held = judge_held_out(test, 0.002, (computed, before), (alone, after))
     assert held.worse.tolist() == [True]
     assert held.reason(0) == "is not found in the updated model"
+
+
+def test_one_mode_that_is_not_there_leaves_the_others() -> None:
+    # By shape: the first resembles computed mode 2, the other nothing, MAC 0.04 at most.
+    points = [1, 2, 3], [1, 1, 1]
+    computed = mode_set([10.0, 20.0], np.eye(3)[:, :2], *points)
+    used = MeasuredModes((1,), mode_set([10.0], [[1.0], [0.0], [0.0]], *points))
+    shapes = np.array([[0.0, 0.2], [1.0, 0.2], [0.1, 0.96]])
+    held = MeasuredModes((2, 3), mode_set([20.0, 30.0], shapes, *points))
+    for model in (computed, mode_set([10.0, 20.0, 40.0], np.diag([1.0, 1.0, 0.0]), *points)):
+        found = pair_held_out(held, used, model, pair_by_shape(used.modes, model))
+        assert found.computed.tolist() == [1, LOST]
+        np.testing.assert_allclose(found.mac, [1.0 / 1.01, np.nan])
+    # By order: the third frequency has no place among two.
+    plain = MeasuredModes((2, 3), mode_set([20.0, 30.0]))
+    first = MeasuredModes((1,), mode_set([10.0]))
+    placed = pair_held_out(plain, first, computed, pair_by_order(first.modes, computed))
+    assert placed.computed.tolist() == [1, LOST]
+    # Tracked: what was found goes on, now as the first; what was lost stays so.
+    now = mode_set([19.0, 25.0], np.eye(3)[:, [1, 0]], *points)
+    going = replace(pair_by_order(first.modes, now), computed=np.array([1]))
+    tracked = track_held_out(placed, computed, now, going)
+    assert tracked.computed.tolist() == [0, LOST]
+    held_out = judge_held_out(plain, 0.002, (computed, placed), (now, tracked))
+    assert held_out.worse.tolist() == [True, False]  # 5 % off; the other never was there
 
 
 # leave-one-out
@@ -421,6 +447,8 @@ def test_the_command_leaves_each_mode_out_and_fails_where_one_got_worse(folder: 
     assert done.returncode == 3, done.stderr
     assert "got worse: it was" in done.stdout
     assert "3 updates; solver runs: " in done.stdout
+    table = done.stdout.partition("without ")[2]  # a row a mode
+    assert re.findall(r"(?m)^\D*(\d)\D+\d\.\d{4}\b", table) == ["1", "2", "3"]
     again = modetune(folder, "validate", "campaign.yaml", "--leave-one-out", "--json")
     told = json.loads(again.stdout)
     assert told["status"] == "worse"

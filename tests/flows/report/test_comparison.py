@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modetune.core.correlation import Shapes
 from modetune.core.modes import common_dofs, mode_set
 from modetune.core.record import CampaignRecord
 from modetune.flows.report.comparison import (
@@ -118,3 +119,69 @@ def test_frequencies_alone_keep_the_phase_of_before(record: CampaignRecord) -> N
     mode = shown.modes[0]
     assert mode.after.test.size == 0
     np.testing.assert_allclose(mode.after.model, mode.before.model, atol=1e-12)
+
+
+def with_shapes(record: CampaignRecord, shapes: Shapes) -> CampaignRecord:
+    modes = replace(record.test.modes, mode_shapes=shapes)
+    return replace(record, test=replace(record.test, modes=modes))
+
+
+def of_sensors(record: CampaignRecord) -> list[str]:
+    return [line for line in remarks(record) if line.startswith("Sensor")]
+
+
+def test_a_sensor_that_looks_the_other_way_is_named(record: CampaignRecord) -> None:
+    shapes = record.test.modes.mode_shapes.copy()
+    turned = int(np.argmax(np.abs(shapes).mean(axis=1)))
+    shapes[turned] *= -1.0
+    found = sensor_agreement(with_shapes(record, shapes))
+    assert found is not None
+    (said,) = of_sensors(with_shapes(record, shapes))
+    assert said.startswith(f"Sensor {found.labels[turned]} moves against the model's")
+    # A sign alone does not show in the COMAC; in the ECOMAC it is the share of the largest motion.
+    largest = np.abs(shapes).max(axis=0)
+    share = float(np.mean(np.abs(shapes[turned]) / largest))
+    assert f"COMAC {found.after[turned]:.2f}, ECOMAC {share:.2f}" in said
+    assert found.after[turned] > 0.99
+
+
+def test_a_swapped_pair_of_sensors_is_named(record: CampaignRecord) -> None:
+    shapes = record.test.modes.mode_shapes.copy()
+    # The two whose motions over the modes are most unlike: as good as at right angles.
+    lengths = np.linalg.norm(shapes, axis=1)
+    used = np.flatnonzero(lengths > 0.5 * lengths.max())
+    unit = shapes[used] / lengths[used, None]
+    unlike = np.unravel_index(np.argmin(np.abs(unit @ unit.T)), (used.size, used.size))
+    one, other = (int(used[place]) for place in unlike)
+    shapes[[one, other]] = shapes[[other, one]]
+    found = sensor_agreement(with_shapes(record, shapes))
+    assert found is not None
+    said = of_sensors(with_shapes(record, shapes))
+    assert [line.split()[1] for line in said] == [
+        found.labels[place] for place in sorted((one, other))
+    ]
+    assert all("turned round, swapped, or mounted elsewhere?" in line for line in said)
+
+
+def test_where_no_sensor_agrees_none_is_named(record: CampaignRecord) -> None:
+    generator = np.random.default_rng(5)
+    shapes = generator.standard_normal(record.test.modes.mode_shapes.shape)
+    assert of_sensors(with_shapes(record, shapes)) == []
+    assert of_sensors(record) == []
+
+
+def test_a_mac_that_fell_is_remarked(record: CampaignRecord) -> None:
+    first, last = record.iterations[0], record.best
+    macs = first.pairing.mac - [0.04, 0.06, 0.0]  # the first falls by less than is remarked
+    worse = replace(last, pairing=replace(last.pairing, mac=macs))
+    said = " ".join(remarks(replace(record, iterations=(*record.iterations[:-1], worse))))
+    assert "Mode 2 was nearer before in shape" in said
+    assert "Mode 1 was nearer before in shape" not in said
+
+
+def test_modes_are_called_by_their_configuration(record: CampaignRecord) -> None:
+    test = replace(record.test, numbers=(1001, 1002, 2003))
+    joint = replace(record, test=test, configurations=("full", "empty"))
+    assert [row.label for row in mode_rows(joint)] == ["1 of full", "2 of full", "3 of empty"]
+    said = " ".join(remarks(replace(joint, e1_frequency=1e-4)))
+    assert "Mode 3 of empty is +0.10 % off in frequency" in said

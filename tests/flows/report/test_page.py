@@ -13,12 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.core.modes import MeasuredModes, mode_set
+from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.parameters import ParameterSet
 from modetune.core.record import CampaignRecord
 from modetune.core.record_file import read_record, write_record
+from modetune.flows import report
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.report.page import page, write_page
+from modetune.flows.report.palette import AFTER, BEFORE
+from modetune.flows.report.space_charts import mac_bars
 
 Make = Callable[[int], CampaignRecord]
 EVIL = "</script><img src=x onerror=alert(1)><b>&\"'"
@@ -71,6 +74,81 @@ def test_the_summary_tells_how_far_the_model_came(record: CampaignRecord) -> Non
     assert "t the most (+20.0 %); t on a bound." in text
     assert "3 iterations" not in text
     assert "2 iterations and 9 solver runs (1 more were answered by the store)" in text
+
+
+def ended_worse(record: CampaignRecord, off: float, macs: Floats) -> CampaignRecord:
+    """The last iteration kept has errors and MACs of its own; it began 5 % off."""
+    last = record.best
+    worse = replace(last, frequency_errors=np.full(3, off),
+                    pairing=replace(last.pairing, mac=macs))  # fmt: skip
+    return replace(record, iterations=(*record.iterations[:-1], worse), status="max_iterations")
+
+
+def test_an_update_that_made_it_worse_is_not_praised(record: CampaignRecord) -> None:
+    macs = np.array([0.9, 0.5, 0.9])
+    text = Outline(page(ended_worse(record, 0.06, macs))).text
+    assert "The model of plate did not come nearer to its test." in text
+    assert ("the largest frequency error did not improve: 5.00 % (mode 1) before, "
+            "6.00 % (mode 1) now") in text  # fmt: skip
+    assert "the mean error did not improve: it went from 5.00 % to 6.00 %" in text
+    least = record.iterations[0].pairing.mac.min()
+    assert "Mode shapes did not improve: the least MAC fell from " in text
+    assert f"from {least:.3f} (mode " in text
+    assert "to 0.500 (mode 2)" in text
+    assert "are now within" not in text
+
+
+def test_an_update_that_is_better_in_part_says_so(record: CampaignRecord) -> None:
+    text = Outline(page(ended_worse(record, 0.02, np.array([0.9, 0.5, 0.9])))).text
+    assert "The model of plate came nearer to its test in part only." in text
+    assert "off by up to 5.00 % (mode 1) are now within 2.00 % (mode 1)" in text
+    assert "the mean error fell from 5.00 % to 2.00 %" in text
+    assert "Mode shapes did not improve" in text
+
+
+def test_parameters_have_units_and_errors_in_percent(record: CampaignRecord) -> None:
+    text = Outline(page(record)).text
+    assert "210000 MPa" in text
+    assert "2 mm" in text
+    assert "2.4 mm" in text  # 20 % more
+    assert "±1.00 %" in text
+    assert "MPa" not in Outline(page(replace(record, units=""))).text
+
+
+def test_the_decks_digest_is_called_what_it_is(record: CampaignRecord) -> None:
+    told = replace(record, deck_digest="e" * 64 + "  plate.inp")
+    assert "deck, as sha256sum tells it" + "e" * 64 + "  plate.inp" in Outline(page(told)).text
+    assert "content key of the deck" in Outline(page(record)).text
+    bare = Outline(page(replace(record, deck_digest=""))).text
+    assert "sha256sum" not in bare
+    assert "content key of the deck" not in bare
+
+
+def test_modes_of_configurations_have_their_names(record: CampaignRecord) -> None:
+    test = replace(record.test, numbers=(1001, 1002, 2003))
+    source = page(replace(record, test=test, configurations=("full", "<b>empty")))
+    text = Outline(source).text
+    assert "3 of <b>empty" in text
+    assert "2003" not in text.partition("To repeat it")[0]
+    charts = json.dumps(data_of(source)["charts"])
+    assert "3 of &lt;b&gt;empty" in charts
+    assert "3 of <b>empty" not in charts
+    assert data_of(source)["scene"]["modes"][2]["label"] == "3 of <b>empty"  # type: ignore[index]  # JSON
+
+
+def test_the_test_has_one_colour_in_all_charts() -> None:
+    scripted = (Path(report.__file__).parent / "shapes.js").read_text()
+    assert AFTER not in scripted
+    assert BEFORE not in scripted
+
+
+def test_the_bars_of_paired_modes_stand_beside_each_other() -> None:
+    figure = mac_bars(np.eye(5), ["1", "2", "3", "4", "5"])
+    eye = figure.layout.scene.camera.eye
+    # The view is within 15 degrees of being square to the diagonal, on which the pairs stand.
+    along = abs(eye.x + eye.y) / (np.sqrt(2.0) * np.hypot(eye.x, eye.y))
+    assert along < np.sin(np.radians(15.0))
+    assert figure.layout.scene.xaxis.title.text == "test mode"
 
 
 def test_it_holds_what_a_repetition_needs(record: CampaignRecord) -> None:

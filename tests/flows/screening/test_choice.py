@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modetune.core.modes import Floats
-from modetune.flows.screening.choice import Candidates, Choice, choose_parameters
+from modetune.flows.screening.choice import Candidates, Choice, choose_parameters, percent
 
 #: Columns of five measurements: two at right angles, one nearly like the first, one of no size,
 #: one at right angles that the residual does not need.
@@ -47,7 +47,7 @@ def test_each_candidate_has_its_reason() -> None:
     assert choice.chosen == ("E_fin", "E_wing")
     assert "from 100 % down to 20 %" in reason(choice, "E_fin")
     assert reason(choice, "t_wing").startswith("collinear with E_wing (cosine +0.99")
-    assert "only their sum" in reason(choice, "t_wing")
+    assert "only a combination of the two" in reason(choice, "t_wing")
     assert reason(choice, "E_strut") == (
         "insensitive: over its bounds it moves the responses by 0.01 standard deviations of the "
         "test; most frequency of mode 1"
@@ -90,13 +90,20 @@ def test_a_candidate_without_sensitivity_is_left_out_with_that_reason() -> None:
     assert reason(choice, "E_fin") == "its sensitivity cannot be had: its job failed"
 
 
-def test_opposite_columns_are_told_by_their_difference() -> None:
+def test_opposite_columns_are_collinear_too() -> None:
     columns = np.array([[2.0, -1.9], [1.0, -1.0]])
     candidates = Candidates(
         ("a", "b"), np.ones(2) * 9.0, ("", ""), ("", ""), columns, np.ones(2), *free(2)
     )
     choice = choose_parameters(candidates)
-    assert "only their difference" in reason(choice, "b")
+    assert "collinear with a (cosine -" in reason(choice, "b")
+    assert "only a combination of the two" in reason(choice, "b")
+
+
+def test_a_share_that_is_rounding_is_shown_as_zero() -> None:
+    assert [percent(share) for share in (0.1234, 1.1e-8, 3e-17)] == ["12.3", "1.1e-06", "0"]
+    choice = chosen(np.array([2.0, 4.0, 0.0, 0.0, 0.0]))
+    assert "down to 0 %" in reason(choice, "E_wing")
 
 
 def test_a_weak_parameter_whose_bounds_allow_too_little_is_not_chosen() -> None:

@@ -27,7 +27,7 @@ def screening(names: tuple[str, ...], chosen: tuple[str, ...]) -> Screening:
     verdicts = tuple(
         Verdict(name, chosen.index(name) + 1 if name in chosen else 0,
                 "helps" if name in chosen else f"collinear with {chosen[0] if chosen else '?'} "
-                "(cosine +0.987): the test tells only their sum, which is a long sentence")
+                "(cosine +0.987): the test tells only a combination of the two, a long sentence")
         for name in names
     )  # fmt: skip
     return Screening(

@@ -64,6 +64,14 @@ def test_people_see_tables_reasons_and_where_files_are(folder: Path) -> None:
         assert said in done.stdout
 
 
+@pytest.mark.parametrize("option", ["--figures", "--runs", "--out"])
+def test_a_place_that_cannot_be_made_is_one_sentence(folder: Path, option: str) -> None:
+    done = screen(folder, option, "/proc/nothing/x")
+    assert done.returncode == 5, done.stderr
+    assert done.stderr.splitlines()[-1].startswith("modetune: /proc/nothing")
+    assert "cannot be written (No such file or directory)" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
