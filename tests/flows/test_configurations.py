@@ -319,7 +319,8 @@ def test_a_failed_run_of_one_configuration_shortens_the_step(bench: Any, watcher
 
 
 def test_a_first_run_that_fails_ends_the_campaign(bench: Any, watcher: Any) -> None:
-    bench.script({2: "short"})
+    # Which of the first runs comes second hangs on the machine; here each of them fails.
+    bench.script(dict.fromkeys(range(1, 20), "short"))
     with pytest.raises(SolverCrashed):
         run(bench, watcher, both(bench))
 
