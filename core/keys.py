@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 
 Json = str | int | float | bool | None | Sequence["Json"] | Mapping[str, "Json"]
@@ -22,3 +23,8 @@ def canonical_json(content: Json) -> str:
 def content_key(canonical: str) -> str:
     """SHA-256 of a canonical JSON text, 64 hexadecimal digits."""
     return hashlib.sha256(canonical.encode("ascii")).hexdigest()
+
+
+def number_or_null(value: float) -> float | None:
+    """A plain number for JSON; what is not finite is null."""
+    return float(value) if math.isfinite(value) else None

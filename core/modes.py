@@ -109,6 +109,11 @@ def mode_set(
     )
 
 
+def dof_name(dof: tuple[int, int]) -> str:
+    """Node and component as test files name them: 12.z."""
+    return f"{dof[0]}.{COMPONENTS[dof[1] - 1]}"
+
+
 def common_dofs(first: ModeSet, second: ModeSet) -> tuple[Integers, Integers]:
     """Rows of both sets that stand for the same node and component, in first's order."""
     names_first, names_second = (

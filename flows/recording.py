@@ -18,7 +18,7 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.translation.solver import TranslatedSolver
 from modetune.core.estimation import parameter_covariance
 from modetune.core.held_out import HeldOut
-from modetune.core.keys import Json
+from modetune.core.keys import Json, number_or_null
 from modetune.core.modes import Floats
 from modetune.core.numbering import configuration_of
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
@@ -142,17 +142,17 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
             {
                 "name": item.name,
                 "quantity": item.quantity,
-                "initial": _number(first.parameters[place]),
-                "updated": _number(record.updated[place]),
-                "standard_error": _number(record.standard_errors[place]),
-                "deck_value": _number(record.deck_values[place]),
-                "updated_value": _number(record.deck_values[place] * record.updated[place]),
+                "initial": number_or_null(first.parameters[place]),
+                "updated": number_or_null(record.updated[place]),
+                "standard_error": number_or_null(record.standard_errors[place]),
+                "deck_value": number_or_null(record.deck_values[place]),
+                "updated_value": number_or_null(record.deck_values[place] * record.updated[place]),
             }
             for place, item in enumerate(record.parameters.parameters)
         ],
         "modes": [_mode(record, first, last, pair) for pair in range(len(record.test.numbers))],
-        "mean_error_initial": _number(np.abs(first.frequency_errors).mean()),
-        "mean_error_updated": _number(np.abs(last.frequency_errors).mean()),
+        "mean_error_initial": number_or_null(np.abs(first.frequency_errors).mean()),
+        "mean_error_updated": number_or_null(np.abs(last.frequency_errors).mean()),
         "held_out": held_out_summary(record.held_out, record.configurations),
         "sensitivity_skipped": sum(item.sensitivity_skipped for item in record.iterations),
         "wall_s": round(record.wall_s, 3),
@@ -175,13 +175,13 @@ def _mode(
         "configuration": configuration_of(
             record.configurations, record.test.numbers[int(before.measured[pair])]
         ),
-        "test_hz": _number(record.test.modes.frequencies_hz[before.measured[pair]]),
-        "initial_hz": _number(first.computed.frequencies_hz[before.computed[pair]]),
-        "updated_hz": _number(last.computed.frequencies_hz[after.computed[pair]]),
-        "error_initial": _number(first.frequency_errors[pair]),
-        "error_updated": _number(last.frequency_errors[pair]),
-        "mac_initial": _number(before.mac[pair]),
-        "mac_updated": _number(after.mac[pair]),
+        "test_hz": number_or_null(record.test.modes.frequencies_hz[before.measured[pair]]),
+        "initial_hz": number_or_null(first.computed.frequencies_hz[before.computed[pair]]),
+        "updated_hz": number_or_null(last.computed.frequencies_hz[after.computed[pair]]),
+        "error_initial": number_or_null(first.frequency_errors[pair]),
+        "error_updated": number_or_null(last.frequency_errors[pair]),
+        "mac_initial": number_or_null(before.mac[pair]),
+        "mac_updated": number_or_null(after.mac[pair]),
         "pairing": after.reasons[pair],
     }
 
@@ -194,19 +194,14 @@ def held_out_summary(held: HeldOut | None, configurations: tuple[str, ...]) -> l
         {
             "test": int(held.numbers[mode]),
             "configuration": configuration_of(configurations, int(held.numbers[mode])),
-            "test_hz": _number(held.test_hz[mode]),
-            "initial_hz": _number(held.initial_hz[mode]),
-            "updated_hz": _number(held.updated_hz[mode]),
-            "error_initial": _number(held.error_initial[mode]),
-            "error_updated": _number(held.error_updated[mode]),
-            "mac_initial": _number(held.mac_initial[mode]),
-            "mac_updated": _number(held.mac_updated[mode]),
+            "test_hz": number_or_null(held.test_hz[mode]),
+            "initial_hz": number_or_null(held.initial_hz[mode]),
+            "updated_hz": number_or_null(held.updated_hz[mode]),
+            "error_initial": number_or_null(held.error_initial[mode]),
+            "error_updated": number_or_null(held.error_updated[mode]),
+            "mac_initial": number_or_null(held.mac_initial[mode]),
+            "mac_updated": number_or_null(held.mac_updated[mode]),
             "worse": bool(held.worse[mode]),
         }
         for mode in range(held.numbers.size)
     ]
-
-
-def _number(value: float) -> float | None:
-    """A plain number for JSON; what is not finite is null."""
-    return float(value) if np.isfinite(value) else None

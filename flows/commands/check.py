@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modetune.core.keys import number_or_null
 from modetune.flows.commands import store as store_commands
 from modetune.flows.commands.stopping import stoppable
 
@@ -91,9 +92,9 @@ def told(campaign: Campaign, report: GateReport) -> dict[str, Any]:
         ],
         "modes": [
             {"mode": mode.number, "test_hz": mode.test_hz, "elastic_mode": mode.computed,
-             "computed_hz": mode.computed_hz, "error": mode.error, "mac": _number(mode.mac),
-             "subspace_mac": _number(mode.space_mac), "second_mode": mode.second or None,
-             "second_mac": _number(mode.second_mac)}
+             "computed_hz": mode.computed_hz, "error": mode.error, "mac": number_or_null(mode.mac),
+             "subspace_mac": number_or_null(mode.space_mac), "second_mode": mode.second or None,
+             "second_mac": number_or_null(mode.second_mac)}
             for mode in report.modes
         ],
         "facts": _told_facts(report.facts) if report.facts else None,
@@ -105,9 +106,9 @@ def told(campaign: Campaign, report: GateReport) -> dict[str, Any]:
 def _told_facts(facts: ModelFacts) -> dict[str, Any]:
     body = facts.body
     return {
-        "size_m": _number(facts.size_m),
-        "mass": _number(facts.mass),
-        "mass_kg": _number(facts.mass_kg),
+        "size_m": number_or_null(facts.size_m),
+        "mass": number_or_null(facts.mass),
+        "mass_kg": number_or_null(facts.mass_kg),
         "mass_of_rigid_modes": body.mass if body else None,
         "centre": body.centre.tolist() if body else None,
         "inertia": body.inertia.tolist() if body else None,
@@ -187,10 +188,6 @@ def _energy_table(report: GateReport) -> Table:
     for item in report.shares:
         table.add_row(item.parameter, *(f"{100 * share:.1f}" for share in item.shares))
     return table
-
-
-def _number(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def _shown(value: float) -> str:

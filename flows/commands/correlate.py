@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modetune.core.keys import number_or_null
 from modetune.flows.commands.stopping import stoppable
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def correlate(
 
 def told(found: Correlation) -> dict[str, Any]:
     """The `--json` object of `modetune correlate`."""
-    from modetune.flows.correlation.correlate import dof_name
+    from modetune.core.modes import dof_name
 
     first, second = found.first, found.second
     return {
@@ -122,8 +123,8 @@ def told(found: Correlation) -> dict[str, Any]:
                 "first": first.numbers[pair.first], "second": second.numbers[pair.second],
                 "first_hz": float(first.modes.frequencies_hz[pair.first]),
                 "second_hz": float(second.modes.frequencies_hz[pair.second]),
-                "difference": pair.difference, "mac": _number(pair.mac),
-                "scale": _number(pair.scale),
+                "difference": pair.difference, "mac": number_or_null(pair.mac),
+                "scale": number_or_null(pair.scale),
             }
             for pair in found.pairs
         ],
@@ -138,7 +139,7 @@ def told(found: Correlation) -> dict[str, Any]:
 
 
 def _told_orthogonality(found: Orthogonality | None) -> dict[str, Any] | None:
-    from modetune.flows.correlation.correlate import dof_name
+    from modetune.core.modes import dof_name
 
     if found is None:
         return None
@@ -157,7 +158,7 @@ def _write(found: Correlation, figures: Path | None, out: Path | None) -> list[P
 
         written += write_figures(found, figures)
     if out is not None:
-        from modetune.flows.correlation.correlate import dof_name
+        from modetune.core.modes import dof_name
 
         told_pairs = told(found)["pairs"]
         rows = [list(row.values()) for row in told_pairs]
@@ -199,7 +200,7 @@ def _show(found: Correlation) -> None:
 
 
 def _lines(found: Correlation) -> list[str]:
-    from modetune.flows.correlation.correlate import dof_name
+    from modetune.core.modes import dof_name
     from modetune.flows.gate.findings import listed
 
     lines = [f"{len(found.dofs)} common degrees of freedom"] if found.dofs else [
@@ -259,7 +260,7 @@ def _matrix_table(found: Correlation) -> Table:
 def _sensor_table(found: Correlation) -> Table:
     from rich.table import Table
 
-    from modetune.flows.correlation.correlate import dof_name
+    from modetune.core.modes import dof_name
 
     table = Table(title="Least agreement", title_justify="left")
     for heading in ("sensor", "COMAC", "eCOMAC"):
@@ -267,10 +268,6 @@ def _sensor_table(found: Correlation) -> Table:
     for dof, value, enhanced in found.worst(WORST):
         table.add_row(dof_name(dof), f"{value:.4f}", f"{enhanced:.4f}")
     return table
-
-
-def _number(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def _shown(value: float, form: str) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modetune.core.keys import number_or_null
 from modetune.flows.commands.stopping import stoppable
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _told_maps(maps: ErrorMaps) -> dict[str, Any]:
             {
                 "name": maps.groups[place],
                 "force_share": float(errors.force_shares[place]),
-                "change": _number(float(errors.changes[place])),
+                "change": number_or_null(float(errors.changes[place])),
                 "error_share": float(errors.error_shares[place]),
                 "concentration": float(errors.concentrations[place]),
                 "strain_energy_difference": errors.strain[place].tolist(),
@@ -139,10 +139,6 @@ def _worst(nodes: list[int], values: list[float]) -> list[dict[str, Any]]:
     """The nodes with the largest values, these first."""
     order = sorted(range(len(nodes)), key=lambda place: -values[place])[:NODES]
     return [{"node": nodes[place], "value": values[place]} for place in order]
-
-
-def _number(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def _show(found: Localisation) -> None:

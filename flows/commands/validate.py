@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modetune.core.keys import number_or_null
 from modetune.flows.commands.stopping import stoppable
 
 if TYPE_CHECKING:
@@ -73,13 +74,13 @@ def told(found: Validation, one_out: bool) -> dict[str, Any]:
                 "reason": fold.reason,
                 "iterations": fold.iterations,
                 "parameters": dict(
-                    zip(found.parameters, map(_number, fold.updated.tolist()), strict=True)
+                    zip(found.parameters, map(number_or_null, fold.updated.tolist()), strict=True)
                 ),
             }
             for fold in found.folds
         ],
         "parameters": [
-            {"name": name, "least": _number(low), "largest": _number(high)}
+            {"name": name, "least": number_or_null(low), "largest": number_or_null(high)}
             for name, low, high in zip(
                 found.parameters, least.tolist(), largest.tolist(), strict=True
             )
@@ -91,10 +92,6 @@ def told(found: Validation, one_out: bool) -> dict[str, Any]:
         },
         "wall_s": round(found.wall_s, 3),
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _show(console: Console, found: Validation) -> None:

@@ -17,13 +17,12 @@ from modetune.core.correlation import (
     comac,
     cross_orthogonality,
     ecomac,
-    mac,
     modal_scale_factor,
 )
 from modetune.core.errors import CampaignError
 from modetune.core.factorisation import Matrix
-from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet, common_dofs
-from modetune.core.pairing import LOST_MAC, pair_by_order, pair_by_shape
+from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
+from modetune.core.pairing import LOST_MAC, mac_or_zero, pair_by_order, pair_by_shape
 
 SideKind = Literal["test", "model", "record"]
 Dof = tuple[int, int]
@@ -117,11 +116,6 @@ class Correlation:
         return [(self.dofs[n], float(self.comac[n]), float(self.ecomac[n])) for n in places]
 
 
-def dof_name(dof: Dof) -> str:
-    """`node.component`, as test files name it."""
-    return f"{dof[0]}.{COMPONENTS[dof[1] - 1]}"
-
-
 def correlate(first: Side, second: Side) -> Correlation:
     """Compare two sides. Raises CampaignError where both have shapes, but at no common place."""
     with_shapes = bool(first.modes.n_dof and second.modes.n_dof)
@@ -133,7 +127,7 @@ def correlate(first: Side, second: Side) -> Correlation:
             "are laid over a model by `test.sensors` of a campaign"
         )
     a, b = first.modes.mode_shapes[rows_first], second.modes.mode_shapes[rows_second]
-    table = _mac(a, b) if with_shapes else np.zeros((0, 0))
+    table = mac_or_zero(a, b) if with_shapes else np.zeros((0, 0))
     pairs = _pairs(first.modes, second.modes, table, a, b)
     shaped = with_shapes and bool(pairs)
     left = a[:, [pair.first for pair in pairs]]
@@ -194,17 +188,8 @@ def _pairs(
     return tuple(pairs)
 
 
-def _mac(a: Shapes, b: Shapes) -> Floats:
-    """MAC (n_a, n_b), 0 where a shape rests at all common degrees of freedom."""
-    table = np.zeros((a.shape[1], b.shape[1]))
-    rows, columns = np.flatnonzero(a.any(axis=0)), np.flatnonzero(b.any(axis=0))
-    if rows.size and columns.size:
-        table[np.ix_(rows, columns)] = mac(a[:, rows], b[:, columns])
-    return table
-
-
 def _auto(modes: ModeSet) -> Floats:
-    return _mac(modes.mode_shapes, modes.mode_shapes) if modes.n_dof else np.zeros((0, 0))
+    return mac_or_zero(modes.mode_shapes, modes.mode_shapes) if modes.n_dof else np.zeros((0, 0))
 
 
 def _dofs(modes: ModeSet, rows: Integers) -> tuple[Dof, ...]:

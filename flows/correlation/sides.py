@@ -20,7 +20,7 @@ from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.adapters.test_hdf5 import SEAL
 from modetune.core.eigen import solve_modes
 from modetune.core.errors import CampaignError
-from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
+from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
 from modetune.core.parameters import Values
 from modetune.core.record_file import read_record
 from modetune.core.reduction import guyan, serep
@@ -33,7 +33,6 @@ from modetune.flows.correlation.correlate import (
     Orthogonality,
     Side,
     correlate,
-    dof_name,
     orthogonality,
 )
 from modetune.flows.evaluator import campaign_analysis

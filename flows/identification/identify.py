@@ -28,7 +28,7 @@ from modetune.core.modal_fit import (
     unexplained_peaks,
     unit_mass_factors,
 )
-from modetune.core.modes import Floats, Integers, MeasuredModes, mode_set
+from modetune.core.modes import Floats, Integers, MeasuredModes, dof_name, mode_set
 from modetune.core.stabilisation import (
     Criteria,
     OrderPoles,
@@ -38,7 +38,7 @@ from modetune.core.stabilisation import (
     physical_poles,
     pick_tracks,
 )
-from modetune.flows.identification.selection import dof_name, functions_in_band
+from modetune.flows.identification.selection import functions_in_band
 
 
 @dataclass(frozen=True, slots=True)

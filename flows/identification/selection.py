@@ -6,12 +6,7 @@ import numpy as np
 
 from modetune.core.errors import CampaignError
 from modetune.core.measurement import MeasuredFrfs
-from modetune.core.modes import COMPONENTS
-
-
-def dof_name(dof: tuple[int, int]) -> str:
-    """Node and component as in test files: 12.z."""
-    return f"{dof[0]}.{COMPONENTS[dof[1] - 1]}"
+from modetune.core.modes import dof_name
 
 
 def functions_in_band(

@@ -84,25 +84,24 @@ def error_maps(
     source = SemiAnalytic(engine, campaign.parameters, campaign.sensitivity.step, True,
                           analysis)  # fmt: skip
     theta, names = evaluation.theta, campaign.parameters.names
-    works = [Work("matrices", (source.base_job(theta),))]
-    works += [Work(f"matrices {name}", source.jobs(theta, column))
-              for column, name in enumerate(names)]  # fmt: skip
-    runs = RunCounts()
-    done = ThreadExecution(engine, campaign.parallel).run("matrices", works)
-    for work, outcomes in zip(works, done, strict=True):
-        if isinstance(outcomes, ModetuneError):
-            raise outcomes
-        runs = runs.plus(outcomes_count(work.name, outcomes))
-    base, changes = source.matrices(theta, range(len(names)))
-    if base.nodes.size > MOST_UNKNOWNS:
+    base_job = source.base_job(theta)
+    runs = _solved(campaign, engine, [Work("matrices", (base_job,))])
+    whole = engine.result(base_job)
+    assert isinstance(whole, MatrixResult)
+    if whole.nodes.size > MOST_UNKNOWNS:  # told before the parameters' matrices cost anything
         return (
             None,
             runs,
-            (
-                f"maps are made of models of up to {MOST_UNKNOWNS:,} unknowns; this one has "
-                f"{base.nodes.size:,}"
-            ),
+            f"maps are made of models of up to {MOST_UNKNOWNS:,} unknowns; this one has "
+            f"{whole.nodes.size:,}",
         )
+    runs = runs.plus(
+        _solved(campaign, engine, [
+            Work(f"matrices {name}", source.jobs(theta, column))
+            for column, name in enumerate(names)
+        ])
+    )  # fmt: skip
+    base, changes = source.matrices(theta, range(len(names)))
     groups = _groups(base, names, theta, changes)
     fields, computed = _fields(campaign, evaluation, base)
     errors = group_errors(fields, base.stiffness, base.mass, groups, computed)
@@ -111,6 +110,17 @@ def error_maps(
     mesh = campaign.solver.mesh()
     strains = _strains(mesh, fields, base)
     return ErrorMaps(named, errors, nodes, mesh.nodes, strains, fields.misfits), runs, ""
+
+
+def _solved(campaign: Campaign, engine: JobEngine, works: list[Work]) -> RunCounts:
+    """Carry out pieces of work side by side; what they cost. Raises what ended one of them."""
+    runs = RunCounts()
+    done = ThreadExecution(engine, campaign.parallel).run("matrices", works)
+    for work, outcomes in zip(works, done, strict=True):
+        if isinstance(outcomes, ModetuneError):
+            raise outcomes
+        runs = runs.plus(outcomes_count(work.name, outcomes))
+    return runs
 
 
 def _strains(mesh: Mesh, fields: ErrorFields, base: MatrixResult) -> Floats:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import truncnorm
 
-from modetune.core.keys import Json
+from modetune.core.keys import Json, number_or_null
 from modetune.core.modes import Floats
 from modetune.flows.posterior.learning import GOOD, REFUSED
 from modetune.flows.posterior.record import PosteriorRecord
@@ -170,13 +170,17 @@ def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
         "status": "doubtful" if any(finding.red for finding in said) else "done",
         "findings": [{"red": finding.red, "text": finding.text} for finding in said],
         "parameters": _told_parameters(record),
-        "correlation": [[_number(value) for value in row] for row in record.correlation],
+        "correlation": [[number_or_null(value) for value in row] for row in record.correlation],
         "peaks": [
-            {"share": _number(share), "point": [_number(value) for value in point]}
+            {"share": number_or_null(share), "point": [number_or_null(value) for value in point]}
             for share, point in zip(record.shares, record.peaks, strict=True)
         ],
         "surrogate": [
-            {"response": name, "left_out": _number(left_out), "checked": _number(checked)}
+            {
+                "response": name,
+                "left_out": number_or_null(left_out),
+                "checked": number_or_null(checked),
+            }
             for name, left_out, checked in zip(
                 record.training.names, record.left_out, record.check_errors, strict=True
             )
@@ -186,7 +190,7 @@ def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
         "checks": len(record.check_keys),
         "chains": {
             "walkers": record.walkers, "steps": record.steps, "burned": record.burned,
-            "acceptance": _number(record.acceptance), "enough": record.enough,
+            "acceptance": number_or_null(record.acceptance), "enough": record.enough,
         },
         "solver_runs": {"modal": record.runs.modal, "reused": record.runs.reused},
         "failed_runs": len(record.failures),
@@ -200,23 +204,18 @@ def _told_parameters(record: PosteriorRecord) -> list[Json]:
     return [
         {
             "name": name,
-            "mean": _number(record.mean[place]),
-            "deviation": _number(record.deviation[place]),
+            "mean": number_or_null(record.mean[place]),
+            "deviation": number_or_null(record.deviation[place]),
             "interval_95": [
-                _number(record.interval_lower[place]),
-                _number(record.interval_upper[place]),
+                number_or_null(record.interval_lower[place]),
+                number_or_null(record.interval_upper[place]),
             ],
-            "most_likely": _number(record.most_likely[place]),
-            "linear_standard_error": _number(record.linear_deviation[place]),
-            "prior_mean": _number(record.prior_mean[place]),
-            "prior_deviation": _number(record.prior_deviation[place]),
-            "effective_size": _number(record.effective_sizes[place]),
-            "r_hat": _number(record.r_hat[place]),
+            "most_likely": number_or_null(record.most_likely[place]),
+            "linear_standard_error": number_or_null(record.linear_deviation[place]),
+            "prior_mean": number_or_null(record.prior_mean[place]),
+            "prior_deviation": number_or_null(record.prior_deviation[place]),
+            "effective_size": number_or_null(record.effective_sizes[place]),
+            "r_hat": number_or_null(record.r_hat[place]),
         }
         for place, name in enumerate(record.names)
     ]
-
-
-def _number(value: float) -> float | None:
-    """A plain number for JSON; what is not finite is null."""
-    return float(value) if np.isfinite(value) else None

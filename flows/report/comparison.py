@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.correlation import comac, ecomac, mac
+from modetune.core.correlation import comac, ecomac
 from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers, common_dofs
 from modetune.core.numbering import mode_name
+from modetune.core.pairing import mac_or_zero
 from modetune.core.record import CampaignRecord, IterationRecord
 
 #: Correlation of two estimated parameters from which the test can hardly tell them apart.
@@ -104,10 +105,7 @@ def mac_table(record: CampaignRecord, item: IterationRecord) -> Floats:
     n = 1 + max(int(one.pairing.computed.max()) for one in (record.iterations[0], record.best))
     computed = item.computed.mode_shapes[rows_c, :n]
     measured = record.test.modes.mode_shapes[rows_m]
-    table = np.zeros((computed.shape[1], measured.shape[1]))
-    moving, used = computed.any(axis=0), measured.any(axis=0)
-    table[np.ix_(moving, used)] = mac(computed[:, moving], measured[:, used])
-    return table
+    return mac_or_zero(computed, measured)
 
 
 def sensor_agreement(record: CampaignRecord) -> SensorAgreement | None:

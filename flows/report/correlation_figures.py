@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from modetune.core.modes import Floats
-from modetune.flows.correlation.correlate import Correlation, Side, dof_name
+from modetune.core.modes import Floats, dof_name
+from modetune.flows.correlation.correlate import Correlation, Side
 from modetune.flows.report.figures import STYLES, _figure, plain, save
 
 #: Numbers in the cells are left out beyond this many modes, they would be dust.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modetune.core.keys import Json
+from modetune.core.keys import Json, number_or_null
 from modetune.core.modes import Floats
 from modetune.flows.screening.choice import percent
 from modetune.flows.screening.indices import UNITS
@@ -45,7 +45,7 @@ def told(screening: Screening) -> dict[str, Json]:
             {
                 "mode": number, "test_hz": float(screening.test_hz[place]),
                 "nominal_hz": float(screening.nominal_hz[place]),
-                "nominal_mac": _number(screening.nominal_mac[place]),
+                "nominal_mac": number_or_null(screening.nominal_mac[place]),
             }
             for place, number in enumerate(screening.numbers)
         ],
@@ -230,8 +230,4 @@ def _explained(screening: Screening) -> str:
 
 
 def _list(values: Floats) -> list[Json]:
-    return [_number(value) for value in values.tolist()]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return [number_or_null(value) for value in values.tolist()]

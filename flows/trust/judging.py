@@ -15,7 +15,7 @@ from modetune.core.judgement import (
     short_sentences,
     trust_sentences,
 )
-from modetune.core.keys import Json
+from modetune.core.keys import Json, number_or_null
 from modetune.core.modes import Floats
 from modetune.core.numbering import mode_name
 from modetune.core.record import CampaignRecord, IterationRecord
@@ -133,30 +133,33 @@ def trust_summary(trust: Trust | None) -> Json:
     told: dict[str, Json] = {
         "verdict": trust.verdict,
         "sentences": list(trust_sentences(trust)),
-        "condition": _number(found.condition),
-        "singular_values": [_number(value) for value in found.singular_values],
-        "parameters_told": _number(found.n_told),
-        "collinearity_index": _number(found.collinearity.whole),
+        "condition": number_or_null(found.condition),
+        "singular_values": [number_or_null(value) for value in found.singular_values],
+        "parameters_told": number_or_null(found.n_told),
+        "collinearity_index": number_or_null(found.collinearity.whole),
         "collinear_subsets": [
-            {"parameters": [names[place] for place in row if place >= 0], "index": _number(index)}
+            {
+                "parameters": [names[place] for place in row if place >= 0],
+                "index": number_or_null(index),
+            }
             for row, index in list(subsets)[:NAMED]
         ],
         "unseen_combinations": [
             {
                 "parameters": [names[place] for place in item.members],
-                "changes": [_number(change) for change in item.changes],
-                "seen": _number(item.seen),
+                "changes": [number_or_null(change) for change in item.changes],
+                "seen": number_or_null(item.seen),
             }
             for item in found.unseen
         ],
-        "regularisation": _number(trust.regularisation),
-        "l_curve_corner": None if trust.curve is None else _number(trust.curve.corner),
+        "regularisation": number_or_null(trust.regularisation),
+        "l_curve_corner": None if trust.curve is None else number_or_null(trust.curve.corner),
         "sensitivity_age": trust.age,
         "parameters": [
             {
                 "name": item.name,
-                "test_share": _number(item.test_share),
-                "standard_error": _number(item.standard_error),
+                "test_share": number_or_null(item.test_share),
+                "standard_error": number_or_null(item.standard_error),
                 "on_bound": item.on_bound,
                 "collinear_with": list(item.collinear_with),
                 "flags": list(item.flags),
@@ -179,17 +182,12 @@ def _told_starts(spread: StartSpread) -> Json:
         "differ": list(spread.differ),
         "runs": [
             {
-                "start": [_number(value) for value in spread.starts[number]],
-                "updated": [_number(value) for value in spread.updated[number]],
-                "misfit": _number(spread.misfits[number]),
+                "start": [number_or_null(value) for value in spread.starts[number]],
+                "updated": [number_or_null(value) for value in spread.updated[number]],
+                "misfit": number_or_null(spread.misfits[number]),
                 "outcome": spread.outcomes[number],
                 "place": int(spread.minima[number]),
             }
             for number in range(len(spread.outcomes))
         ],
     }
-
-
-def _number(value: float) -> float | None:
-    """A plain number for JSON; what is not finite is null."""
-    return float(value) if np.isfinite(value) else None

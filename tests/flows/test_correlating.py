@@ -18,10 +18,10 @@ from modetune.adapters.measurements import read_measurement
 from modetune.adapters.modes_csv import write_modes_csv
 from modetune.adapters.test_hdf5 import write_test_hdf5
 from modetune.core.errors import CampaignError, ModetuneError
-from modetune.core.modes import ModeSet, mode_set
+from modetune.core.modes import ModeSet, dof_name, mode_set
 from modetune.core.record import CampaignRecord
 from modetune.flows.commands.correlate import register
-from modetune.flows.correlation.correlate import Side, correlate, dof_name
+from modetune.flows.correlation.correlate import Side, correlate
 from modetune.flows.correlation.sides import correlate_sources, source
 from modetune.flows.report.correlation_figures import heat_figure, write_figures
 from modetune.flows.running import update_campaign
