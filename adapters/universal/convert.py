@@ -23,6 +23,8 @@ from modetune.adapters.universal.contents import (
 )
 from modetune.core.modes import Floats, Integers
 
+#: Coordinates beyond this are garbled text, in whatever unit; their squares are still numbers.
+FARTHEST = 1e30
 
 def units(place: Place, block: Block, read: Any) -> Units:
     """Dataset 164, whose factors turn SI into the file's units: 1000 for millimetres."""
@@ -42,8 +44,8 @@ def node_table(place: Place, block: Block, read: Any) -> NodeTable:
     if len({column.size for column in (*columns, *numbers)}) != 1 or not columns[0].size:
         raise ValueError("does not have seven numbers for each of its nodes")
     coordinates = np.column_stack(columns)
-    if not np.isfinite(coordinates).all():
-        raise ValueError("has a coordinate that is not a finite number")
+    if not (np.abs(coordinates) < FARTHEST).all():
+        raise ValueError("has a coordinate that is not a length")
     nodes, definition, displacement = map(_whole, numbers)
     if block.kind == 2411:
         definition = np.zeros_like(definition)
@@ -58,6 +60,8 @@ def systems_of_points(place: Place, block: Block, read: Any) -> CoordinateSystem
     points = [np.asarray(read[name]) for name in ("ref_o", "x_point", "xz_point")]
     if any(point.shape != (numbers.size, 3) for point in points) or numbers.size == 0:
         raise ValueError("does not have nine numbers for each coordinate system")
+    if not (np.abs(points) < FARTHEST).all():
+        raise ValueError("has a coordinate that is not a length")
     systems = []
     for row, number in enumerate(numbers.tolist()):
         origin, x_point, xz_point = (point[row] for point in points)

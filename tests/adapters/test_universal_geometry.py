@@ -94,6 +94,14 @@ def test_systems_given_in_a_ring_are_refused(tmp_path: Path) -> None:
         read(save(tmp_path / "t.unv", systems, nodes_15((1, 4, 0, (0, 0, 0)))))
 
 
+@pytest.mark.parametrize("far", [np.inf, np.nan, 1e300])
+def test_a_system_by_a_point_that_is_nowhere_is_passed_over(tmp_path: Path, far: float) -> None:
+    system = dataset(18, *system_18(4, 0, 0, ((0, 0, 0), (far, 0, 0), (0, 0, 1))))
+    points, notes = read(save(tmp_path / "t.unv", system, nodes_15((1, 0, 4, (0, 0, 0)))))
+    assert "has a coordinate that is not a length" in notes
+    np.testing.assert_array_equal(points.frames[0], np.eye(3))
+
+
 def test_three_points_on_a_line_are_passed_over(tmp_path: Path) -> None:
     system = dataset(18, *system_18(4, 0, 0, ((0, 0, 0), (1, 0, 0), (2, 0, 0))))
     points, notes = read(save(tmp_path / "t.unv", system, nodes_15((1, 0, 4, (0, 0, 0)))))
