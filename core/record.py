@@ -30,6 +30,7 @@
     /iterations/000/...   one group an evaluated parameter set, in order:
         attributes        accepted, decision, slope (e2; NaN at first), sensitivity_skipped
                           (by e2, at this set), worst_error, misfit, modal_key (in the store),
+                          solved_by (the program that found the modes),
                           runs_modal, runs_sensitivity, runs_reused, wall_s,
                           core_s, licence_s (cores and licences times the time jobs held them)
         parameters        (n_parameters,), relative to the deck
@@ -120,7 +121,8 @@ class SensorPlaces:
 class IterationRecord:
     """One evaluated parameter set; the module's docstring says what each field is in the file.
 
-    field: the paired modes at the nodes of the displayed surface; empty where there is none.
+    field: the paired modes at the nodes of the displayed surface; empty where there is none;
+    solved_by: the program that found the modes, empty in records that do not tell.
     """
 
     number: int
@@ -144,6 +146,7 @@ class IterationRecord:
     runs: RunCounts
     wall_s: float
     field: ModeSet = dataclasses.field(default_factory=lambda: mode_set([]))
+    solved_by: str = ""
 
     @property
     def worst_error(self) -> float:

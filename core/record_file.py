@@ -201,6 +201,7 @@ def _write_iteration(group: h5py.Group, item: IterationRecord) -> None:
         regularisation=item.regularisation,
         condition=item.condition,
         modal_key=item.modal_key,
+        solved_by=item.solved_by,
         wall_s=item.wall_s,
         normalisation=item.computed.normalisation,
     )
@@ -263,6 +264,7 @@ def _read_iteration(group: h5py.Group) -> IterationRecord:
         runs=_read_runs(group),
         wall_s=float(attrs["wall_s"]),
         field=read_modes(group["field"]) if "field" in group else mode_set([]),
+        solved_by=str(attrs.get("solved_by", "")),
     )
 
 

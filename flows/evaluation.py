@@ -33,7 +33,7 @@ class Evaluation:
     modal: at the nodes that pairing and derivatives need; seen: its elastic modes as the test's
     sensors see them; field: the elastic modes at every node that was asked for; held_out: where
     the test's held-out modes are among them; parts: the evaluations of a campaign's configurations
-    of which this one is made.
+    of which this one is made; solved_by: the program that found the modes.
     """
 
     theta: Floats
@@ -46,6 +46,7 @@ class Evaluation:
     errors: Floats
     held_out: Pairing | None = None
     parts: tuple[Evaluation, ...] = ()
+    solved_by: str = ""
 
     @property
     def point(self) -> Point:
@@ -62,11 +63,13 @@ def compare(
     key: str,
     result: ModalResult,
     previous: Evaluation | None,
+    solved_by: str = "",
 ) -> Evaluation:
     """Pair the modes of a model state with the test. Raises LostMode, ModesError.
 
-    Measured shapes decide where there are some; else the pairs of `previous` are tracked, and at
-    first the order of frequencies decides.
+    solved_by: the program that found them, the campaign's solver unless told. Measured shapes
+    decide where there are some; else the pairs of `previous` are tracked, and at first the order
+    of frequencies decides.
     """
     test, modal = campaign.test, result.at(campaign.nodes)
     seen = campaign.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
@@ -87,6 +90,7 @@ def compare(
         residual=residual(test.modes, seen, pairing, campaign.weighting),
         errors=frequency_errors(test.modes, seen, pairing),
         held_out=_held_out(campaign, seen, pairing, previous),
+        solved_by=solved_by or campaign.solver.name,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from modetune.core.residual import residual_sensitivity
 from modetune.core.results import ModalResult, ModeDerivatives
 from modetune.core.sensitivity import stack_derivatives
 from modetune.flows.campaign import Campaign
+from modetune.flows.evaluating import Evaluating, Matrix
 from modetune.flows.evaluation import Evaluation, compare, judged
 from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 from modetune.flows.execution.work import Done, Execution, Work
@@ -38,30 +39,6 @@ WIDENINGS = 2
 CAMPAIGNS_OWN = (SolverMissing, SolverCancelled, LicenceDenied)
 
 
-@dataclass(frozen=True, slots=True)
-class Matrix:
-    """A sensitivity matrix.
-
-    values: (n_residuals, n_parameters); methods: how each column was computed; keys: of the jobs
-    behind it; age: iterations since; missing: positions of columns that could not be had, zero in
-    values.
-    """
-
-    values: Floats
-    methods: tuple[str, ...]
-    keys: tuple[str, ...]
-    age: int
-    missing: tuple[int, ...] = ()
-
-    @property
-    def methods_had(self) -> tuple[str, ...]:
-        """How each column was computed, `missing` where it could not be."""
-        return tuple(
-            "missing" if column in self.missing else method
-            for column, method in enumerate(self.methods)
-        )
-
-
 def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
     """The modal analysis that a campaign asks for: modes, nodes, and the parameters' energies."""
     solver = campaign.solver
@@ -73,8 +50,8 @@ def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
     return ModalAnalysis(campaign.n_modes, campaign.result_nodes, groups)
 
 
-class Evaluator:
-    """Evaluates parameter sets of one campaign and counts what it cost."""
+class Evaluator(Evaluating):
+    """Evaluates parameter sets by the solver's own modal runs."""
 
     def __init__(self, campaign: Campaign, engine: JobEngine, execution: Execution) -> None:
         self.campaign = campaign

@@ -23,7 +23,7 @@ from modetune.core.modes import Floats
 from modetune.core.numbering import configuration_of
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.flows.campaign import Campaign
-from modetune.flows.evaluator import Matrix
+from modetune.flows.evaluating import Matrix
 from modetune.flows.localisation.form_verdict import verdict_summary
 from modetune.flows.showing import sensor_places, shown_surface
 from modetune.flows.trust.judging import campaign_trust, trust_summary

@@ -24,8 +24,9 @@ from modetune.core.record import RunCounts
 from modetune.core.residual import Residual
 from modetune.flows.campaign import Campaign, Configuration
 from modetune.flows.configurations.joined import node_base, side_by_side
+from modetune.flows.evaluating import Evaluating, Matrix
 from modetune.flows.evaluation import Evaluation, judged, part_rows
-from modetune.flows.evaluator import CAMPAIGNS_OWN, Evaluator, Matrix
+from modetune.flows.evaluator import CAMPAIGNS_OWN, Evaluator
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.execution.limits import CORES, Limit
 from modetune.flows.execution.slurm import SlurmSolver
@@ -34,9 +35,7 @@ from modetune.flows.execution.work import Done, Execution, Work
 logger = logging.getLogger(__name__)
 
 
-def evaluator_of(
-    campaign: Campaign, engine: JobEngine, execution: Execution
-) -> Evaluator | JointEvaluator:
+def evaluator_of(campaign: Campaign, engine: JobEngine, execution: Execution) -> Evaluating:
     """What evaluates a campaign, of one configuration or of several."""
     kind = JointEvaluator if campaign.configurations else Evaluator
     return kind(campaign, engine, execution)
@@ -101,7 +100,7 @@ class Part:
         return theta[list(self.configuration.columns)]
 
 
-class JointEvaluator:
+class JointEvaluator(Evaluating):
     """Evaluates parameter sets in all configurations that are used, and counts what it cost."""
 
     def __init__(self, campaign: Campaign, engine: JobEngine, execution: Execution) -> None:
@@ -230,6 +229,7 @@ class JointEvaluator:
             residual=self._residual(parts),
             errors=np.concatenate([part.errors for part in parts]),
             parts=tuple(parts),
+            solved_by=self.campaign.solver.name,
         )
 
     def _residual(self, parts: Sequence[Evaluation]) -> Residual:

@@ -24,8 +24,9 @@ from modetune.core.record import RunCounts
 from modetune.core.results import ModalResult
 from modetune.core.store import check_writable
 from modetune.flows.campaign import Campaign
+from modetune.flows.evaluating import Matrix
 from modetune.flows.evaluation import Evaluation, compare
-from modetune.flows.evaluator import CAMPAIGNS_OWN, WIDENINGS, Evaluator, Matrix, outcomes_count
+from modetune.flows.evaluator import CAMPAIGNS_OWN, WIDENINGS, Evaluator, outcomes_count
 from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 from modetune.flows.execution.work import Done, ThreadExecution, Work
 from modetune.flows.running import solving_engine

@@ -21,7 +21,7 @@ from modetune.core.numbering import mode_name
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.core.trust import StartSpread, Trust, with_concerns
 from modetune.flows.campaign import Campaign
-from modetune.flows.evaluator import Matrix
+from modetune.flows.evaluating import Matrix
 from modetune.flows.localisation.form_verdict import record_verdict
 
 #: Collinear subsets that the summary names.

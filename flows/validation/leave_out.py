@@ -195,7 +195,7 @@ def _fold(
             raise
         logger.warning("%s: %s", said, error)
         unknown = np.full(len(campaign.parameters), np.nan)
-        fold = Fold(number, "failed", str(error), updating.number, unknown, None)
+        fold = Fold(number, "failed", str(error), updating.iterations[-1].number, unknown, None)
         return fold, evaluator.runs
     return _judged(number, record), record.runs
 

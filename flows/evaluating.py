@@ -1,0 +1,91 @@
+"""What the updating loop asks of whatever evaluates parameter sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from modetune.core.estimation import Step
+from modetune.core.held_out import HeldOut
+from modetune.core.modes import Floats
+from modetune.core.record import RunCounts
+from modetune.flows.evaluation import Evaluation
+from modetune.flows.execution.work import Work
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix:
+    """A sensitivity matrix.
+
+    values: (n_residuals, n_parameters); methods: how each column was computed; keys: of the jobs
+    behind it; age: iterations since; missing: positions of columns that could not be had, zero in
+    values.
+    """
+
+    values: Floats
+    methods: tuple[str, ...]
+    keys: tuple[str, ...]
+    age: int
+    missing: tuple[int, ...] = ()
+
+    @property
+    def methods_had(self) -> tuple[str, ...]:
+        """How each column was computed, `missing` where it could not be."""
+        return tuple(
+            "missing" if column in self.missing else method
+            for column, method in enumerate(self.methods)
+        )
+
+
+class Evaluating(Protocol):
+    """Evaluates parameter sets of one campaign and counts what it cost."""
+
+    #: Whether sensitivities cost next to nothing, so that none is skipped.
+    cheap: bool = False
+
+    @property
+    def runs(self) -> RunCounts:
+        """Solver runs so far, and what they cost."""
+        ...
+
+    def evaluate(
+        self, number: int, theta: Floats, previous: Evaluation | None, alone: bool
+    ) -> tuple[Evaluation, Matrix | None]:
+        """A set's evaluation, and its sensitivity unless the modal job is to go alone.
+
+        Raises SolverError, ModesError, StoreError.
+        """
+        ...
+
+    def matrix(self, number: int, evaluation: Evaluation) -> Matrix:
+        """The sensitivity at an evaluated set."""
+        ...
+
+    def skip(self, number: int, slope: float) -> None:
+        """Note that e2 makes this iteration do without a sensitivity of its own."""
+        ...
+
+    def planned(self, theta: Floats) -> list[Work]:
+        """The work of an iteration at a set, with sensitivities."""
+        ...
+
+    def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:
+        """What is only judged by, before and after."""
+        ...
+
+    def refined(
+        self, current: Evaluation, step: Step, region: tuple[Floats, Floats]
+    ) -> Step | None:
+        """A better step than the linear one, to a set within a region (lower, upper).
+
+        None where nothing better than the linear model is known.
+        """
+        return None
+
+    def confirmed(self, number: int, evaluation: Evaluation) -> Evaluation | None:
+        """A set evaluated by the solver's own modes; None where it was so already."""
+        return None
+
+    def mistrust(self, reason: str) -> None:
+        """From now on evaluate by the solver's own modes alone, for this reason."""
+        return
