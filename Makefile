@@ -3,13 +3,17 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint format docs clean
+.PHONY: demo test bench lint format docs clean
 
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
 
 test: $(VENV)/.ready-dev
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest
+
+# Ways of updating side by side, about a quarter of an hour; options: BENCH_FLAGS="--repeats 3".
+bench: $(VENV)/.ready
+	$(BIN)/python -m benchmarks.campaign $(BENCH_FLAGS)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .

@@ -14,8 +14,10 @@ from typing import Protocol
 
 from modetune.core.keys import Json
 from modetune.core.mesh import Mesh
+from modetune.core.modes import Integers
+from modetune.core.observation import Observation
 from modetune.core.parameters import Parameter, Values
-from modetune.core.results import Result
+from modetune.core.results import MatrixResult, Result
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +56,16 @@ Analysis = ModalAnalysis | MatrixAnalysis | SensitivityAnalysis
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What a solver can give besides modes."""
+    """What a solver can give besides modes.
+
+    matrix_modes: whether modes of its stored matrices may stand for its own.
+    """
 
     strain_energies: bool
     matrices: bool
     frequency_sensitivities: bool = False
     shape_sensitivities: bool = False
+    matrix_modes: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +81,9 @@ class ModelSummary:
     """What an adapter knows of its model without running it.
 
     node_ids: every node that carries results; components: which of 1..6 it has there.
-    solid_shapes: whether the stored matrices' unknowns can be found at nodes (solids without
-    dependent nodes), so that shapes follow from them.
+    solid_shapes: whether each unknown of a node is one equation of the stored matrices (solids
+    without dependent nodes), so that they are matrices of the nodes. matrix_shapes: whether shapes
+    at nodes follow from the stored matrices (`Solver.observation`), as those of shells do too.
     """
 
     name: str
@@ -84,6 +91,25 @@ class ModelSummary:
     components: frozenset[int]
     n_elements: int
     solid_shapes: bool
+    matrix_shapes: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """What of the matrices a parameter moves, and in which powers of its relative value.
+
+    elements: those of the solver's deck whose matrices it scales (parts of a model of matrices
+    have numbers by their order). nodes: those of the model whose equations its part may touch,
+    besides the unknowns inside of elements and knots there. stiffness, mass: which matrices it
+    moves. powers: with theta the relative value, K = K_0 + sum over powers of theta^k K_k, and M
+    alike, K_0 being what does not depend on it.
+    """
+
+    elements: frozenset[int]
+    nodes: frozenset[int]
+    stiffness: bool
+    mass: bool
+    powers: tuple[int, ...]
 
 
 class Solver(Protocol):
@@ -133,6 +159,26 @@ class Solver(Protocol):
 
     def is_linear(self, parameter: Parameter) -> bool:
         """Whether the stiffness and mass matrices are linear in the parameter."""
+        ...
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        """What of the matrices the parameter moves.
+
+        None where they are no sum of powers of its value (Poisson's ratio), where the number of
+        equations depends on it, or where the solver has no matrices. Of two parameters that scale
+        the same thing (the material and the thickness of one shell) the matrices have products,
+        of which this does not tell.
+        """
+        ...
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        """Degrees of freedom (n_wanted,) in terms of the equations of stored matrices.
+
+        They are those of a modal result: in the frames of `mesh`. All are unknown where the
+        solver has no matrices.
+        """
         ...
 
     def content(self, values: Values, analysis: Analysis) -> Json:

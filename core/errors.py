@@ -64,6 +64,10 @@ class NotStored(ModetuneError):
     """The store lacks a result, and no solver may run: in a dry run."""
 
 
+class NotComputed(NotStored):
+    """The store lacks what would be computed from its results: in a dry run."""
+
+
 class CampaignStopped(ModetuneError):
     """The user stopped the campaign."""
 

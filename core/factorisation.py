@@ -15,22 +15,17 @@ K - shift M are as welcome as positive ones. A complex symmetric A + iB is solve
     [ A  -B ] [x]   [ f ]
     [-B  -A ] [y] = [-g ],      (A + iB)(x + iy) = f + ig.
 
-Where PARDISO is not installed SciPy's SuperLU does the same more slowly. PARDISO uses all cores
-in each call and its calls come one at a time, whatever the number of threads; results can be
-shared by threads.
+Where PARDISO is not installed SciPy's SuperLU does the same more slowly. Results can be shared by
+threads. Models that differ in their values only are factorised one after the other by one
+`SymmetricFactors`, which orders the unknowns once.
 """
 
 from __future__ import annotations
 
-import copy
-import os
-import threading
-import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -38,15 +33,37 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
+from modetune.core import matrices
 from modetune.core.errors import ModelError
+from modetune.core.pardiso import Pardiso, is_available
 
 Numbers: TypeAlias = NDArray[np.float64] | NDArray[np.complex128]
 Matrix: TypeAlias = sparse.sparray | sparse.spmatrix | NDArray[np.float64] | NDArray[np.complex128]
 
 SINGULAR_CONDITION = 1e14
 _COLUMNS_AT_ONCE = 64  # bounds the copies made of a right-hand side
-_PARDISO = threading.RLock()  # reentrant: garbage collection may free one factor during a call
 _superlu_only: ContextVar[bool] = ContextVar("superlu_only", default=False)
+
+
+class SymmetricFactors(Protocol):
+    """The factors of one real symmetric matrix after the other, all of one sparsity.
+
+    negative_pivots: how many eigenvalues of the matrix are negative. lifted_pivots: how many were
+    as good as zero.
+    """
+
+    @property
+    def negative_pivots(self) -> int: ...
+    @property
+    def lifted_pivots(self) -> int: ...
+
+    def refactor(self, values: NDArray[np.float64]) -> None:
+        """Factorise the matrix with these values in the places of its upper triangle."""
+
+    def solve(
+        self, block: NDArray[np.float64], out: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """The solution of A x = block, (n,) or (n, n_rhs), in Fortran order; out: its place."""
 
 
 class _Solver(Protocol):
@@ -142,6 +159,35 @@ def symmetric_matrix(matrix: Matrix, name: str) -> sparse.csr_array:
     return a
 
 
+def symmetric_factors(upper: sparse.csr_array) -> SymmetricFactors:
+    """Order a real symmetric matrix for factorisation by the program that is here.
+
+    upper: (n, n), the upper triangle, sorted, with each diagonal entry. `refactor` gives values.
+    Raises ModelError where it is no such triangle, SolverExhausted where memory does not suffice.
+    """
+    if not _superlu_only.get() and is_available():
+        return Pardiso(upper)
+    return _SymmetricSuperLu(upper)
+
+
+def filled_triangle(matrix: sparse.csr_array) -> sparse.csr_array:
+    """The upper triangle of a matrix, sorted, with each diagonal entry, zeros included."""
+    upper = matrices.upper_triangle(matrix)
+    stored = upper.tocoo()
+    lacking = np.setdiff1d(np.arange(matrix.shape[0]), stored.row[stored.row == stored.col])
+    if lacking.size == 0:
+        return upper
+    rows, columns = (np.concatenate([a, lacking]) for a in (stored.row, stored.col))
+    values = np.concatenate([stored.data, np.zeros(lacking.size)])
+    filled = sparse.csr_array((values, (rows, columns)), shape=matrix.shape)
+    filled.sort_indices()
+    return filled
+
+
+#: The name under which tests of the factorisations import it.
+upper_triangle = filled_triangle
+
+
 @contextmanager
 def superlu_only() -> Iterator[None]:
     """Within this context, and in this thread only, SuperLU factorises even where PARDISO is."""
@@ -169,7 +215,7 @@ def _unit_diagonal(a: sparse.csr_array) -> NDArray[np.float64]:
 
 def _factors_of(scaled: sparse.csr_array) -> tuple[_Solver, Literal["pardiso", "superlu"]]:
     real = not np.iscomplexobj(scaled.data)
-    if not _superlu_only.get() and _shared_pardiso() is not None:
+    if not _superlu_only.get() and is_available():
         return (_PardisoFactors if real else _ComplexPardisoFactors)(scaled), "pardiso"
     try:
         factors = linalg.splu(
@@ -218,28 +264,59 @@ class _SuperLuFactors:
         return self._factors.solve(np.asarray(rhs, dtype=kind))
 
 
+class _SymmetricSuperLu:
+    """SuperLU with pivots on the diagonal, whose signs then count eigenvalues."""
+
+    def __init__(self, upper: sparse.csr_array) -> None:
+        # Both triangles, and for each of their entries its place in the upper one.
+        numbered = sparse.csr_array(
+            (np.arange(1.0, upper.nnz + 1.0), upper.indices, upper.indptr), shape=upper.shape
+        )
+        both = sparse.csc_array(numbered + sparse.triu(numbered, k=1).T)
+        self._places = both.data.astype(np.int64) - 1
+        self._pattern = (both.indices, both.indptr)
+        self._shape = both.shape
+        self._factors: Any = None
+        self.negative_pivots = 0
+        self.lifted_pivots = 0
+
+    def refactor(self, values: NDArray[np.float64]) -> None:
+        matrix = sparse.csc_array((values[self._places], *self._pattern), shape=self._shape)
+        try:
+            self._factors = linalg.splu(
+                matrix,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:  # all that SuperLU says of an exactly singular matrix
+            raise ModelError(f"a matrix of {self._shape[0]} equations is singular") from error
+        self.negative_pivots = int(np.sum(self._factors.U.diagonal() < 0.0))
+        # A zero on the diagonal makes SuperLU leave it, and the signs then count nothing.
+        self.lifted_pivots = int(np.sum(self._factors.perm_r != self._factors.perm_c))
+
+    def solve(
+        self, block: NDArray[np.float64], out: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        x = self._factors.solve(np.asarray(block, dtype=np.float64))
+        if out is None:
+            return np.asfortranarray(x)
+        out[...] = x
+        return out
+
+
 class _PardisoFactors:
-    """PARDISO's factors of a real symmetric matrix; its memory is freed with the object."""
+    """PARDISO's factors of a real symmetric matrix."""
 
     def __init__(self, scaled: sparse.csr_array) -> None:
-        # PARDISO wants the upper triangle with every diagonal entry, zeros included.
-        upper = sparse.coo_array(sparse.triu(scaled, k=1))
-        places = np.arange(scaled.shape[0])
-        values = np.concatenate([upper.data, scaled.diagonal()])
-        rows = np.concatenate([upper.row, places])
-        columns = np.concatenate([upper.col, places])
-        self._upper = sparse.csr_array((values, (rows, columns)), shape=scaled.shape)
-        self._upper.sort_indices()
-        self._pardiso = _new_pardiso()
-        with _PARDISO:
-            self._pardiso.factorize(self._upper)
-        weakref.finalize(self, _free, self._pardiso).atexit = False
+        upper = filled_triangle(scaled)
+        self._pardiso = Pardiso(upper, matching=True)
+        self._pardiso.refactor(upper.data)
 
     def solve(self, rhs: Any) -> Any:
         if np.iscomplexobj(rhs):
             return self.solve(rhs.real) + 1j * self.solve(rhs.imag)
-        with _PARDISO:
-            return self._pardiso.solve(self._upper, np.asfortranarray(rhs, dtype=np.float64))
+        return self._pardiso.solve(rhs)
 
 
 class _ComplexPardisoFactors:
@@ -253,36 +330,3 @@ class _ComplexPardisoFactors:
     def solve(self, rhs: Any) -> Any:
         both = self._real.solve(np.concatenate([rhs.real, -rhs.imag]))
         return both[: self._n] + 1j * both[self._n :]
-
-
-@cache
-def _shared_pardiso() -> Any | None:
-    """The package's own solver, which has looked for and loaded the library; None without it."""
-    # Read when MKL is loaded: the same numbers to the last digit in each run on a machine.
-    os.environ.setdefault("MKL_CBWR", "AUTO")
-    try:
-        from pypardiso.scipy_aliases import pypardiso_solver
-    except ImportError:
-        return None
-    return pypardiso_solver
-
-
-def _new_pardiso() -> Any:
-    """A solver of its own memory on the loaded library, set for symmetric indefinite matrices."""
-    pardiso = copy.copy(_shared_pardiso())
-    assert pardiso is not None
-    pardiso.pt = np.zeros(64, dtype=np.int64)
-    pardiso.iparm = np.zeros(64, dtype=np.int32)
-    pardiso.perm = np.zeros(0, dtype=np.int32)
-    pardiso.set_matrix_type(-2)
-    # 1: own settings; 2: METIS ordering; 10: zero pivots are lifted to 1e-16; 11, 13: scaling and
-    # matching; 21: 2x2 pivots. Left at 0 is 8: solutions are refined only after a lifted pivot,
-    # for refining takes twice as long again as solving.
-    for number, value in ((1, 1), (2, 2), (10, 16), (11, 1), (13, 1), (21, 1)):
-        pardiso.set_iparm(number, value)
-    return pardiso
-
-
-def _free(pardiso: Any) -> None:
-    with _PARDISO:
-        pardiso.free_memory(everything=True)

@@ -5,10 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
+from numpy.typing import NDArray
 
+from modetune.core.affine import AffineMatrices
+from modetune.core.derivatives import ModeDerivatives
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, Integers, ModeSet, count_rigid_modes
+from modetune.core.matrices import MatrixResult
+from modetune.core.modes import Floats, ModeSet, count_rigid_modes
+from modetune.core.reduced import ReducedModel
+
+__all__ = [
+    "AffineMatrices",
+    "MatrixResult",
+    "ModalResult",
+    "ModeDerivatives",
+    "ReducedModel",
+    "Result",
+    "finite",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,39 +78,8 @@ class ModalResult:
         return 2.0 * self.total_strain_energy[elastic] / self.eigenvalues[elastic]
 
 
-@dataclass(frozen=True, slots=True)
-class MatrixResult:
-    """Stiffness and mass of one model state on the solver's own equations.
-
-    stiffness, mass: (n, n), symmetric, both triangles, CSR, in the deck's units.
-    nodes, components: (n,), what each equation is called; a name may stand more than once where
-    the solver has unknowns of its own (incompatible modes, expanded shells).
-    """
-
-    stiffness: sparse.csr_array
-    mass: sparse.csr_array
-    nodes: Integers
-    components: Integers
-
-
-@dataclass(frozen=True, slots=True)
-class ModeDerivatives:
-    """Derivatives of modes with respect to all parameters, relative values each.
-
-    eigenvalues: (n_modes, n_parameters), (rad/s)^2.
-    mode_shapes: (n_dof, n_modes, n_parameters), of mass-normalised shapes; n_dof is 0 where only
-    frequencies were asked for. In an updating step the modes are those of the pairs, in order.
-    """
-
-    eigenvalues: Floats
-    mode_shapes: Floats
-
-    def column(self, place: int) -> ModeDerivatives:
-        """The derivatives with respect to one parameter."""
-        return ModeDerivatives(self.eigenvalues[:, [place]], self.mode_shapes[:, :, [place]])
-
-
-Result = ModalResult | MatrixResult | ModeDerivatives
+#: What a store keeps: what solvers give, and what is made of it at a cost.
+Result = ModalResult | MatrixResult | ModeDerivatives | AffineMatrices | ReducedModel
 
 
 def finite(result: Result) -> Result:
@@ -104,12 +87,23 @@ def finite(result: Result) -> Result:
 
     Strain energies and mass may be NaN, where the solver does not tell them.
     """
-    if isinstance(result, MatrixResult):
-        whole = np.isfinite(result.stiffness.data).all() and np.isfinite(result.mass.data).all()
-    else:
-        modes = result.modes if isinstance(result, ModalResult) else result
-        shapes = np.isfinite(modes.mode_shapes).all()
-        whole = shapes and np.isfinite(result.eigenvalues).all()
-    if not whole:
+    if not all(np.isfinite(numbers).all() for numbers in _numbers(result)):
         raise ModesError("the result holds values that are not finite numbers")
     return result
+
+
+def _numbers(result: Result) -> list[Floats | NDArray[np.complex128]]:
+    """The arrays whose numbers must be finite."""
+    match result:
+        case MatrixResult():
+            return [result.upper_stiffness.data, result.upper_mass.data]
+        case AffineMatrices():
+            parts = [part.values for part in (*result.stiffness, *result.mass)]
+            return [result.reference, *_numbers(result.base), *parts]
+        case ReducedModel():
+            parts = [part.values for part in (*result.stiffness, *result.mass)]
+            return [result.reference, result.base_stiffness, result.base_mass, result.rows, *parts]
+        case ModalResult():
+            return [result.modes.mode_shapes, result.eigenvalues]
+        case ModeDerivatives():
+            return [result.mode_shapes, result.eigenvalues]

@@ -29,12 +29,10 @@ from pathlib import Path
 from typing import IO
 
 import h5py
-import numpy as np
-from scipy import sparse
 
 from modetune.core.errors import StorageUnavailable, StoreDamaged
-from modetune.core.modes import ModeSet
-from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
+from modetune.core.result_file import read_result, write_result
+from modetune.core.results import Result
 
 logger = logging.getLogger(__name__)
 
@@ -111,11 +109,17 @@ class Store:
                 wall_s=entry.wall_s,
                 note=note,
             )
-            _write_result(file, entry.result)
+            write_result(file, entry.result)
         content = image.getbuffer()[BLOCK:]
         with writing(self.path(entry.key)) as part, part.open("wb") as written:
             written.write(_seal(content))
             written.write(content)
+
+    def drop(self, key: str) -> None:
+        """Remove the entry of this key, if there is one. Raises StorageUnavailable."""
+        path = self.path(key)
+        with storage_errors(path):
+            path.unlink(missing_ok=True)
 
     @contextmanager
     def lock(self, key: str, waiting: Callable[[], None]) -> Iterator[None]:
@@ -262,76 +266,10 @@ def _read_entry(data: bytes, path: Path, key: str) -> Entry:
                 raise StoreDamaged(f"{path} is the entry of another key")
             return Entry(
                 key=key,
-                result=_read_result(file),
+                result=read_result(file),
                 solver=str(file.attrs["solver"]),
                 solver_version=str(file.attrs["solver_version"]),
                 wall_s=float(file.attrs["wall_s"]),
             )
     except (OSError, KeyError, RuntimeError, ValueError, TypeError) as error:
         raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
-
-
-def _write_result(file: h5py.File, result: Result) -> None:
-    if isinstance(result, ModalResult):
-        file.attrs["kind"] = "modal"
-        file.attrs["mass"] = result.mass
-        file.attrs["normalisation"] = result.modes.normalisation
-        file.attrs["groups"] = "\n".join(result.groups)
-        file["eigenvalues"] = result.eigenvalues
-        file["frequencies_hz"] = result.modes.frequencies_hz
-        file["mode_shapes"] = result.modes.mode_shapes
-        file["nodes"] = result.modes.nodes
-        file["components"] = result.modes.components
-        file["strain_energies"] = result.strain_energies
-        file["total_strain_energy"] = result.total_strain_energy
-        return
-    if isinstance(result, ModeDerivatives):
-        file.attrs["kind"] = "derivatives"
-        file["eigenvalues"] = result.eigenvalues
-        file["mode_shapes"] = result.mode_shapes
-        return
-    file.attrs["kind"] = "matrices"
-    file["nodes"] = result.nodes
-    file["components"] = result.components
-    for name, matrix in (("stiffness", result.stiffness), ("mass", result.mass)):
-        upper = sparse.csr_array(sparse.triu(matrix, format="csr"))
-        for part in ("data", "indices", "indptr"):
-            file.create_dataset(f"{name}/{part}", data=getattr(upper, part))
-
-
-def _read_result(file: h5py.File) -> Result:
-    kind = file.attrs["kind"]
-    if kind == "derivatives":
-        return ModeDerivatives(file["eigenvalues"][()], file["mode_shapes"][()])
-    nodes, components = file["nodes"][()], file["components"][()]
-    if kind == "modal":
-        groups = str(file.attrs["groups"])
-        return ModalResult(
-            eigenvalues=file["eigenvalues"][()],
-            modes=ModeSet(
-                frequencies_hz=file["frequencies_hz"][()],
-                mode_shapes=file["mode_shapes"][()],
-                nodes=nodes,
-                components=components,
-                damping_ratios=np.zeros(0),
-                normalisation="mass" if file.attrs["normalisation"] == "mass" else "unknown",
-            ),
-            groups=tuple(groups.split("\n")) if groups else (),
-            strain_energies=file["strain_energies"][()],
-            total_strain_energy=file["total_strain_energy"][()],
-            mass=float(file.attrs["mass"]),
-        )
-    matrices = []
-    for name in ("stiffness", "mass"):
-        group = file[name]
-        upper = sparse.csr_array(
-            (group["data"][()], group["indices"][()], group["indptr"][()]), shape=(nodes.size,) * 2
-        )
-        matrices.append(symmetric(upper))
-    return MatrixResult(matrices[0], matrices[1], nodes, components)
-
-
-def symmetric(upper: sparse.csr_array) -> sparse.csr_array:
-    """The full symmetric matrix of an upper triangle."""
-    strict = sparse.triu(upper, k=1, format="csr")
-    return sparse.csr_array(upper + strict.T)

@@ -8,7 +8,7 @@ more than `mac`. A model that came nearer to the test never leaves it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -20,9 +20,9 @@ from modetune.core.pairing import LostMode
 from modetune.core.record import RunCounts
 from modetune.core.record_file import read_record
 from modetune.flows.campaign import Campaign
-from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.deck_texts import keep_text
 from modetune.flows.evaluation import Evaluation
+from modetune.flows.evaluators import evaluator_of
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import job_engine
 
@@ -101,7 +101,8 @@ def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> Base
     """
     baseline = _fitting(campaign, path, state)
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+    own = replace(campaign, eigensolver="solver")  # a baseline holds the solver's own modes
+    evaluator = evaluator_of(own, engine, ThreadExecution(engine, 1))
     theta = np.ones(len(campaign.parameters))
     try:
         evaluation, _ = evaluator.evaluate(0, theta, None, alone=True)

@@ -37,6 +37,7 @@ from modetune.flows.refusals import core_problems, licence_problems, method_prob
 from modetune.flows.schema import (
     STORE_VARIABLE,
     CampaignFile,
+    Eigensolver,
     ReportSection,
     SensitivitySection,
     Units,
@@ -90,6 +91,7 @@ class Campaign:
     begin: tuple[float, ...] | None = None
     held_out: MeasuredModes | None = None
     configurations: tuple[Configuration, ...] = ()
+    eigensolver: Eigensolver = "solver"
 
     @property
     def start(self) -> Floats:
@@ -209,6 +211,7 @@ def _load_one(
         report=file.report,
         nodes=pairing_nodes(test, mapping.sensors, solver),
         held_out=replace(held, modes=held.modes.rows(mapping.rows)) if held else None,
+        eigensolver=file.model.eigensolver,
     )
 
 

@@ -12,12 +12,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from modetune.core.errors import NotStored
+from modetune.core.errors import NotComputed, NotStored
 from modetune.core.keys import canonical_json, content_key
 from modetune.core.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign import Campaign
-from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.deck_texts import Text, deck_text, kept_text
+from modetune.flows.evaluators import evaluator_of
 from modetune.flows.execution.engine import Job, JobEngine, JobOutcome
 from modetune.flows.execution.work import Done, Work
 from modetune.flows.explain import Asked, Nearest, Texts, asked_by_note, nearest, stored_jobs
@@ -133,6 +133,8 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
         ended = None
         try:
             ended = updating.run()
+        except NotComputed:  # what comes next is computed here; no solver run can be told yet
+            break
         except NotStored:
             if not replay.planned:  # a damaged entry was set aside: once more, without it
                 continue

@@ -40,8 +40,15 @@ class Matrix:
 class Evaluating(Protocol):
     """Evaluates parameter sets of one campaign and counts what it cost."""
 
-    #: Whether sensitivities cost next to nothing, so that none is skipped.
-    cheap: bool = False
+    @property
+    def cheap(self) -> bool:
+        """Whether sensitivities cost no job, so that there is nothing for e2 to save."""
+        return False
+
+    @property
+    def steps_run(self) -> bool:
+        """Whether each step runs the solver."""
+        return True
 
     @property
     def runs(self) -> RunCounts:

@@ -67,6 +67,10 @@ class Evaluator(Evaluating):
         ledger = self.engine.ledger
         return replace(self._runs, core_s=ledger.core_s, licence_s=ledger.licence_s)
 
+    @property
+    def cheap(self) -> bool:
+        return all(method == "strain_energy" for method in self.methods)
+
     def evaluate(
         self, number: int, theta: Floats, previous: Evaluation | None, alone: bool
     ) -> tuple[Evaluation, Matrix | None]:
@@ -77,7 +81,7 @@ class Evaluator(Evaluating):
         """
         beside = [] if alone else self._works(theta, self.methods)
         modal_done, *columns = self._run(number, [self._modal_work(theta), *beside])
-        key = _unless_failed(modal_done)[0].key
+        key = unless_failed(modal_done)[0].key
         for widening in range(WIDENINGS + 1):
             modal = self.engine.result(Job(self._values(theta), self.analysis))
             assert isinstance(modal, ModalResult)
@@ -87,10 +91,9 @@ class Evaluator(Evaluating):
             except LostMode as error:
                 if widening == WIDENINGS:
                     raise
-                wider = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
-                logger.warning("%s; widening the range to %d modes", error, wider)
-                self.analysis = replace(self.analysis, n_modes=wider)
-                key = _unless_failed(self._run(number, [self._modal_work(theta)])[0])[0].key
+                self.analysis = wider(self.analysis)
+                logger.warning("%s; widening the range to %d modes", error, self.analysis.n_modes)
+                key = unless_failed(self._run(number, [self._modal_work(theta)])[0])[0].key
         if alone:
             return evaluation, None
         if widening:  # the jobs beside asked for too few modes
@@ -139,7 +142,7 @@ class Evaluator(Evaluating):
         values = np.zeros((evaluation.residual.values.size, len(names)))
         values[:, sorted(set(range(len(names))) - set(reasons))] = residual_sensitivity(
             self.campaign.test.modes, evaluation.seen, evaluation.pairing,
-            self.campaign.weighting, self._seen(evaluation, derivatives),
+            self.campaign.weighting, seen_derivatives(self.campaign, evaluation, derivatives),
         )  # fmt: skip
         keys = tuple(
             outcome.key for item in done if not isinstance(item, ModetuneError) for outcome in item
@@ -198,16 +201,6 @@ class Evaluator(Evaluating):
             raise next(iter(reasons.values()))
         return stack_derivatives([parts[column] for column in sorted(parts)])
 
-    def _seen(self, evaluation: Evaluation, derivatives: ModeDerivatives) -> ModeDerivatives:
-        """Derivatives of shapes as the test's sensors see them."""
-        if self.campaign.weighting.shape_weight == 0.0:
-            return derivatives
-        modes = evaluation.modal.modes
-        observer = self.campaign.sensors.matrix(modes.nodes, modes.components)
-        shapes = derivatives.mode_shapes
-        seen = observer @ shapes.reshape(shapes.shape[0], -1)
-        return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
-
     def _works(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
         plans = self.sensitivities()
         shared = plans.shared(theta, methods)
@@ -242,6 +235,24 @@ class Evaluator(Evaluating):
         )
 
 
+def wider(analysis: ModalAnalysis) -> ModalAnalysis:
+    """An analysis of more modes, in search of a lost one."""
+    return replace(analysis, n_modes=analysis.n_modes + max(4, analysis.n_modes // 2))
+
+
+def seen_derivatives(
+    campaign: Campaign, evaluation: Evaluation, derivatives: ModeDerivatives
+) -> ModeDerivatives:
+    """Derivatives of shapes as the test's sensors see them."""
+    if campaign.weighting.shape_weight == 0.0:
+        return derivatives
+    modes = evaluation.modal.modes
+    observer = campaign.sensors.matrix(modes.nodes, modes.components)
+    shapes = derivatives.mode_shapes
+    seen = observer @ shapes.reshape(shapes.shape[0], -1)
+    return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
+
+
 def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
     """The runs of one piece of work by kind."""
     ran = sum(not outcome.reused for outcome in outcomes)
@@ -253,7 +264,7 @@ def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
     )
 
 
-def _unless_failed(done: Done) -> tuple[JobOutcome, ...]:
+def unless_failed(done: Done) -> tuple[JobOutcome, ...]:
     if isinstance(done, ModetuneError):
         raise done
     return done

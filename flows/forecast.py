@@ -16,7 +16,8 @@ from modetune.core.holdings import holdings
 from modetune.core.keys import Json
 from modetune.core.record import IterationRecord
 from modetune.flows.campaign import Campaign
-from modetune.flows.evaluator import Evaluator
+from modetune.flows.evaluating import Evaluating
+from modetune.flows.evaluators import evaluator_of
 from modetune.flows.execution.engine import Job, JobEngine
 from modetune.flows.execution.limits import CORES
 from modetune.flows.execution.work import ThreadExecution
@@ -96,7 +97,9 @@ class Forecaster:
         self.tell = tell
         self._campaign = campaign
         self._engine = engine
-        evaluator = Evaluator(campaign, engine, ThreadExecution(engine, 1))
+        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+        # By matrices there are jobs at the start and one at the end, whatever the iterations.
+        self._iterations = campaign.update.max_iterations if evaluator.steps_run else 0
         first = _jobs(evaluator, campaign, 1.0)
         if campaign.update.max_iterations == 0:
             first = first[:1]  # the modal job goes alone
@@ -121,11 +124,11 @@ class Forecaster:
         return Forecast(
             coming=price(coming),
             further=price(self._further),
-            iterations=self._campaign.update.max_iterations - number,
+            iterations=max(self._iterations - number, 0),
         )
 
 
-def _jobs(evaluator: Evaluator, campaign: Campaign, factor: float) -> list[Job]:
+def _jobs(evaluator: Evaluating, campaign: Campaign, factor: float) -> list[Job]:
     """The jobs of an iteration, each once."""
     jobs: list[Job] = []
     for work in evaluator.planned(factor * campaign.start):

@@ -234,7 +234,8 @@ class Loop:
         current = state.current
         # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
         alone = (
-            state.skip is not None
+            self._waits
+            or state.skip is not None
             or chance > 0
             or self.number == self.campaign.update.max_iterations
             or expects_agreement(step, current, self.campaign.tolerances)
@@ -246,26 +247,36 @@ class Loop:
         change = slope(now, before, theta.size)
         return Trial(step, evaluation, fresh, change)
 
+    @property
+    def _waits(self) -> bool:
+        """Whether a set is looked at before its sensitivity is begun: Broyden's may do for it."""
+        e2, between = self.campaign.update.e2, self.campaign.sensitivity.between
+        return e2 > 0.0 and between == "broyden" and not self.evaluator.cheap
+
     def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
-        """The state after a better set, and whether more than nothing was gained by it."""
+        """The state after a better set, and whether more than nothing was gained by it.
+
+        e2 spares this set its sensitivity where Broyden's formula can stand in, and the next set
+        where the old matrix is kept as it is (thesis, 4.2), as long as steps keep their promise.
+        """
         before = self._objective(state.current, state.current.residual.values, trial.step)
         gain = self._gain(state.current, trial)
         promised = before - self._objective(state.current, trial.step.predicted, trial.step, 1.0)
-        e2 = self.campaign.update.e2
-        skip = trial.slope if 0.0 < trial.slope <= e2 and not matrix.missing else None
-        if self.evaluator.cheap:  # there is nothing that e2 could save
-            skip = None
+        kept = gain >= max(KEPT_PROMISE * promised, STATIONARY * before)
+        small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
+        spared, skip = None, None
+        if self._waits:
+            spared = trial.slope if small and kept else None
+        elif not self.evaluator.cheap and (kept or matrix.age == 0):
+            spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix
-        if state.skip is not None:
+        if spared is not None:
             following = self._older(matrix, state.current, trial)
-        if matrix.age > 0 and gain < max(KEPT_PROMISE * promised, STATIONARY * before):
-            following, skip = None, None
-        skipped = state.skip is not None and following is not None
-        if state.skip is not None and skipped:
-            self.evaluator.skip(self.number, state.skip)
+            self.evaluator.skip(self.number, spared)
         self.last_matrix = following or matrix
         decision = "" if skip is None else f"e2: slope {skip:.2g}, no new sensitivity next"
-        self._note(trial.evaluation, trial.step, matrix, trial.slope, True, decision, skipped)
+        self._note(trial.evaluation, trial.step, matrix, trial.slope, True, decision,
+                   spared is not None)  # fmt: skip
         return State(trial.evaluation, following, skip), gain > STATIONARY * before
 
     def _older(self, matrix: Matrix, current: Evaluation, trial: Trial) -> Matrix:

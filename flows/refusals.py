@@ -45,6 +45,13 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     }
     if not offered.get(method, True):
         return [f"{place}: {solver.name} does not offer {method} here; use `auto`"]
+    if file.model.eigensolver == "pardiso":
+        from modetune.flows.by_matrices.suitability import unsuitable
+
+        reason = unsuitable(solver, tuple(item.parameter() for item in file.parameters), method)
+        if reason is not None:
+            where = source.where(("model", "eigensolver"))
+            return [f"{where}: eigensolver pardiso: {reason}; use `auto` or solver"]
     if method == "semi_analytic" and shapes and not solver.model.solid_shapes:
         return [
             f"{place}: shape sensitivities from matrices need a model of solids without dependent "

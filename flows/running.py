@@ -15,9 +15,9 @@ from modetune.core.record import CampaignRecord
 from modetune.core.record_file import write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
-from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.deck_texts import keep_text
 from modetune.flows.evaluator import campaign_analysis
+from modetune.flows.evaluators import evaluator_of
 from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
 from modetune.flows.execution.limits import CORES, Limit, MachineLimits
 from modetune.flows.execution.slurm import on_slurm

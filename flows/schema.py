@@ -27,6 +27,7 @@ Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
 SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 NastranDialect = Literal["msc", "nx"]
+Eigensolver = Literal["auto", "solver", "pardiso"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
 #: Names the store's folder for all campaigns.
 STORE_VARIABLE = "MODETUNE_STORE"
@@ -41,8 +42,9 @@ class GeneratorSection(Section):
     """A model that modetune makes itself: garteur and fixture in solids for CalculiX, or
     garteur_shell, a Nastran deck."""
 
-    case: Literal["garteur", "garteur_shell", "fixture"]
-    """`garteur`, `fixture`: solids, for CalculiX; `garteur_shell`: a Nastran deck."""
+    case: Literal["garteur", "garteur_shell", "fixture", "launcher"]
+    """`garteur`, `fixture`: solids, `launcher`: shells and solids, for CalculiX; `garteur_shell`: a
+    Nastran deck."""
     mesh: Literal["coarse", "fine"] = "fine"
     """How fine the solids are meshed."""
 
@@ -58,6 +60,10 @@ class ModelSection(Section):
     """The program that runs the deck; `calculix` runs Nastran decks too, by translation."""
     dialect: NastranDialect = "msc"
     """Which Nastran: MSC, or Simcenter (NX)."""
+    eigensolver: Eigensolver = "auto"
+    """Who finds the modes while updating: `solver`, the solver itself; `pardiso`, modetune from the
+    matrices that CalculiX assembles once, with the solver's own modes at the end; `auto`, the
+    faster of both."""
     units: Units
     """The consistent units that the deck is written in."""
 

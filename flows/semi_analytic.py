@@ -10,7 +10,7 @@ and the unknowns that it keeps to itself), checked against the solver's eigenval
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.eigen import solve_modes
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.keys import Json
+from modetune.core.matrices import symmetric, upper_triangle
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import ParameterSet
 from modetune.core.results import MatrixResult, ModeDerivatives
@@ -121,7 +122,7 @@ class SemiAnalytic:
         }
         stacked = self.engine.derived(asked, lambda: stack_derivatives(
             list(self._from_matrices(point, columns).values())
-        ))  # fmt: skip
+        ), ModeDerivatives)  # fmt: skip
         return {column: stacked.column(place) for place, column in enumerate(columns)}
 
     def _from_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
@@ -134,7 +135,7 @@ class SemiAnalytic:
         """K and M at these values, and dK/dp and dM/dp of these columns."""
         base = self._matrices(self.base_job(theta))
         changes = {column: self._change(theta, column, base) for column in columns}
-        stiffness, mass = base.stiffness, base.mass
+        stiffness, mass = base.upper_stiffness, base.upper_mass
         if self.constant:
             # K and M at theta follow from the reference model's, so no further job is needed.
             for column, parameter in enumerate(self.parameters.parameters):
@@ -142,11 +143,12 @@ class SemiAnalytic:
                 if move == 0.0:
                     continue
                 dk, dm = changes.get(column) or self._change(theta, column, base)
-                stiffness, mass = stiffness + move * dk, mass + move * dm
-        base = MatrixResult(
-            sparse.csr_array(stiffness), sparse.csr_array(mass), base.nodes, base.components
+                stiffness = stiffness + move * upper_triangle(dk)
+                mass = mass + move * upper_triangle(dm)
+        moved = replace(
+            base, upper_stiffness=sparse.csr_array(stiffness), upper_mass=sparse.csr_array(mass)
         )
-        return base, changes
+        return moved, changes
 
     def _change(self, theta: Floats, column: int, base: MatrixResult, pair: int = 0) -> Change:
         """dK/dp and dM/dp by differences of stored matrices; exact where they are linear in p."""
@@ -160,8 +162,8 @@ class SemiAnalytic:
                        for factor in (upper, lower))  # fmt: skip
         width = high - below
         return (
-            sparse.csr_array((ends[0].stiffness - low.stiffness) / width),
-            sparse.csr_array((ends[0].mass - low.mass) / width),
+            symmetric(sparse.csr_array((ends[0].upper_stiffness - low.upper_stiffness) / width)),
+            symmetric(sparse.csr_array((ends[0].upper_mass - low.upper_mass) / width)),
         )
 
     def _check_pairs(
@@ -190,9 +192,10 @@ class SemiAnalytic:
     ) -> dict[int, ModeDerivatives]:
         elastic, paired = point.modal.elastic, point.pairing.computed
         n_modes = point.modal.modes.n_modes
+        stiffness, mass = base.stiffness, base.mass
         try:
             eigenvalues, shapes = solve_modes(
-                base.stiffness, base.mass, n_modes, shift=-0.1 * float(elastic.eigenvalues[0])
+                stiffness, mass, n_modes, shift=-0.1 * float(elastic.eigenvalues[0])
             )
         except ModelError as error:
             raise UnlikeMatrices(
@@ -220,7 +223,7 @@ class SemiAnalytic:
                 for column, change in changes.items()
             }
         rows, held = _sensor_rows(base, elastic.nodes, elastic.components)
-        found = nelson(base.stiffness, base.mass, eigenvalues, shapes, list(changes.values()),
+        found = nelson(stiffness, mass, eigenvalues, shapes, list(changes.values()),
                        modes.tolist(), rows)  # fmt: skip
         at_sensors = shapes[rows][:, modes]
         signs = np.where(

@@ -112,6 +112,12 @@ def _generated(generator: GeneratorSection) -> tuple[str, str]:
         return f"fixture_{generator.mesh}.inp", fixture.calculix_deck(
             fixture.MESHES[generator.mesh]
         )
+    if generator.case == "launcher":
+        from modetune.configs.launcher import launcher
+
+        return f"launcher_{generator.mesh}.inp", launcher.calculix_deck(
+            launcher.MESHES[generator.mesh]
+        )
     from modetune.configs.garteur import aircraft
 
     return f"garteur_{generator.mesh}.inp", aircraft.calculix_deck(aircraft.MESHES[generator.mesh])

@@ -21,7 +21,8 @@ import numpy as np
 import pytest
 
 from modetune.adapters import process
-from modetune.adapters.calculix.results import read_matrices, read_messages, read_modal
+from modetune.adapters.calculix.matrices import read_matrices
+from modetune.adapters.calculix.results import read_messages, read_modal
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.modes_csv import read_modes_csv
 from modetune.adapters.nastran.f06 import read_f06

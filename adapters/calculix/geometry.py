@@ -58,7 +58,7 @@ def read_geometry(deck: Deck, result_nodes: frozenset[int]) -> Mesh:
     stay. No node has axes of its own: results are printed in global axes (GLOBAL=YES), whatever
     *TRANSFORM says. Raises ModelError with file and line.
     """
-    places = _places(deck)
+    places = read_places(deck)
     elements: dict[int, tuple[CellKind | None, list[int]]] = {}
     for card in deck.named("*ELEMENT"):
         kind = cell_kind(card.option("TYPE"))
@@ -87,7 +87,7 @@ def _cells(kind: CellKind, rows: list[list[int]]) -> Cells:
     return Cells(kind, table[:, 0], nodes)
 
 
-def _places(deck: Deck) -> dict[int, tuple[float, float, float]]:
+def read_places(deck: Deck) -> dict[int, tuple[float, float, float]]:
     """Coordinates of all nodes.
 
     ccx knows one way to give them, x, y, z in global axes: other programs' SYSTEM option it skips

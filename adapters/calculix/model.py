@@ -15,6 +15,7 @@ from modetune.adapters.calculix.deck import (
     format_number,
     replace_field,
 )
+from modetune.adapters.calculix.incidence import roles_of
 from modetune.adapters.calculix.mesh import Mesh, read_mesh
 from modetune.adapters.solver import ModelSummary
 from modetune.core.errors import ModelError
@@ -26,6 +27,12 @@ SECTIONS = (
 )  # fmt: skip
 #: Cards that tie nodes to others: their unknowns are not in the stored matrices.
 DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING")
+
+#: Those of them that are not followed to the unknowns they depend on.
+NOT_FOLLOWED = (
+    "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING", "*CYCLIC SYMMETRY MODEL",
+    "*PRE-TENSION SECTION",
+)  # fmt: skip
 
 #: Elements whose printed strain energy is zero (SPRINGA) or lacks the hourglass part.
 WITHOUT_ENERGY = re.compile(r"SPRINGA|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
@@ -61,6 +68,14 @@ class CalculixModel:
             components=frozenset({1, 2, 3}),  # ccx prints no rotations
             n_elements=len(elements),
             solid_shapes=solid and free and not self.deck.named("*TRANSFORM"),
+            matrix_shapes=self._followed(),
+        )
+
+    def _followed(self) -> bool:
+        """Whether all elements and ties are of kinds whose displacements equations tell."""
+        kinds = {element.kind for element in self.mesh.elements.values()}
+        return not self.deck.named(*NOT_FOLLOWED) and all(
+            "other" not in roles_of(kind) for kind in kinds
         )
 
     @property
@@ -113,7 +128,7 @@ class CalculixModel:
         """
         names = {canonical_name(target) for target in parameter.targets}
         if parameter.quantity == "youngs_modulus":
-            users = self._users(names)
+            users = self.users(names)
             if any("COMPOSITE" in card.options for card in users):
                 return ()
             sets = sorted({card.option("ELSET") for card in users})
@@ -149,7 +164,8 @@ class CalculixModel:
                 )
         return changed
 
-    def _users(self, materials: set[str]) -> list[Card]:
+    def users(self, materials: set[str]) -> list[Card]:
+        """Sections that use one of these materials."""
         return [
             card
             for card in self.sections
@@ -193,7 +209,7 @@ def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[C
     names = [card.option("NAME") for card in model.deck.named("*MATERIAL")]
     if material not in names:
         raise ModelError(f"the deck has no material {material}{_suggest(material, names)}")
-    users = model._users({material})
+    users = model.users({material})
     if not any(model.mesh.element_sets.get(card.option("ELSET")) for card in users):
         raise ModelError(f"no element uses material {material}")
     inside, cards = False, []

@@ -1,4 +1,4 @@
-"""What ccx leaves: the .dat file of a modal job, the matrix files, its messages.
+"""What ccx leaves: the .dat file of a modal job, and its messages.
 
 The .dat file has one table of eigenvalues and then, under a heading with the mode's number, the
 printed quantities of each mode. Quantities are taken by mode number; frequencies would collide
@@ -7,21 +7,17 @@ for repeated modes. A good run prints the whole table: an exit code of 0 proves 
 
 from __future__ import annotations
 
-import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import polars as pl
-from scipy import sparse
 
 from modetune.adapters.calculix.job import ALL
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModesError, NoResult
 from modetune.core.modes import Floats, Integers, mode_set
-from modetune.core.results import MatrixResult, ModalResult
-from modetune.core.store import symmetric
+from modetune.core.results import ModalResult
 
 MODE_HEADING = "E I G E N V A L U E    N U M B E R"
 
@@ -157,49 +153,3 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return float(re.sub(r"(?<=\d)([+-]\d{3})$", r"E\1", text))
-
-
-def read_matrices(folder: Path, job: str) -> MatrixResult:
-    """The matrices of a MATRIXSTORAGE job. Raises NoResult where they are not whole."""
-    try:
-        names = _read_names(folder / f"{job}.dof")
-        size = names.height
-        stiffness = _read_triangle(folder / f"{job}.sti", size)
-        mass = _read_triangle(folder / f"{job}.mas", size)
-    except (
-        OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError, IndexError,
-        OverflowError,
-    ) as error:  # fmt: skip  # polars panics on some garbled text
-        raise NoResult(f"{folder}: the stored matrices cannot be read: {error}") from error
-    return MatrixResult(stiffness, mass, names["node"].to_numpy(), names["component"].to_numpy())
-
-
-def _read_names(path: Path) -> pl.DataFrame:
-    """Node and component of each equation, from `node.component` lines."""
-    data = path.read_bytes()
-    schema = {"node": pl.Int64, "component": pl.Int64}
-    names = pl.read_csv(io.BytesIO(data), separator=".", has_header=False, schema=schema)
-    if not data.endswith(b"\n") or names.null_count().sum_horizontal().item():
-        raise ValueError(f"{path.name} ends within a line")
-    return names
-
-
-def _read_triangle(path: Path, size: int) -> sparse.csr_array:
-    """A symmetric matrix from `row column value` lines, 1-based, of its upper triangle."""
-    data = path.read_bytes()
-    if not data.endswith(b"\n"):
-        raise ValueError(f"{path.name} ends within a line")
-    table = pl.read_csv(
-        io.BytesIO(data.replace(b"  ", b" ")),
-        separator=" ",
-        has_header=False,
-        schema={"row": pl.Int32, "column": pl.Int32, "value": pl.Float64},
-    ).filter(pl.col("value") != 0.0)
-    if table.null_count().sum_horizontal().item():
-        raise ValueError(f"{path.name} has a line without row, column or value")
-    rows, columns = table["row"].to_numpy() - 1, table["column"].to_numpy() - 1
-    upper = sparse.coo_array((table["value"].to_numpy(), (rows, columns)), shape=(size, size))
-    diagonal = upper.tocsr()
-    if not (diagonal.diagonal() > 0.0).all():
-        raise ValueError(f"{path.name} has equations without a positive diagonal: it is cut short")
-    return symmetric(sparse.csr_array(diagonal))

@@ -7,19 +7,22 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from modetune.adapters.calculix.deck import read_deck, write_edited
+from modetune.adapters.calculix.footprint import footprint_of
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
+from modetune.adapters.calculix.incidence import Incidence, read_incidence
 from modetune.adapters.calculix.job import job_text
+from modetune.adapters.calculix.matrices import read_matrices
 from modetune.adapters.calculix.model import CalculixModel, understand
+from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.results import (
     SolverMessage,
-    read_matrices,
     read_messages,
     read_modal,
     read_version,
@@ -29,6 +32,7 @@ from modetune.adapters.solver import (
     Analysis,
     Capabilities,
     Command,
+    Footprint,
     ModalAnalysis,
     ModelSummary,
 )
@@ -41,8 +45,10 @@ from modetune.core.errors import (
 )
 from modetune.core.keys import Json
 from modetune.core.mesh import Mesh
+from modetune.core.modes import Integers
+from modetune.core.observation import Observation
 from modetune.core.parameters import Parameter, Quantity, Values
-from modetune.core.results import Result
+from modetune.core.results import MatrixResult, Result
 
 JOB = "job"
 #: Names another program than `ccx` on PATH.
@@ -68,7 +74,7 @@ class CalculixSolver:
     name = "calculix"
     #: Raised by hand when the same ccx output is read to other numbers.
     reader_version = 1
-    capabilities = Capabilities(strain_energies=True, matrices=True)
+    capabilities = Capabilities(strain_energies=True, matrices=True, matrix_modes=True)
 
     @property
     def model(self) -> ModelSummary:
@@ -127,6 +133,26 @@ class CalculixSolver:
 
     def is_linear(self, parameter: Parameter) -> bool:
         return parameter.quantity in LINEAR
+
+    @cached_property
+    def _incidence(self) -> Incidence:
+        return read_incidence(self.deck.deck, self.deck.mesh)
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        if parameter.quantity not in LINEAR and parameter.quantity != "thickness":
+            return None
+        return self.footprint_of({field.line for field in self.deck.fields(parameter)})
+
+    def footprint_of(self, lines: Collection[int]) -> Footprint | None:
+        """What the numbers in these lines of the deck move, as one relative value of theirs."""
+        return footprint_of(self.deck, self._incidence, self.mesh(), lines)
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return observe(
+            self.deck, self._incidence, matrices.nodes, matrices.components, nodes, components
+        )
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         text = self._text(values, analysis)

@@ -80,4 +80,4 @@ def _matrices(model: MatrixModel, arrays: dict[str, Floats]) -> MatrixResult:
         )
         for name in ("stiffness", "mass")
     )
-    return MatrixResult(stiffness, mass, model.nodes, model.components)
+    return MatrixResult.of_full(stiffness, mass, model.nodes, model.components)

@@ -16,14 +16,17 @@ from modetune.adapters.solver import (
     Analysis,
     Capabilities,
     Command,
+    Footprint,
     ModalAnalysis,
     ModelSummary,
 )
 from modetune.core.errors import ModelError
 from modetune.core.keys import Json
 from modetune.core.mesh import Mesh
+from modetune.core.modes import Integers
+from modetune.core.observation import Observation, observe
 from modetune.core.parameters import Parameter, Values
-from modetune.core.results import Result
+from modetune.core.results import MatrixResult, Result
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,7 @@ class MatricesSolver:
             node_ids=frozenset(model.nodes.tolist()),
             components=frozenset(model.components.tolist()),
             n_elements=len(model.parts),
+            matrix_shapes=True,
             solid_shapes=True,  # every unknown is one of a node, under one name
         )
 
@@ -87,6 +91,26 @@ class MatricesSolver:
 
     def is_linear(self, parameter: Parameter) -> bool:
         return True
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        parts = self.deck.model.targets(parameter)
+        matrices = [matrix for part in parts for matrix in (part.stiffness, part.mass)
+                    if matrix is not None]  # fmt: skip
+        touched = [np.unique(matrix.nonzero()[0]) for matrix in matrices]
+        rows = np.concatenate([*touched, np.zeros(0, dtype=np.int64)]).astype(np.int64)
+        numbers = {name: number for number, name in enumerate(self.deck.model.parts, start=1)}
+        return Footprint(
+            elements=frozenset(numbers[target] for target in parameter.targets),
+            nodes=frozenset(self.deck.model.nodes[rows].tolist()),
+            stiffness=any(part.stiffness is not None for part in parts),
+            mass=any(part.mass is not None for part in parts),
+            powers=(1,),
+        )
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return observe(matrices.nodes, matrices.components, nodes, components)
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         modal = analysis if isinstance(analysis, ModalAnalysis) else ModalAnalysis(0, ())

@@ -24,6 +24,7 @@ from modetune.adapters.solver import (
     Analysis,
     Capabilities,
     Command,
+    Footprint,
     ModalAnalysis,
     ModelSummary,
     SensitivityAnalysis,
@@ -38,8 +39,10 @@ from modetune.core.errors import (
 )
 from modetune.core.keys import Json
 from modetune.core.mesh import Mesh
+from modetune.core.modes import Integers
+from modetune.core.observation import Observation, nothing_known
 from modetune.core.parameters import Parameter, Values
-from modetune.core.results import ModalResult, ModeDerivatives, Result
+from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
 
 #: Fatal messages that a machine with more memory or disk would not give.
 RESOURCES = re.compile(
@@ -107,6 +110,14 @@ class NastranSolver:
 
     def is_linear(self, parameter: Parameter) -> bool:
         return self.deck.is_linear(parameter)
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        return None
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return nothing_known(nodes.size, matrices.nodes.size)
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         text = self._text(values, analysis)

@@ -16,8 +16,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 
 from modetune.adapters.calculix.deck import parse_deck
+from modetune.adapters.calculix.footprint import changed_lines
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, understand
 from modetune.adapters.calculix.solver import PROGRAM_VARIABLE, CalculixSolver
 from modetune.adapters.nastran import model as nastran_model
@@ -25,16 +27,24 @@ from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck, write_edited
 from modetune.adapters.nastran.geometry import read_geometry
 from modetune.adapters.nastran.model import NastranModel
-from modetune.adapters.solver import Analysis, Capabilities, Command, ModalAnalysis, ModelSummary
+from modetune.adapters.solver import (
+    Analysis,
+    Capabilities,
+    Command,
+    Footprint,
+    ModalAnalysis,
+    ModelSummary,
+)
 from modetune.adapters.translation.cards import refused_commands
 from modetune.adapters.translation.shells import KINDS as SHELLS
 from modetune.adapters.translation.translate import Translation, translate
 from modetune.core.errors import ModelError
 from modetune.core.keys import Json
 from modetune.core.mesh import Mesh
-from modetune.core.modes import Floats, ModeSet
+from modetune.core.modes import Floats, Integers, ModeSet
+from modetune.core.observation import Observation
 from modetune.core.parameters import Parameter, Values
-from modetune.core.results import ModalResult, Result
+from modetune.core.results import MatrixResult, ModalResult, Result
 
 logger = logging.getLogger(__name__)
 
@@ -68,7 +78,7 @@ class TranslatedSolver:
     name = "calculix"
     #: Raised by hand when the same translated deck's output is read to other numbers.
     reader_version = 1
-    capabilities = Capabilities(strain_energies=True, matrices=True)
+    capabilities = Capabilities(strain_energies=True, matrices=True, matrix_modes=True)
 
     @cached_property
     def model(self) -> ModelSummary:
@@ -79,6 +89,7 @@ class TranslatedSolver:
             node_ids=nominal.solver.model.node_ids & grids,
             components=nominal.solver.model.components,
             solid_shapes=nominal.solver.model.solid_shapes,
+            matrix_shapes=nominal.solver.model.matrix_shapes,
         )
 
     @cached_property
@@ -115,6 +126,44 @@ class TranslatedSolver:
 
     def is_linear(self, parameter: Parameter) -> bool:
         return self.deck.is_linear(parameter)
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        """By what of the translated deck changes with the parameter.
+
+        Not every parameter that a Nastran model is linear in is so in its translation.
+        """
+        if parameter.quantity == "poissons_ratio" or self.deck.problems((parameter,)):
+            return None
+        nominal = self._at({}).solver
+        values = [self.deck.written(parameter, value) for value in (0.5, 2.0)]
+        try:
+            decks = [self._translate(self.deck.edit([(parameter, value)])).solver.deck
+                     for value in values]  # fmt: skip
+        except ModelError:
+            return None
+        lines = changed_lines(nominal.deck, decks, values)
+        return nominal.footprint_of(lines) if lines else None
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        nominal = self._at({})
+        frames = nominal.translation.frames
+        if frames.keys().isdisjoint(nodes.tolist()):
+            return nominal.solver.observation(matrices, nodes, components)
+        # The nodes' three basic displacements, then what is wanted of each.
+        size = nodes.size
+        basic = nominal.solver.observation(
+            matrices, np.repeat(nodes, 3), np.tile(np.arange(1, 4), size)
+        )
+        axes = [frames.get(node, np.eye(3))[component - 1] for node, component in
+                zip(nodes.tolist(), components.tolist(), strict=True)]  # fmt: skip
+        turn = sparse.csr_array(
+            (np.concatenate(axes), np.arange(3 * size), np.arange(0, 3 * size + 1, 3)),
+            shape=(size, 3 * size),
+        )
+        turn.eliminate_zeros()
+        return basic.turned(turn)
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         translated = self._at(values)
@@ -153,21 +202,22 @@ class TranslatedSolver:
                              if value != 1.0))  # fmt: skip
         with self._lock:
             if known not in self._kept:
-                self._kept[known] = self._translate(values)
+                self._kept[known] = self._translate(self._changed(values))
                 while len(self._kept) > KEPT:
                     # The nominal translation, the first one, is always of use.
                     self._kept.pop(next(key for key in self._kept if key != ()))
             self._kept.move_to_end(known)
             return self._kept[known]
 
-    def _translate(self, values: Values) -> Translated:
+    def _translate(self, changed: dict[int, str]) -> Translated:
+        """The translation with some lines of the deck changed. Raises ModelError."""
         stem = self.deck.deck.file.stem
         case = read_case_control(self.deck.deck)
         lost = refused_commands(case)
         if lost:
             raise ModelError(f"{stem} cannot be translated to CalculiX:\n" + "\n".join(lost))
         translation = translate(
-            self.deck.bulk_at(self._changed(values)), stem, spc=case.selected("SPC"),
+            self.deck.bulk_at(changed), stem, spc=case.selected("SPC"),
             mpc=case.selected("MPC"), single=self._single, wtmass=self.deck.wtmass,
         )  # fmt: skip
         logger.info("%s translated: %s", stem, translation.mass_check)

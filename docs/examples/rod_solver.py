@@ -12,13 +12,21 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.process import LOG, log_tail
-from modetune.adapters.solver import Analysis, Capabilities, Command, ModalAnalysis, ModelSummary
+from modetune.adapters.solver import (
+    Analysis,
+    Capabilities,
+    Command,
+    Footprint,
+    ModalAnalysis,
+    ModelSummary,
+)
 from modetune.core.errors import ModelError, NoResult, SolverCrashed, SolverRejected
 from modetune.core.keys import Json
 from modetune.core.mesh import Cells, Mesh
-from modetune.core.modes import mode_set
+from modetune.core.modes import Integers, mode_set
+from modetune.core.observation import Observation, nothing_known
 from modetune.core.parameters import Parameter, Values
-from modetune.core.results import ModalResult, Result
+from modetune.core.results import MatrixResult, ModalResult, Result
 
 PROGRAM = Path(__file__).with_name("rod.py")
 #: Which word of a `material` line is the number of each quantity.
@@ -89,6 +97,14 @@ class RodSolver:
 
     def is_linear(self, parameter: Parameter) -> bool:
         return True  # stiffness in E, mass in the density
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        return None  # the program gives no matrices
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return nothing_known(nodes.size, matrices.nodes.size)
 
     # --8<-- [end:parameters]
 

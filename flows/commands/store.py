@@ -100,6 +100,9 @@ def show_dry_run(campaign_file: Path, settings: list[str], runs: Path, as_json: 
             typer.echo(f"      {_nearest_line(item.nearest)}")
     if found.ended is not None:
         typer.echo(f"nothing would be run; {found.ended.status}: {found.ended.reason}")
+    elif not found.jobs:
+        typer.echo("modes would be found from the stored matrices, and then one modal job would be "
+                   "run at the parameters where that ends")  # fmt: skip
     else:
         typer.echo(f"{_count(len(found.runs), 'job')} would be run, {len(found.jobs)} are asked "
                    "for in this iteration; what follows depends on their results")  # fmt: skip

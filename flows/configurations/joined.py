@@ -15,14 +15,22 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.solver import Analysis, Capabilities, Command, ModelSummary, Solver
+from modetune.adapters.solver import (
+    Analysis,
+    Capabilities,
+    Command,
+    Footprint,
+    ModelSummary,
+    Solver,
+)
 from modetune.core.errors import CampaignError
 from modetune.core.keys import Json
 from modetune.core.mesh import Mesh
-from modetune.core.modes import MeasuredModes, ModeSet, mode_set
+from modetune.core.modes import Integers, MeasuredModes, ModeSet, mode_set
 from modetune.core.numbering import numbered
+from modetune.core.observation import Observation, nothing_known
 from modetune.core.parameters import Parameter, ParameterSet, Values
-from modetune.core.results import Result
+from modetune.core.results import MatrixResult, Result
 from modetune.core.sensors import by_number
 from modetune.core.surface import Surface
 from modetune.flows.sensors.mapping import Mapping
@@ -87,6 +95,14 @@ class JointSolver:
             part.solver.is_linear(parameter)
             for part in self.parts if parameter.name in part.parameters.names
         )  # fmt: skip
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        return None
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return nothing_known(nodes.size, matrices.nodes.size)
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         """The contents of all configurations by their names."""

@@ -35,12 +35,6 @@ from modetune.flows.execution.work import Done, Execution, Work
 logger = logging.getLogger(__name__)
 
 
-def evaluator_of(campaign: Campaign, engine: JobEngine, execution: Execution) -> Evaluating:
-    """What evaluates a campaign, of one configuration or of several."""
-    kind = JointEvaluator if campaign.configurations else Evaluator
-    return kind(campaign, engine, execution)
-
-
 def engine_of(engine: JobEngine, configuration: Configuration) -> JobEngine:
     """The campaign's engine for one configuration's model."""
     campaign = configuration.campaign
@@ -119,6 +113,10 @@ class JointEvaluator(Evaluating):
             runs = runs.plus(part.evaluator.runs)
         ledger = self.engine.ledger
         return replace(runs, core_s=ledger.core_s, licence_s=ledger.licence_s)
+
+    @property
+    def cheap(self) -> bool:
+        return all(part.evaluator.cheap for part in self.parts)
 
     def evaluate(
         self, number: int, theta: Floats, previous: Evaluation | None, alone: bool

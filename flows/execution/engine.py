@@ -15,8 +15,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 from modetune.adapters.process import disk_full, run_process
 from modetune.adapters.solver import Analysis, Solver
@@ -25,6 +26,7 @@ from modetune.core.errors import (
     ModelError,
     ModesError,
     NoResult,
+    NotComputed,
     NotStored,
     SolverCancelled,
     SolverCrashed,
@@ -35,12 +37,13 @@ from modetune.core.errors import (
 )
 from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.parameters import Values
-from modetune.core.results import ModeDerivatives, Result, finite
+from modetune.core.results import Result, finite
 from modetune.core.store import Entry, Store, storage_errors
 from modetune.flows.execution.limits import CORES, Limit, Limits
 from modetune.flows.notes import NOTE_FILE, job_note
 
 logger = logging.getLogger(__name__)
+R = TypeVar("R", bound=Result)
 
 #: Pauses before asking again for a licence grow by this factor up to this length, seconds.
 PAUSE_GROWTH, LONGEST_PAUSE_S = 1.5, 600.0
@@ -194,20 +197,48 @@ class JobEngine:
     def _note(self, job: Job) -> str:
         return job_note(self.solver, job.values, job.analysis, self.threads).text()
 
-    def derived(self, asked: Json, compute: Callable[[], ModeDerivatives]) -> ModeDerivatives:
+    def derived(self, asked: Json, compute: Callable[[], R], kind: type[R]) -> R:
         """What is computed here from results at a cost, from the store if it is there.
 
         asked: everything that can change the numbers, keys of the results among it.
+        Raises NotComputed where the store alone may answer and has no answer.
         """
         text = canonical_json(asked)
         key = content_key(text)
         entry = self.store.get(key)
-        if entry is not None and isinstance(entry.result, ModeDerivatives):
+        if entry is not None and isinstance(entry.result, kind):
             return entry.result
-        started = time.monotonic()
-        result = compute()
-        self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), text)
+        if not self.may_run:
+            raise NotComputed(f"the store has no {key[:12]}, and nothing may be computed here")
+        with self.store.lock(key, self._wait_for_another):
+            entry = self.store.get(key)  # another campaign may have been faster
+            if entry is not None and isinstance(entry.result, kind):
+                return entry.result
+            started = time.monotonic()
+            result = compute()
+            self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), text)
         return result
+
+    def with_threads(self, threads: int) -> JobEngine:
+        """The same engine with so many threads a job."""
+        limits = tuple(
+            replace(limit, taken=min(threads, limit.slots)) if limit.name == CORES else limit
+            for limit in self.limits
+        )
+        return replace(self, threads=threads, limits=limits)
+
+    @contextmanager
+    def all_cores(self) -> Iterator[None]:
+        """Hold all of the machine's cores for work in this process, and count its cost."""
+        limits = tuple(
+            replace(limit, taken=limit.slots) for limit in self.limits if limit.name == CORES
+        )
+        with self.counter.held(limits, self._wait_for_slot):
+            started = time.monotonic()
+            try:
+                yield
+            finally:
+                self.ledger.add(time.monotonic() - started, limits)
 
     def _with_retries(self, job: Job, key: str) -> Result:
         failures: Counter[type[SolverError]] = Counter()

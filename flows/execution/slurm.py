@@ -17,7 +17,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.adapters.process import LOG, log_tail
-from modetune.adapters.solver import Analysis, Capabilities, Command, ModelSummary, Solver
+from modetune.adapters.solver import (
+    Analysis,
+    Capabilities,
+    Command,
+    Footprint,
+    ModelSummary,
+    Solver,
+)
 from modetune.core.errors import (
     SolverCrashed,
     SolverError,
@@ -27,8 +34,10 @@ from modetune.core.errors import (
 )
 from modetune.core.keys import Json
 from modetune.core.mesh import Mesh
+from modetune.core.modes import Integers
+from modetune.core.observation import Observation
 from modetune.core.parameters import Parameter, Values
-from modetune.core.results import Result
+from modetune.core.results import MatrixResult, Result
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.execution.limits import CORES, Limit, MachineLimits
 from modetune.flows.execution.site import SlurmSection
@@ -98,6 +107,14 @@ class SlurmSolver:
 
     def is_linear(self, parameter: Parameter) -> bool:
         return self.solver.is_linear(parameter)
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        return self.solver.footprint(parameter)
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return self.solver.observation(matrices, nodes, components)
 
     def content(self, values: Values, analysis: Analysis) -> Json:
         return self.solver.content(values, analysis)

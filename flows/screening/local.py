@@ -16,8 +16,8 @@ import numpy as np
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign import Campaign
-from modetune.flows.evaluation import Evaluation
 from modetune.flows.evaluating import Matrix
+from modetune.flows.evaluation import Evaluation
 from modetune.flows.screening.record import LocalSensitivity
 
 

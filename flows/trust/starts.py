@@ -28,8 +28,8 @@ from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.record_file import write_record
 from modetune.core.trust import StartSpread, with_spread
 from modetune.flows.campaign import Campaign
-from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.evaluator import CAMPAIGNS_OWN
+from modetune.flows.evaluators import evaluator_of
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.forecast import Forecast

@@ -23,8 +23,8 @@ from modetune.core.numbering import CONFIGURATION, mode_name
 from modetune.core.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.store import check_writable
 from modetune.flows.campaign import Campaign, joined
-from modetune.flows.configurations.joint import evaluator_of
 from modetune.flows.evaluator import CAMPAIGNS_OWN
+from modetune.flows.evaluators import evaluator_of
 from modetune.flows.execution.engine import JobEngine
 from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import solving_engine
@@ -195,7 +195,9 @@ def _fold(
             raise
         logger.warning("%s: %s", said, error)
         unknown = np.full(len(campaign.parameters), np.nan)
-        fold = Fold(number, "failed", str(error), updating.iterations[-1].number, unknown, None)
+        fold = Fold(
+            number, "failed", str(error), max(len(updating.iterations) - 1, 0), unknown, None
+        )
         return fold, evaluator.runs
     return _judged(number, record), record.runs
 

@@ -7,14 +7,12 @@ are bar.inp with the fault they are named after; too_many_modes.log is shortened
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from modetune.adapters.calculix.results import (
-    read_matrices,
     read_messages,
     read_modal,
     read_version,
@@ -199,47 +197,3 @@ def test_messages_are_read_from_recorded_logs(
     assert next((m.keyword for m in messages if m.keyword), "") == keyword
     assert next((m.element for m in messages if m.element), 0) == element
     assert not any("STEP" in message.text for message in messages)
-
-
-def test_matrices_are_read_with_the_names_of_their_equations() -> None:
-    result = read_matrices(DATA, "clamped")
-    # Nodes 1 to 4 are clamped; an element's 9 incompatible unknowns follow its 4 free nodes.
-    assert result.nodes[:12].tolist() == [5, 5, 5, 6, 6, 6, 7, 7, 7, 8, 8, 8]
-    assert result.components[:12].tolist() == [1, 2, 3] * 4
-    assert result.stiffness.shape == result.mass.shape == (21, 21)
-    for matrix in (result.stiffness.toarray(), result.mass.toarray()):
-        np.testing.assert_array_equal(matrix, matrix.T)
-    assert np.linalg.eigvalsh(result.stiffness.toarray()).min() > 0.0  # nothing is free to move
-    # first lines of clamped.sti and clamped.mas
-    assert result.stiffness[0, 0] == float((DATA / "clamped.sti").read_text().split()[2])
-    assert result.mass[0, 0] == float((DATA / "clamped.mas").read_text().split()[2])
-
-
-@pytest.mark.parametrize("name", ["dof", "sti", "mas"])
-@pytest.mark.parametrize("cut", ["nothing", "half a line", "last line", "half", "absent"])
-def test_matrices_cut_short_are_no_result(tmp_path: Path, name: str, cut: str) -> None:
-    for suffix in ("dof", "sti", "mas"):
-        shutil.copy(DATA / f"clamped.{suffix}", tmp_path / f"job.{suffix}")
-    path = tmp_path / f"job.{name}"
-    lines = path.read_text().splitlines(keepends=True)
-    text = {
-        "nothing": "",
-        "half a line": "".join(lines)[:-2],
-        "last line": "".join(lines[:-1]),
-        "half": "".join(lines[: len(lines) // 2]),
-        "absent": "",
-    }[cut]
-    path.write_text(text)
-    if cut == "absent":
-        path.unlink()
-    with pytest.raises(SolverCrashed, match="the stored matrices cannot be read"):
-        read_matrices(tmp_path, "job")
-
-
-def test_garbled_matrices_are_no_result(tmp_path: Path) -> None:
-    for suffix in ("dof", "sti", "mas"):
-        shutil.copy(DATA / f"clamped.{suffix}", tmp_path / f"job.{suffix}")
-    path = tmp_path / "job.sti"
-    path.write_text(path.read_text().replace("e+0", "e+x", 1))
-    with pytest.raises(SolverCrashed, match="the stored matrices cannot be read"):
-        read_matrices(tmp_path, "job")

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import linalg
+from scipy import linalg, sparse
 
 from modetune.adapters.calculix.solver import PROGRAM_VARIABLE, calculix_solver
 from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.paraview import unstructured_grid
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
+from modetune.core.eigen import solve_modes
 from modetune.core.errors import (
     ModelError,
     SolverCrashed,
@@ -305,6 +306,56 @@ def test_matrices_have_the_eigenvalues_of_the_modal_run(
     np.testing.assert_allclose(
         eigenvalues, result.eigenvalues, rtol=1e-6, atol=1e-8 * result.eigenvalues[-1]
     )
+
+
+def test_footprints_hold_all_that_parameters_move_in_the_matrices(
+    harness: Harness, case: Case, tmp_path: Path
+) -> None:
+    solver = solver_of(harness, case, tmp_path)
+    if not solver.capabilities.matrices:
+        assert all(solver.footprint(parameter) is None for parameter in case.parameters)
+        return
+    base = run_matrices(solver, tmp_path)
+    for parameter in case.parameters:
+        found = solver.footprint(parameter)
+        assert (found is None) <= (not solver.is_linear(parameter))
+        if found is None:
+            continue
+        moved = run_matrices(solver, tmp_path, **{parameter.name: 1.3})
+        for kind, moves in (("stiffness", found.stiffness), ("mass", found.mass)):
+            one = getattr(base, kind)
+            change, size = sparse.coo_array(one - getattr(moved, kind)), np.abs(one.diagonal())
+            least = 1e-12 * np.sqrt(size[change.row] * size[change.col])  # ccx writes 14 digits
+            rows = change.row[np.abs(change.data) > least]
+            assert bool(rows.size) == moves
+            touched = set(base.nodes[rows].tolist())
+            assert {node for node in touched if node in solver.model.node_ids} <= found.nodes
+
+
+def test_displacements_follow_from_the_matrices(
+    harness: Harness, case: Case, tmp_path: Path
+) -> None:
+    solver = solver_of(harness, case, tmp_path)
+    if not solver.capabilities.matrices:
+        nothing = np.zeros(0, dtype=np.int64)
+        empty = sparse.csr_array((0, 0))
+        matrices = MatrixResult(empty, empty, nothing, nothing)
+        seen = solver.observation(matrices, np.array(case.nodes), np.ones_like(case.nodes))
+        assert seen.unknown.all()
+        return
+    assert solver.model.matrix_shapes
+    result, matrices = run_modal(solver, case, tmp_path), run_matrices(solver, tmp_path)
+    seen = solver.observation(matrices, result.modes.nodes, result.modes.components)
+    assert not seen.unknown.any()
+    _, shapes = solve_modes(matrices.stiffness, matrices.mass, case.n_modes)
+    found, native = seen.matrix @ shapes, np.real(result.modes.mode_shapes)
+    # Of the first elastic modes, alone or in pairs: a mode that is not turned among its equals has
+    # the native one's displacements to the digits that are printed, times the sign.
+    values, first = result.eigenvalues, result.n_rigid
+    last = first + 1 + int(values[first + 1] < 1.001 * values[first])
+    mine, his = found[:, first:last], native[:, first:last]
+    products = his @ his.T
+    np.testing.assert_allclose(mine @ mine.T, products, rtol=0.0, atol=4e-6 * products.max())
 
 
 @pytest.mark.parametrize(

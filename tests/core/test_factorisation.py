@@ -14,7 +14,13 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from modetune.core.errors import ModelError
-from modetune.core.factorisation import factorise, superlu_only, symmetric_matrix
+from modetune.core.factorisation import (
+    factorise,
+    superlu_only,
+    symmetric_factors,
+    symmetric_matrix,
+    upper_triangle,
+)
 
 
 def chain(n: int, grounded: bool = True) -> sparse.csr_array:
@@ -169,3 +175,34 @@ def test_a_free_aeroplane_is_singular_and_its_shifted_stiffness_is_not(
         shifted = sparse.csr_array(k + 1e3 * m)
         force = np.ones(active.size)
         np.testing.assert_allclose(shifted @ factorise(shifted).solve(force), force, atol=1e-6)
+
+
+@PROGRAMS
+def test_symmetric_factors_solve_and_count_for_one_model_after_the_other(
+    program: type[Any],
+) -> None:
+    upper = upper_triangle(chain(60))
+    exact = np.linalg.eigvalsh(chain(60).toarray())
+    block = np.random.default_rng(4).standard_normal((60, 3))
+    with program():
+        factors = symmetric_factors(upper)
+        for count in (0, 1, 30):
+            edges = np.concatenate([[-1.0], exact])
+            shift = 0.5 * (edges[count] + edges[count + 1])
+            values = upper.data.copy()
+            values[upper.indptr[:-1]] -= shift
+            factors.refactor(values)
+            assert (factors.negative_pivots, factors.lifted_pivots) == (count, 0)
+            out = np.empty((60, 3), order="F")
+            solution = factors.solve(block, out)
+            shifted = chain(60).toarray() - shift * np.eye(60)
+            # Half-way between eigenvalues the condition is below 10^4.
+            np.testing.assert_allclose(shifted @ out, block, atol=1e-10)
+            np.testing.assert_array_equal(solution, out)
+
+
+def test_the_upper_triangle_has_every_diagonal_entry() -> None:
+    matrix = sparse.csr_array(np.array([[0.0, 2.0], [2.0, 3.0]]))
+    upper = upper_triangle(matrix)
+    assert upper.nnz == 3
+    np.testing.assert_array_equal(upper.toarray(), [[0.0, 2.0], [0.0, 3.0]])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -12,11 +14,21 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from modetune.core.errors import StorageUnavailable
+from modetune.core.affine import AffineMatrices, Share, affine_matrices
+from modetune.core.errors import ModesError, StorageUnavailable
 from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.modes import mode_set
-from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
-from modetune.core.store import Entry, Store, check_writable, storage_errors, writing
+from modetune.core.reduced import ReducedModel, ReducedPart
+from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result, finite
+from modetune.core.store import (
+    BLOCK,
+    SEAL,
+    Entry,
+    Store,
+    check_writable,
+    storage_errors,
+    writing,
+)
 
 KEY = "ab" + "0" * 62
 
@@ -35,9 +47,30 @@ def modal(seed: int = 0) -> ModalResult:
 
 def matrices() -> MatrixResult:
     k = sparse.csr_array(np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]]))
-    return MatrixResult(
+    return MatrixResult.of_full(
         k, sparse.csr_array(sparse.eye_array(3, format="csr")), np.arange(1, 4), np.ones(3, int)
     )
+
+
+def affine() -> AffineMatrices:
+    """Two parameters; the second's part has entries that the base lacks."""
+    corner = sparse.csr_array(np.array([[0.3, 0.0, 0.1], [0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]))
+    first = Share(0, (1,), (sparse.csr_array(matrices().upper_stiffness * 0.7),))
+    return affine_matrices(
+        matrices(), np.array([1.0, 0.9]), [first, Share(1, (-1, 3), (corner, 2.0 * corner))],
+        [Share(1, (1,), (corner,))],
+    )  # fmt: skip
+
+
+def reduced() -> ReducedModel:
+    noise = np.random.default_rng(3)
+    parts = [
+        ReducedPart(c, p, noise.normal(size=(len(p), 4, 4))) for c, p in ((0, (1,)), (1, (-1, 3)))
+    ]
+    return ReducedModel(
+        np.array([1.0, 0.9]), -3.5, noise.normal(size=(4, 4)), np.eye(4), tuple(parts),
+        tuple(parts[1:]), noise.normal(size=(6, 4)),
+    )  # fmt: skip
 
 
 def derivatives() -> ModeDerivatives:
@@ -94,6 +127,67 @@ def test_matrices_and_derivatives_come_back(store: Store) -> None:
     assert second.result.mode_shapes.shape == (0, 2, 3)
 
 
+def test_matrices_for_all_values_come_back_to_the_last_bit(store: Store) -> None:
+    put(store, affine())
+    entry, expected = store.get(KEY), affine()
+    assert entry is not None
+    assert isinstance(entry.result, AffineMatrices)
+    theta = np.array([1.3, 0.6])
+    for one, other in ((entry.result.base, expected.base), (entry.result.at(theta),
+                                                            expected.at(theta))):  # fmt: skip
+        for name in ("upper_stiffness", "upper_mass"):
+            for array in ("data", "indices", "indptr"):
+                found, own = (getattr(getattr(m, name), array) for m in (one, other))
+                np.testing.assert_array_equal(found, own)
+                assert found.dtype == own.dtype
+    for part, own in zip(
+        (*entry.result.stiffness, *entry.result.mass),
+        (*expected.stiffness, *expected.mass),
+        strict=True,
+    ):
+        assert (part.column, part.powers) == (own.column, own.powers)
+        np.testing.assert_array_equal(part.places, own.places)
+        np.testing.assert_array_equal(part.values, own.values)
+
+
+def test_a_reduced_model_comes_back_to_the_last_bit(store: Store) -> None:
+    put(store, reduced())
+    entry, expected = store.get(KEY), reduced()
+    assert entry is not None
+    assert isinstance(entry.result, ReducedModel)
+    theta = np.array([1.3, 0.6])
+    for found, own in zip(entry.result.at(theta), expected.at(theta), strict=True):
+        np.testing.assert_array_equal(found, own)
+    np.testing.assert_array_equal(entry.result.rows, expected.rows)
+    assert entry.result.shift == expected.shift
+    assert [part.powers for part in entry.result.mass] == [(-1, 3)]
+
+
+def test_results_with_numbers_that_are_none_are_refused() -> None:
+    whole: list[Result] = [matrices(), affine(), reduced(), modal(), derivatives()]
+    for result in whole:
+        assert finite(result) is result
+    part = reduced().stiffness[0]
+    part.values[0, 0, 0] = np.nan
+    spoilt: list[Result] = [
+        replace(matrices(), upper_mass=matrices().upper_mass * np.nan),
+        replace(affine(), reference=np.array([1.0, np.inf])),
+        replace(reduced(), stiffness=(part,)),
+        ModeDerivatives(np.full((2, 3), np.nan), np.zeros((0, 2, 3))),
+    ]
+    for result in spoilt:
+        with pytest.raises(ModesError, match="not finite"):
+            finite(result)
+
+
+def test_an_entry_that_is_dropped_is_gone(store: Store) -> None:
+    put(store, modal())
+    store.drop(KEY)
+    store.drop(KEY)
+    assert KEY not in store
+    assert store.get(KEY) is None
+
+
 def test_what_is_not_there_is_nothing(store: Store) -> None:
     assert store.get(KEY) is None
     assert KEY not in store
@@ -112,6 +206,34 @@ def test_a_flipped_bit_is_never_believed(store: Store, place: float) -> None:
     assert store.get(KEY) is None
     assert (store.folder / "damaged" / path.name).is_file()
     assert not path.exists()
+
+
+@pytest.mark.parametrize("result", [affine(), reduced()], ids=["affine", "reduced"])
+@pytest.mark.parametrize("place", [0.1, 0.4, 0.6, 0.8, 0.99])
+def test_damage_to_what_was_made_of_matrices_is_set_aside(
+    store: Store, result: Result, place: float
+) -> None:
+    put(store, result)
+    path = store.path(KEY)
+    data = bytearray(path.read_bytes())
+    data[int(place * len(data))] ^= 16
+    path.write_bytes(data)
+    assert store.get(KEY) is None
+    assert (store.folder / "damaged" / path.name).is_file()
+    put(store, result)
+    assert store.get(KEY) is not None
+
+
+def test_an_entry_of_an_unknown_kind_is_set_aside(store: Store) -> None:
+    put(store, reduced())
+    path = store.path(KEY)
+    with h5py.File(path, "r+") as file:
+        file.attrs["kind"] = "riddle"
+    content = path.read_bytes()[BLOCK:]
+    seal = SEAL + hashlib.sha256(content).hexdigest().encode()
+    path.write_bytes(seal.ljust(BLOCK, b"\n") + content)
+    assert store.get(KEY) is None
+    assert (store.folder / "damaged" / path.name).is_file()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])

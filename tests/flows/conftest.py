@@ -21,6 +21,7 @@ from modetune.adapters.solver import (
     Analysis,
     Capabilities,
     Command,
+    Footprint,
     MatrixAnalysis,
     ModalAnalysis,
     ModelSummary,
@@ -31,7 +32,8 @@ from modetune.core.errors import LicenceDenied, SolverCrashed, SolverRejected
 from modetune.core.keys import Json
 from modetune.core.measurement import Measurement
 from modetune.core.mesh import Cells, Mesh
-from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
+from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
+from modetune.core.observation import Observation, observe
 from modetune.core.parameters import Parameter, ParameterSet, Quantity, Values
 from modetune.core.record import IterationRecord
 from modetune.core.residual import Weighting
@@ -123,7 +125,8 @@ class ScriptedSolver:
 
     @property
     def model(self) -> ModelSummary:
-        return ModelSummary("chain", frozenset(range(1, 7)), frozenset({1}), 13, solid_shapes=True)
+        nodes, components = frozenset(range(1, 7)), frozenset({1})
+        return ModelSummary("chain", nodes, components, 13, solid_shapes=True, matrix_shapes=True)
 
     def mesh(self) -> Mesh:
         nodes = np.arange(1, 7)
@@ -149,6 +152,18 @@ class ScriptedSolver:
 
     def is_linear(self, parameter: Parameter) -> bool:
         return True
+
+    def footprint(self, parameter: Parameter) -> Footprint | None:
+        spring, place = parameter.name.startswith("k"), int(parameter.name[1:])
+        ends = {place - 1, place} if spring else {place}
+        element = place if spring else 7 + place
+        nodes = frozenset(ends & set(range(1, 7)))
+        return Footprint(frozenset({element}), nodes, spring, not spring, (1,))
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return observe(matrices.nodes, matrices.components, nodes, components)
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         return (parameter.name,) if parameter.quantity == "spring_stiffness" else ()
@@ -182,7 +197,7 @@ class ScriptedSolver:
             raise SolverCrashed(f"the scripted solver broke off in {folder}")
         if isinstance(analysis, MatrixAnalysis):
             stiffness, m = chain(values)
-            return MatrixResult(
+            return MatrixResult.of_full(
                 sparse.csr_array(stiffness), sparse.csr_array(np.diag(m)),
                 np.arange(1, 7), np.ones(6, dtype=np.int64),
             )  # fmt: skip

@@ -1,0 +1,147 @@
+"""What ties nodes of a CalculiX deck: *BOUNDARY, *EQUATION, *RIGID BODY, *TRANSFORM, and others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from modetune.adapters.calculix.deck import Card, canonical_name
+from modetune.adapters.calculix.model import NOT_FOLLOWED, CalculixModel, read_number
+from modetune.core.errors import ModelError
+
+#: A node and a component, 1..3 translations, 4..6 rotations.
+Dof = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A rigid body: its reference node, and the node whose translations are its rotations."""
+
+    reference: int
+    rotation: int
+
+
+@dataclass(frozen=True, slots=True)
+class Constraints:
+    """held: degrees of freedom of *BOUNDARY, in the node's own axes where it is turned.
+
+    dependent: of each dependent one of *EQUATION its terms, u = sum of factor times u_term.
+    terms: all that stand in equations. bodies: rigid bodies of their nodes; a rotation of 0 is
+    not known. turned: nodes of *TRANSFORM. followed: whether the deck has no other ties.
+    """
+
+    held: frozenset[Dof]
+    dependent: dict[Dof, dict[Dof, float]]
+    terms: frozenset[Dof]
+    bodies: dict[int, Body]
+    turned: frozenset[int]
+    followed: bool
+
+
+def read_constraints(model: CalculixModel) -> Constraints:
+    """All ties of the deck. Raises ModelError where a number is none."""
+    sets = _node_sets(model)
+    equations = _equations(model)
+    bodies = _bodies(model, sets)
+    followed = not model.deck.named(*NOT_FOLLOWED) and equations is not None
+    dependent = equations or {}
+    return Constraints(
+        held=frozenset(_held(model, sets)),
+        dependent=dependent,
+        terms=frozenset(dependent).union(*dependent.values()) if dependent else frozenset(),
+        bodies=bodies,
+        turned=frozenset(node for card in model.deck.named("*TRANSFORM")
+                         for node in sets.get(card.option("NSET"), ())),
+        followed=followed,
+    )  # fmt: skip
+
+
+def _node_sets(model: CalculixModel) -> dict[str, set[int]]:
+    deck = model.deck
+    sets: dict[str, set[int]] = {}
+    for card in deck.named("*NODE"):
+        if card.option("NSET"):
+            members = sets.setdefault(card.option("NSET"), set())
+            members.update(_whole(deck.fields(position)[0]) for position in card.data)
+    for card in deck.named("*NSET"):
+        members = sets.setdefault(card.option("NSET"), set())
+        for position in card.data:
+            fields = [field for field in deck.fields(position) if field]
+            if "GENERATE" in card.options:
+                first, last, step = [*map(_whole, fields), 1][:3]
+                members.update(range(first, last + 1, step))
+            else:
+                for field in fields:
+                    members |= _members(field, sets)
+    return sets
+
+
+def _members(field: str, sets: dict[str, set[int]]) -> set[int]:
+    """The node of a number, or the nodes of a set."""
+    return {int(field)} if field.isdecimal() else sets.get(canonical_name(field), set())
+
+
+def _whole(text: str) -> int:
+    return int(text) if text.isdecimal() else 0
+
+
+def _held(model: CalculixModel, sets: dict[str, set[int]]) -> Iterable[Dof]:
+    for card in model.deck.named("*BOUNDARY"):
+        for position in card.data:
+            fields = [*model.deck.fields(position), "", ""]
+            first = _whole(fields[1])
+            last = _whole(fields[2]) or first
+            for node in _members(fields[0], sets):
+                for component in range(first, min(last, 6) + 1):
+                    yield node, component
+
+
+def _equations(model: CalculixModel) -> dict[Dof, dict[Dof, float]] | None:
+    """Terms of each dependent degree of freedom; None where a card is not plain numbers."""
+    found: dict[Dof, dict[Dof, float]] = {}
+    for card in model.deck.named("*EQUATION"):
+        try:
+            found |= _card_equations(model, card)
+        except (ValueError, IndexError, ZeroDivisionError, ModelError):
+            return None
+    return found
+
+
+def _card_equations(model: CalculixModel, card: Card) -> dict[Dof, dict[Dof, float]]:
+    found: dict[Dof, dict[Dof, float]] = {}
+    words: list[str] = []
+    count = 0
+    for position in card.data:
+        fields = [field for field in model.deck.fields(position) if field]
+        if not count:
+            count, words = int(fields[0]), []
+            continue
+        words += fields
+        if len(words) >= 3 * count:
+            rows = [words[place : place + 3] for place in range(0, 3 * count, 3)]
+            (node, component, own), *others = rows
+            factor = -1.0 / read_number(own)
+            terms: dict[Dof, float] = {}
+            for other, direction, value in others:
+                dof = int(other), int(direction)
+                terms[dof] = terms.get(dof, 0.0) + factor * read_number(value)
+            found[int(node), int(component)] = terms
+            count = 0
+    return found
+
+
+def _bodies(model: CalculixModel, sets: dict[str, set[int]]) -> dict[int, Body]:
+    """Rigid bodies of their dependent nodes.
+
+    Where the deck gives no ROT NODE, ccx makes one: of the first card it is the first number
+    above all nodes, as long as no other card before makes nodes (*BOUNDARY in turned axes does).
+    """
+    cards = model.deck.named("*RIGID BODY")
+    alone = len(cards) == 1 and not model.deck.named("*TRANSFORM", *NOT_FOLLOWED)
+    made = max(model.mesh.nodes) + 1 if alone else 0
+    found = {}
+    for card in cards:
+        body = Body(_whole(card.option("REFNODE")), _whole(card.option("ROTNODE")) or made)
+        for node in sets.get(card.option("NSET"), ()):
+            found[node] = body
+    return found

@@ -1,0 +1,143 @@
+"""What a command costs: wall time, processor time, memory of its whole process tree, CalculiX runs.
+
+Memory is the largest sum of resident sizes over the command and all its descendants, looked at 20
+times a second in /proc; pages that processes share count in each. Runs are counted by a shell
+script that stands in for `ccx`, notes what kind of job it is given, and becomes CalculiX.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from modetune.adapters.calculix.solver import PROGRAM_VARIABLE
+
+PERIOD_S = 0.05
+PAGE = os.sysconf("SC_PAGE_SIZE")
+
+#: Asking for the version is no run. A job's steps are its deck's last lines.
+COUNTER = """\
+#!/bin/sh
+if [ "$1" = -i ]; then
+    kind=modal
+    if tail -n 200 "$2.inp" | grep -qi MATRIXSTORAGE; then kind=matrices; fi
+    echo $kind >> {log}
+fi
+exec {program} "$@"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """wall_s: from start to end. cpu_s: of the command and all it waited for. peak_bytes: of the
+    tree. modal_runs, matrix_runs: of CalculiX."""
+
+    wall_s: float
+    cpu_s: float
+    peak_bytes: int
+    modal_runs: int
+    matrix_runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """return_code, output and errors of a command, and what it cost."""
+
+    return_code: int
+    output: str
+    errors: str
+    cost: Cost
+
+
+def run_counted(
+    command: Sequence[str], folder: Path, environment: Mapping[str, str], program: str
+) -> Ended:
+    """Run a command in a folder with a counting CalculiX.
+
+    environment: all of the command's; MODETUNE_CCX is added. program: CalculiX itself. Raises
+    SystemExit where it is not installed.
+    """
+    log, counter = folder / "ccx-runs.txt", folder / "counted-ccx"
+    log.write_text("")
+    script = COUNTER.format(log=shlex.quote(str(log)), program=shlex.quote(found(program)))
+    counter.write_text(script)
+    counter.chmod(0o755)
+    with (folder / "output.txt").open("wb") as output, (folder / "errors.txt").open("wb") as errors:
+        started = time.monotonic()
+        process = subprocess.Popen(
+            command, cwd=folder, env={**environment, PROGRAM_VARIABLE: str(counter)},
+            stdin=subprocess.DEVNULL, stdout=output, stderr=errors,
+        )  # fmt: skip
+        with watched(process.pid) as peak:
+            try:
+                _, status, usage = os.wait4(process.pid, 0)
+            except BaseException:
+                process.kill()
+                process.wait()
+                raise
+        wall_s = time.monotonic() - started
+    process.returncode = os.waitstatus_to_exitcode(status)
+    kinds = log.read_text().split()
+    cost = Cost(
+        wall_s, usage.ru_utime + usage.ru_stime, peak[0],
+        kinds.count("modal"), kinds.count("matrices"),
+    )  # fmt: skip
+    output_text, errors_text = (
+        (folder / name).read_text(errors="replace") for name in ("output.txt", "errors.txt")
+    )
+    return Ended(process.returncode, output_text, errors_text, cost)
+
+
+def calculix() -> str:
+    """Full path of CalculiX, as modetune would start it. Raises SystemExit where it is missing."""
+    return found(os.environ.get(PROGRAM_VARIABLE, "ccx"))
+
+
+def found(program: str) -> str:
+    """Full path of a program. Raises SystemExit where there is none."""
+    path = shutil.which(program)
+    if path is None:
+        sys.exit(f"CalculiX (`{program}`) is not installed; on Debian and Ubuntu: "
+                 "apt-get install calculix-ccx")  # fmt: skip
+    return path
+
+
+def tree_bytes(root: int) -> int:
+    """Sum of the resident sizes of a process and all its descendants."""
+    total, left = 0, [root]
+    while left:
+        place = Path(f"/proc/{left.pop()}")
+        try:
+            total += int((place / "statm").read_text().split()[1]) * PAGE
+            for task in (place / "task").iterdir():
+                left += map(int, (task / "children").read_text().split())
+        except (OSError, IndexError):
+            continue  # it ended while it was looked at
+    return total
+
+
+@contextmanager
+def watched(root: int) -> Iterator[list[int]]:
+    """The largest `tree_bytes` meanwhile, the one number of the list."""
+    ended, peak = threading.Event(), [0]
+
+    def watch() -> None:
+        while not ended.wait(PERIOD_S):
+            peak[0] = max(peak[0], tree_bytes(root))
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield peak
+    finally:
+        ended.set()
+        watcher.join()

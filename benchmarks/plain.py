@@ -1,0 +1,119 @@
+"""Runs of CalculiX on a problem's model, with nothing around them.
+
+The deck is written and the results are read by modetune's adapter; each run has a folder of its
+own, which is deleted, and nothing is stored.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from benchmarks.agreement import Agreement
+from benchmarks.problem import Problem
+
+from modetune.adapters.calculix.solver import CalculixSolver, calculix_solver
+from modetune.adapters.process import LOG, run_process
+from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
+from modetune.core.modes import Floats, ModeSet
+from modetune.core.results import MatrixResult, ModalResult, Result
+
+#: More modes are asked for where they are paired by shape and may change places.
+SPARE_MODES = 2
+TIMEOUT_S = 36_000.0
+EQUATIONS = re.compile(r"number of equations\s+(\d+)")
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+@dataclass(frozen=True, slots=True)
+class JobCost:
+    """solver_s, read_s: wall times of CalculiX and of reading what it left. peak_bytes: its memory.
+    n_equations: as it tells, 0 where it does not."""
+
+    solver_s: float
+    read_s: float
+    peak_bytes: int
+    n_equations: int
+
+    @property
+    def wall_s(self) -> float:
+        return self.solver_s + self.read_s
+
+
+@dataclass(frozen=True)
+class PlainModel:
+    """The model of a problem, as a script would run it."""
+
+    problem: Problem
+
+    @cached_property
+    def solver(self) -> CalculixSolver:
+        return calculix_solver(self.problem.deck, self.problem.parameters)
+
+    @property
+    def n_modes(self) -> int:
+        """Modes asked of the solver, rigid ones included."""
+        spare = SPARE_MODES if self.problem.sensors else 0
+        return self.problem.n_rigid + self.problem.n_modes + spare
+
+    def modes(self, theta: Floats) -> tuple[ModeSet, JobCost]:
+        """The elastic modes at these parameter values, (n_parameters,), at the problem's sensors.
+
+        Raises SolverError, as the others do.
+        """
+        sensors = self.problem.sensors
+        analysis = ModalAnalysis(self.n_modes, sensors or (min(self.solver.model.node_ids),))
+        result, cost = self._run(theta, analysis)
+        assert isinstance(result, ModalResult)
+        modes = result.modes.select(range(self.problem.n_rigid, self.n_modes))
+        return modes if sensors else modes.rows([]), cost
+
+    def matrices(self, theta: Floats) -> tuple[MatrixResult, JobCost]:
+        """The assembled stiffness and mass at these values."""
+        result, cost = self._run(theta, MatrixAnalysis())
+        assert isinstance(result, MatrixResult)
+        return result, cost
+
+    def agreement(self, theta: Floats) -> Agreement:
+        """How the model at these values agrees with the test."""
+        return self.problem.agreement(self.modes(theta)[0])
+
+    def _run(self, theta: Floats, analysis: Analysis) -> tuple[Result, JobCost]:
+        values, solver = self.problem.parameter_set.values(theta), self.solver
+        folder = Path(tempfile.mkdtemp(dir=self.problem.folder, prefix="plain-"))
+        try:
+            solver.write(values, analysis, folder)
+            command = solver.command(self.problem.threads)
+            finished = run_process(command, folder, TIMEOUT_S, threading.Event())
+            started = time.monotonic()
+            result = solver.read(values, analysis, folder, finished.return_code)
+            read_s = time.monotonic() - started
+            told = EQUATIONS.search((folder / LOG).read_text(errors="replace"))
+        finally:
+            shutil.rmtree(folder)
+        n_equations = int(told[1]) if told else 0
+        return result, JobCost(finished.wall_s, read_s, finished.peak_memory_bytes, n_equations)
+
+
+def quickest(problem: Problem) -> tuple[Problem, ModeSet]:
+    """The problem with one thread or all cores, whichever is quicker, and the twin's modes.
+
+    CalculiX gains little by threads on most models, and loses much by them where another process
+    wants a core now and then: its threads wait for each other at full speed.
+    """
+    tried = [replace(problem, threads=count) for count in sorted({1, cores()})]
+    runs = [PlainModel(each).modes(np.array(problem.truth)) for each in tried]
+    best = min(range(len(tried)), key=lambda place: runs[place][1].wall_s)
+    return tried[best], runs[best][0]

@@ -1,0 +1,202 @@
+"""Updating problems whose truth is known: a model, the modes of its hidden twin, and a target.
+
+The twin is the same deck with other Young's moduli, run once by CalculiX; its modes, without
+noise, are the test. Every way of updating reads the same folder and starts at the deck's values.
+
+    model.inp       the deck                     measured.csv    the twin's modes
+    campaign.yaml   the campaign of modetune     problem.json    the same for other ways
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from benchmarks.agreement import (
+    FREQUENCY_DEVIATION,
+    LEAST_MAC,
+    SHAPE_DEVIATION,
+    SHAPE_WEIGHT,
+    Agreement,
+    agreement,
+)
+
+from modetune.adapters.modes_csv import read_modes_csv, write_modes_csv
+from modetune.configs.garteur import aircraft
+from modetune.configs.launcher import launcher, twin
+from modetune.core.modes import Floats, ModeSet, mode_set
+from modetune.core.parameters import Parameter, ParameterSet
+
+#: Largest relative frequency error of a model that agrees, unless told otherwise.
+TARGET = 1e-4
+#: Elastic modes of the aircraft that are compared.
+GARTEUR_MODES = 8
+#: Bounds of the moduli, and their deviation beforehand, relative to the deck's values.
+BOUNDS = (0.6, 1.5)
+DEVIATION = 0.2
+#: The aircraft's hidden moduli. Unlike those of configs/garteur/twin.py they leave the fin's mode
+#: clear of the two of the drums, so that frequencies alone tell which mode is which all the way.
+GARTEUR_TRUTH = {"FUSELAGE": 1.15, "WING": 0.90, "FIN": 0.85, "TAILPLANE": 0.90, "DRUMS": 1.25}
+#: Between the meshes of the campaigns: 7,979 nodes and 5,108 elements.
+MEDIUM = aircraft.Mesh(size=18.0, layers=2, fuselage_height=18.75)
+#: For tests of the benchmark: 804 nodes and 328 elements.
+TINY = aircraft.Mesh(size=50.0, layers=1, fuselage_height=75.0)
+AIRCRAFT = {"tiny": TINY, "coarse": aircraft.COARSE, "medium": MEDIUM, "fine": aircraft.FINE}
+#: Degrees of freedom of the launcher, six a node as Nastran counts them, and its modes.
+LAUNCHERS = {"coarse": 20_000, "medium": 100_000, "fine": 400_000}
+LAUNCHER_MODES = 3
+
+CAMPAIGN = """\
+name: {name}
+model: {{deck: model.inp, solver: calculix, units: mm-t-s}}
+test: {{modes: measured.csv}}
+parameters:
+{parameters}
+residuals:
+  frequency_weight: 1.0
+  shape_weight: {shape_weight}
+  frequency_deviation: {frequency_deviation}
+  shape_deviation: {shape_deviation}
+update: {{e1: {{frequency: {target:g}, mac: {mac}}}}}
+store: store
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What a case and a size stand for.
+
+    write_deck: writes it to a path. truth: material to hidden modulus, relative to the deck's.
+    n_modes: elastic modes compared; n_rigid: rigid-body modes below them. sensors: nodes at which
+    shapes are compared; without them only frequencies are.
+    """
+
+    write_deck: Callable[[Path], object]
+    truth: dict[str, float]
+    n_modes: int
+    n_rigid: int
+    sensors: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A problem in its folder.
+
+    truth: hidden values in the order of the parameters. n_modes, n_rigid, sensors: as in Model.
+    target: largest relative frequency error that ends updating. measured: the twin's modes, none
+    until it has run. threads: of a run of CalculiX that has the machine to itself.
+    """
+
+    case: str
+    size: str
+    folder: Path
+    parameters: tuple[Parameter, ...]
+    truth: tuple[float, ...]
+    n_modes: int
+    n_rigid: int
+    sensors: tuple[int, ...]
+    target: float
+    measured: ModeSet
+    threads: int = 1
+
+    @property
+    def deck(self) -> Path:
+        return self.folder / "model.inp"
+
+    @property
+    def campaign(self) -> Path:
+        return self.folder / "campaign.yaml"
+
+    @property
+    def parameter_set(self) -> ParameterSet:
+        """The parameters with their bounds as arrays."""
+        return ParameterSet(self.parameters)
+
+    def agreement(self, computed: ModeSet) -> Agreement:
+        """How the model's elastic modes agree with the test."""
+        return agreement(self.measured, computed)
+
+    def distance(self, theta: Floats) -> Floats:
+        """How far each parameter is from the hidden truth, (n_parameters,)."""
+        return np.asarray(np.abs(theta - np.array(self.truth)))
+
+
+def garteur(size: str) -> Model:
+    """The aircraft of configs/garteur, free-free."""
+    mesh = AIRCRAFT[size]
+
+    def write(path: Path) -> None:
+        path.write_text(aircraft.calculix_deck(mesh))
+
+    return Model(write, GARTEUR_TRUTH, GARTEUR_MODES, 6)
+
+
+def launcher_of(size: str) -> Model:
+    """The launcher of configs/launcher, bolted down, with shapes at its sensors."""
+    mesh = launcher.mesh_of(LAUNCHERS[size])
+
+    def write(path: Path) -> None:
+        with path.open("wb") as file:
+            launcher.write_deck(file, mesh)
+
+    sensors = tuple(range(1, len(launcher.SENSORS) + 1))
+    return Model(write, twin.TRUTH, LAUNCHER_MODES, 0, sensors)
+
+
+#: Case to its sizes and what makes its model.
+CASES: dict[str, tuple[tuple[str, ...], Callable[[str], Model]]] = {
+    "garteur": (tuple(AIRCRAFT), garteur),
+    "launcher": (tuple(LAUNCHERS), launcher_of),
+}
+
+
+def set_up(case: str, size: str, target: float, folder: Path) -> Problem:
+    """Write the deck of a problem; its test is still to come."""
+    model = CASES[case][1](size)
+    folder.mkdir(parents=True)
+    parameters = tuple(
+        Parameter(f"E_{name}", "youngs_modulus", "material", (name,), *BOUNDS, DEVIATION)
+        for name in model.truth
+    )
+    problem = Problem(
+        case, size, folder, parameters, tuple(model.truth.values()), model.n_modes, model.n_rigid,
+        model.sensors, target, mode_set([]),
+    )  # fmt: skip
+    model.write_deck(problem.deck)
+    return problem
+
+
+def write_problem(problem: Problem) -> None:
+    """Write test, campaign and problem.json beside the deck."""
+    numbers = range(1, problem.n_modes + 1)
+    write_modes_csv(problem.folder / "measured.csv", numbers, problem.measured, ["a twin's modes"])
+    lower, upper = BOUNDS
+    parameters = "\n".join(
+        f"  - {{name: {item.name}, quantity: youngs_modulus, material: {item.targets[0]}, "
+        f"bounds: [{lower}, {upper}]}}"
+        for item in problem.parameters
+    )
+    problem.campaign.write_text(
+        CAMPAIGN.format(
+            name=f"{problem.case}-{problem.size}", parameters=parameters, target=problem.target,
+            mac=LEAST_MAC, shape_weight=SHAPE_WEIGHT if problem.sensors else 0.0,
+            frequency_deviation=FREQUENCY_DEVIATION, shape_deviation=SHAPE_DEVIATION,
+        )
+    )  # fmt: skip
+    told = asdict(problem)
+    for known in ("folder", "measured"):
+        told.pop(known)
+    (problem.folder / "problem.json").write_text(json.dumps(told))
+
+
+def read_problem(folder: Path) -> Problem:
+    """The problem that `write_problem` left in a folder."""
+    told = json.loads((folder / "problem.json").read_text())
+    told["parameters"] = tuple(
+        Parameter(**{**item, "targets": tuple(item["targets"])}) for item in told["parameters"]
+    )
+    told["truth"], told["sensors"] = tuple(told["truth"]), tuple(told["sensors"])
+    return Problem(folder=folder, measured=read_modes_csv(folder / "measured.csv").modes, **told)

@@ -1,0 +1,107 @@
+"""Stiffness and mass of one model state, kept as upper triangles.
+
+Matrices of finite element models are symmetric, and those of large models are most of what the
+memory holds: the lower triangle is never stored. With U the upper triangle of A, D its diagonal,
+
+    A x = U x + U^T x - D x,        X^T A X = S + S^T - X^T D X,   S = X^T (U X).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from modetune.core.modes import Floats, Integers
+
+#: Columns of a projection that are multiplied at once: bounds the memory their products take.
+COLUMNS_AT_ONCE = 32
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixResult:
+    """Stiffness and mass of one model state on the solver's own equations.
+
+    upper_stiffness, upper_mass: (n, n), upper triangles with the diagonal, CSR with sorted
+    indices, in the deck's units.
+    nodes, components: (n,), what each equation is called; a name may stand more than once where
+    the solver has unknowns of its own (incompatible modes, expanded shells).
+    """
+
+    upper_stiffness: sparse.csr_array
+    upper_mass: sparse.csr_array
+    nodes: Integers
+    components: Integers
+
+    @classmethod
+    def of_full(
+        cls,
+        stiffness: sparse.csr_array,
+        mass: sparse.csr_array,
+        nodes: Integers,
+        components: Integers,
+    ) -> MatrixResult:
+        """The state whose matrices (n, n) are given with both triangles."""
+        return cls(upper_triangle(stiffness), upper_triangle(mass), nodes, components)
+
+    @property
+    def stiffness(self) -> sparse.csr_array:
+        """Both triangles, (n, n), made anew each time: keep it where it is needed twice."""
+        return symmetric(self.upper_stiffness)
+
+    @property
+    def mass(self) -> sparse.csr_array:
+        """Both triangles, (n, n), made anew each time: keep it where it is needed twice."""
+        return symmetric(self.upper_mass)
+
+
+def upper_triangle(full: sparse.csr_array) -> sparse.csr_array:
+    """The upper triangle of a matrix (n, n), diagonal included, with sorted indices."""
+    upper = sparse.csr_array(sparse.triu(full, format="csr"))
+    upper.sum_duplicates()
+    return upper
+
+
+def symmetric(upper: sparse.csr_array) -> sparse.csr_array:
+    """The full symmetric matrix of an upper triangle."""
+    strict = sparse.triu(upper, k=1, format="csr")
+    return sparse.csr_array(upper + strict.T)
+
+
+def upper_product(upper: sparse.csr_array, block: Floats) -> Floats:
+    """A x of the symmetric matrix with this upper triangle; block: (n, k)."""
+    inside, kept = touched(upper)
+    rows = np.ascontiguousarray(block[kept])
+    own = inside @ rows
+    own += inside.T @ rows
+    own -= inside.diagonal()[:, None] * rows
+    found = np.zeros((upper.shape[0], rows.shape[1]))
+    found[kept] = own
+    return found
+
+
+def projected(upper: sparse.csr_array, block: Floats) -> Floats:
+    """X^T A X, (k, k), of the symmetric matrix with this upper triangle; block: X, (n, k)."""
+    inside, kept = touched(upper)
+    rows = block if kept.size == block.shape[0] else block[kept]
+    size = rows.shape[1]
+    half = np.empty((size, size))
+    for start in range(0, size, COLUMNS_AT_ONCE):
+        part = slice(start, start + COLUMNS_AT_ONCE)
+        half[:, part] = rows.T @ (inside @ np.ascontiguousarray(rows[:, part]))
+    return np.asarray(half + half.T - rows.T @ (inside.diagonal()[:, None] * rows))
+
+
+def touched(upper: sparse.csr_array) -> tuple[sparse.csr_array, Integers]:
+    """A matrix without its empty rows and columns, and which equations it keeps."""
+    n = upper.shape[0]
+    seen = np.diff(upper.indptr) > 0
+    seen[upper.indices] = True
+    kept = np.flatnonzero(seen)
+    if kept.size == n:
+        return upper, kept
+    place = np.cumsum(seen, dtype=upper.indices.dtype) - 1
+    pointers = np.append(upper.indptr[:-1][kept], upper.indptr[-1])
+    small = (upper.data, place[upper.indices], pointers)
+    return sparse.csr_array(small, shape=(kept.size, kept.size)), kept
