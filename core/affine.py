@@ -108,14 +108,12 @@ class AffineMatrices:
 
     def at(self, theta: Floats) -> MatrixResult:
         """The matrices at these values (n_parameters,); all share one pattern, arrays included."""
-        stiffness, mass = (
-            self._at(upper, parts, theta)
-            for upper, parts in (
-                (self.base.upper_stiffness, self.stiffness),
-                (self.base.upper_mass, self.mass),
-            )
-        )
-        return replace(self.base, upper_stiffness=stiffness, upper_mass=mass)
+        stiffness = self._at(self.base.upper_stiffness, self.stiffness, theta)
+        return replace(self.base, upper_stiffness=stiffness, upper_mass=self.mass_at(theta))
+
+    def mass_at(self, theta: Floats) -> sparse.csr_array:
+        """The mass' upper triangle alone."""
+        return self._at(self.base.upper_mass, self.mass, theta)
 
     def change(
         self, theta: Floats, column: int, order: int = 1

@@ -184,10 +184,6 @@ def filled_triangle(matrix: sparse.csr_array) -> sparse.csr_array:
     return filled
 
 
-#: The name under which tests of the factorisations import it.
-upper_triangle = filled_triangle
-
-
 @contextmanager
 def superlu_only() -> Iterator[None]:
     """Within this context, and in this thread only, SuperLU factorises even where PARDISO is."""

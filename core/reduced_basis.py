@@ -1,10 +1,18 @@
 """The basis of a reduced model: modes at a parameter set, and what they become beside it.
 
-The vectors (`core/derivative_vectors.py`) are made orthonormal with respect to M + e diag(K), e
-so small that only vectors that move (nearly) no mass feel it: unknowns without mass are no
-obstacle, and nothing is lost to the cancellation in K x of smooth x. Directions that the scaled
-vectors hardly have, RANK, are left out. A basis made at other values is kept, as far as it is not
-in the new one already and there is room; what is least outside it goes first.
+The vectors Z answer forces F on no known mode, (K - s M) Z = F (`core/derivative_vectors.py`), so
+no product with K is needed to make V = [Phi, Z W] orthonormal with respect to K - s M, by W from
+the eigenvectors of
+
+    Z^T (K - s M) Z = Z^T F,   and   V^T K V = diag(lambda - s, 1) + s V^T M V.
+
+Vectors that hardly move (NEGLIGIBLE) and directions that the scaled others hardly have (RANK) are
+left out. In this product unknowns without mass are no obstacle, and nothing is lost to the
+cancellation in K x of smooth x.
+
+An older basis is kept, as far as it is not in the new one already and there is room; what is
+least outside it goes first. It answers no known forces, so its directions are taken with respect
+to M + e diag(K), e so small that only vectors that move (nearly) no mass feel it.
 """
 
 from __future__ import annotations
@@ -15,8 +23,14 @@ import numpy as np
 from scipy import sparse
 
 from modetune.core.affine import AffineMatrices, Part
-from modetune.core.derivative_vectors import Inverse, KnownModes, Mass, derivative_vectors
-from modetune.core.matrices import MatrixResult, projected
+from modetune.core.derivative_vectors import (
+    NEGLIGIBLE,
+    Answers,
+    Inverse,
+    KnownModes,
+    derivative_answers,
+)
+from modetune.core.matrices import MatrixResult, projected, upper_product
 from modetune.core.modes import Floats, Integers
 from modetune.core.reduced import ReducedModel, ReducedPart
 
@@ -25,7 +39,7 @@ MOST_VECTORS = 150
 #: The reduced model's own shift in first elastic eigenvalues, where its maker's is nearer to zero.
 LEAST_SHIFT = -1e-3
 #: Squared length below which a direction of the scaled vectors is no direction of its own.
-RANK = 1e-13
+RANK = 1e-8
 #: Squared length below which what an old basis has outside the new one is left out.
 OLD_RANK = 1e-8
 
@@ -47,55 +61,86 @@ def reduce(
     rigid ones included, mass-normalised; inverse: by the factorisation that they were found with;
     used: positions of the modes whose derivatives are wanted; observer: (n_rows, n), takes shapes
     to the wanted degrees of freedom; previous: an older basis (n, r_old). Raises ModesError where
-    no mode strains the structure.
+    no mode strains the structure. Eigenvalues' derivatives are exact, those of shapes good to
+    some 10^-3.
     """
-    here = affine.at(theta)
-    mass = Mass.of(here.upper_mass)
-    modes = KnownModes.of(eigenvalues, shapes, mass, inverse)
-    beside = derivative_vectors(affine, theta, modes, used, mass, inverse)
-    metric = _Metric.of(here, mass)
-    basis = _with_directions(metric, shapes, beside, RANK, most - shapes.shape[1])
+    mass = affine.mass_at(theta)
+    modes = KnownModes.of(eigenvalues, shapes, used, mass)
+    answers = derivative_answers(affine, theta, modes, mass, inverse)
+    basis = _basis(modes, answers, most - eigenvalues.size)
+    widened = basis
     if previous is not None and basis.shape[1] < most:
-        basis = _with_directions(metric, basis, previous, OLD_RANK, most - basis.shape[1])
+        metric = _Metric.of(affine.at(theta))
+        widened = _with_directions(metric, basis, previous, most - basis.shape[1])
+    stiffness_parts = _reduced_parts(affine.base.upper_stiffness, affine.stiffness, widened)
+    mass_parts = _reduced_parts(affine.base.upper_mass, affine.mass, widened)
+    inertia = projected(mass, widened)
+    if widened.shape[1] > basis.shape[1]:
+        stiffness = projected(affine.base.upper_stiffness, widened)
+    else:
+        stiffness = answers.shift * inertia
+        energies = np.ones(basis.shape[1])
+        energies[: eigenvalues.size] = eigenvalues - answers.shift
+        stiffness[np.diag_indices_from(stiffness)] += energies
+        stiffness -= _moved(stiffness_parts, theta, affine.reference, basis.shape[1])
     model = ReducedModel(
         reference=affine.reference,
-        shift=min(modes.shift, LEAST_SHIFT * modes.first),
-        base_stiffness=projected(affine.base.upper_stiffness, basis),
-        base_mass=projected(affine.base.upper_mass, basis),
-        stiffness=_reduced_parts(affine.base.upper_stiffness, affine.stiffness, basis),
-        mass=_reduced_parts(affine.base.upper_mass, affine.mass, basis),
-        rows=np.asarray(observer @ basis),
+        shift=min(answers.shift, LEAST_SHIFT * float(eigenvalues[modes.first])),
+        base_stiffness=stiffness,
+        base_mass=inertia - _moved(mass_parts, theta, affine.reference, widened.shape[1]),
+        stiffness=stiffness_parts,
+        mass=mass_parts,
+        rows=np.asarray(observer @ widened),
     )
-    return model, basis
+    return model, widened
+
+
+def _basis(modes: KnownModes, answers: Answers, room: int) -> Floats:
+    """The known modes and what answers have outside them, (n, r) in C order, the strongest first.
+
+    room: how many directions it takes beside the modes.
+    """
+    known = modes.eigenvalues.size
+    gram = answers.vectors.T @ answers.forces
+    gram = 0.5 * (gram + gram.T)
+    moves = np.flatnonzero(gram.diagonal() > NEGLIGIBLE * modes.eigenvalues[modes.first])
+    scale = 1.0 / np.sqrt(gram.diagonal()[moves])
+    squares, turned = np.linalg.eigh(scale[:, None] * gram[np.ix_(moves, moves)] * scale)
+    kept = np.flatnonzero(squares > RANK)[::-1][: max(room, 0)]
+    # With columns of zeros for the modes the product is made in its place.
+    mixing = np.zeros((gram.shape[0], known + kept.size))
+    mixing[moves, known:] = scale[:, None] * turned[:, kept] / np.sqrt(squares[kept])
+    found = np.empty((modes.shapes.shape[0], mixing.shape[1]))
+    np.matmul(answers.vectors, mixing, out=found)
+    found[:, :known] = modes.shapes
+    return found
 
 
 @dataclass(frozen=True, slots=True)
 class _Metric:
-    """The product of vectors in which the basis is orthonormal: M + e diag(K)."""
+    """The product of vectors M + e diag(K)."""
 
-    mass: Mass
+    mass: sparse.csr_array
     diagonal: Floats
 
     @classmethod
-    def of(cls, here: MatrixResult, mass: Mass) -> _Metric:
+    def of(cls, here: MatrixResult) -> _Metric:
         stiffness, inertia = here.upper_stiffness.diagonal(), here.upper_mass.diagonal()
         moving = inertia > 0.0
         largest = float(np.max(stiffness[moving] / inertia[moving], initial=0.0))
-        return cls(mass, np.abs(stiffness) * (1e-3 / largest if largest > 0.0 else 1.0))
+        scale = 1e-3 / largest if largest > 0.0 else 1.0
+        return cls(here.upper_mass, np.abs(stiffness) * scale)
 
     def weighted(self, block: Floats) -> Floats:
-        found = self.mass.times(block)
+        found = upper_product(self.mass, block)
         found += self.diagonal[:, None] * block
         return found
 
 
-def _with_directions(
-    metric: _Metric, basis: Floats, block: Floats, least: float, room: int
-) -> Floats:
-    """A basis with the directions that a block has outside it, orthonormal, the strongest first.
+def _with_directions(metric: _Metric, basis: Floats, block: Floats, room: int) -> Floats:
+    """A basis with the directions that a block has outside it, the strongest first.
 
-    basis: (n, r); block: (n, k); least: squared length of a direction that counts, those of the
-    block's vectors being 1; room: how many of them the basis takes.
+    basis: (n, r); block: (n, k); room: how many of them the basis takes.
     """
     weighted, own = metric.weighted(basis), metric.weighted(block)
     gram = block.T @ own
@@ -105,13 +150,10 @@ def _with_directions(
     seen = (weighted.T @ block[:, moves]) * scale
     inside = np.linalg.solve(basis.T @ weighted, seen)
     squares, turned = np.linalg.eigh(gram - seen.T @ inside)
-    kept = np.flatnonzero(squares > least)[::-1][: max(room, 0)]
+    kept = np.flatnonzero(squares > OLD_RANK)[::-1][: max(room, 0)]
     turned = turned[:, kept] / np.sqrt(squares[kept])
-    found = np.empty((basis.shape[0], basis.shape[1] + kept.size), order="F")
-    found[:, : basis.shape[1]] = basis
-    found[:, basis.shape[1] :] = block[:, moves] @ (scale[:, None] * turned)
-    found[:, basis.shape[1] :] -= basis @ (inside @ turned)
-    return found
+    new = block[:, moves] @ (scale[:, None] * turned) - basis @ (inside @ turned)
+    return np.hstack([basis, new])
 
 
 def _reduced_parts(
@@ -123,3 +165,11 @@ def _reduced_parts(
         ]))
         for part in parts
     )  # fmt: skip
+
+
+def _moved(parts: tuple[ReducedPart, ...], theta: Floats, reference: Floats, size: int) -> Floats:
+    """What parts add at these values beyond the reference, (r, r)."""
+    found = np.zeros((size, size))
+    for part in parts:
+        found += part.moved(float(theta[part.column]), float(reference[part.column]))
+    return found

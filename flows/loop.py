@@ -37,6 +37,9 @@ STATIONARY = 1e-4
 NO_STEP = 1e-8
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
+#: Broyden goes on as long as a step leaves no more than this share of the objective: a new matrix
+#: would do about as well. Slower steps cost more runs than it.
+FAST = 0.1
 #: Frequencies by stored matrices and by the solver itself that differ more are not one model's.
 CONFIRMED = 1e-4
 
@@ -266,7 +269,8 @@ class Loop:
         small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
         spared, skip = None, None
         if self._waits:
-            spared = trial.slope if small and kept else None
+            fast = before - gain <= FAST * before
+            spared = trial.slope if small and kept and fast else None
         elif not self.evaluator.cheap and (kept or matrix.age == 0):
             spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix

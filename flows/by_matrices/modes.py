@@ -56,7 +56,7 @@ class MatrixModes:
         return content_key(canonical_json(asked)), found
 
     def reduced(self, evaluation: Evaluation, analysis: ModalAnalysis) -> ReducedModel:
-        """The reduced model around an evaluated set, for its pairs, seen at the campaign's nodes."""
+        """The reduced model around an evaluated set, for its pairs, at the campaign's nodes."""
         here = replace(analysis, nodes=self.campaign.nodes)
         modes = evaluation.pairing.computed + evaluation.modal.n_rigid
         asked = {

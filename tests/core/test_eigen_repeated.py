@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from modetune.core.errors import ModelError
 from modetune.core.factorisation import superlu_only
 from modetune.core.matrices import MatrixResult, symmetric, upper_triangle
 from modetune.core.modes import Floats
+from modetune.core.shift import with_random
 from tests.core.matrix_decks import bar, matrices_of
 
 
@@ -125,7 +125,7 @@ def test_whatever_lanczos_misses_is_found_in_one_round_or_several(
     one_direction(monkeypatch)
     monkeypatch.setattr(eigen, "BLOCKS", blocks)  # spaces of three blocks take several rounds
     turns: list[int] = []
-    real = eigen.with_random
+    real = with_random
 
     def spy(shapes: Floats, count: int, turn: int = 0) -> Floats:
         turns.append(turn)

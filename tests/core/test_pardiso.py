@@ -12,7 +12,7 @@ from scipy import sparse
 
 from modetune.core import pardiso
 from modetune.core.errors import ModelError, SolverExhausted
-from modetune.core.factorisation import upper_triangle
+from modetune.core.factorisation import filled_triangle
 from modetune.core.pardiso import NotPositiveDefinite, Pardiso
 
 pytestmark = pytest.mark.skipif(
@@ -36,7 +36,7 @@ def grid(n: int, seed: int = 0) -> sparse.csr_array:
 @pytest.mark.parametrize("long_integers", [True, False])
 def test_blocks_are_solved_to_rounding(definite: bool, long_integers: bool) -> None:
     matrix = grid(30)
-    upper = upper_triangle(matrix)
+    upper = filled_triangle(matrix)
     factors = Pardiso(upper, definite=definite, long_integers=long_integers)
     factors.refactor(upper.data)
     block = np.random.default_rng(1).standard_normal((900, 7))
@@ -49,7 +49,7 @@ def test_blocks_are_solved_to_rounding(definite: bool, long_integers: bool) -> N
 
 
 def test_new_values_give_what_a_fresh_factorisation_gives() -> None:
-    first, second = (upper_triangle(grid(30, seed)) for seed in (0, 1))
+    first, second = (filled_triangle(grid(30, seed)) for seed in (0, 1))
     again = Pardiso(first)
     again.refactor(first.data)
     again.refactor(second.data)
@@ -62,7 +62,7 @@ def test_new_values_give_what_a_fresh_factorisation_gives() -> None:
 def test_negative_pivots_count_negative_eigenvalues() -> None:
     matrix = grid(12)
     exact = np.linalg.eigvalsh(matrix.toarray())
-    upper = upper_triangle(matrix)
+    upper = filled_triangle(matrix)
     factors = Pardiso(upper)
     diagonal = upper.indptr[:-1]
     for count in (0, 1, 17, 143, 144):
@@ -74,7 +74,7 @@ def test_negative_pivots_count_negative_eigenvalues() -> None:
 
 
 def test_a_matrix_that_is_not_definite_is_refused_where_that_was_asked_for() -> None:
-    upper = upper_triangle(grid(10))
+    upper = filled_triangle(grid(10))
     factors = Pardiso(upper, definite=True)
     with pytest.raises(
         NotPositiveDefinite, match="100 equations cannot be factorised as a positive"
@@ -107,7 +107,7 @@ def test_what_is_no_upper_triangle_is_refused(matrix: sparse.csr_array, message:
 
 
 def test_values_of_another_pattern_are_refused() -> None:
-    upper = upper_triangle(grid(5))
+    upper = filled_triangle(grid(5))
     with pytest.raises(ModelError, match="24 values for 65 entries"):
         Pardiso(upper).refactor(np.ones(24))
 
@@ -129,7 +129,7 @@ def test_error_numbers_become_sentences(
     # PARDISO cannot be made to run out of memory on purpose: its answer is replaced.
     monkeypatch.setattr(pardiso._Handle, "call", lambda *_: number)
     with pytest.raises(kind, match=words):
-        Pardiso(upper_triangle(grid(4)))
+        Pardiso(filled_triangle(grid(4)))
 
 
 def test_factors_too_long_for_short_integers_are_made_with_long_ones(
@@ -144,7 +144,7 @@ def test_factors_too_long_for_short_integers_are_made_with_long_ones(
 
     monkeypatch.setattr(pardiso._Handle, "call", overflow)
     matrix = grid(10)
-    upper = upper_triangle(matrix)
+    upper = filled_triangle(matrix)
     factors = Pardiso(upper)
     factors.refactor(upper.data)
     np.testing.assert_allclose(matrix @ factors.solve(np.ones(100)), 1.0, rtol=1e-12)
@@ -154,14 +154,14 @@ def test_factors_may_be_kept_in_files(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setenv("MKL_PARDISO_OOC_PATH", str(tmp_path))
     monkeypatch.setenv("MKL_PARDISO_OOC_MAX_CORE_SIZE", "100")
     matrix = grid(40)
-    upper = upper_triangle(matrix)
+    upper = filled_triangle(matrix)
     factors = Pardiso(upper, out_of_core=True)
     factors.refactor(upper.data)
     np.testing.assert_allclose(matrix @ factors.solve(np.ones(1600)), 1.0, rtol=1e-11)
 
 
 def test_memory_goes_with_the_object() -> None:
-    upper = upper_triangle(grid(120))
+    upper = filled_triangle(grid(120))
 
     def factors_and_size() -> int:
         factors = Pardiso(upper)
