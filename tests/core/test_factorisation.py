@@ -19,7 +19,7 @@ from modetune.core.factorisation import (
     superlu_only,
     symmetric_factors,
     symmetric_matrix,
-    upper_triangle,
+    filled_triangle,
 )
 
 
@@ -181,7 +181,7 @@ def test_a_free_aeroplane_is_singular_and_its_shifted_stiffness_is_not(
 def test_symmetric_factors_solve_and_count_for_one_model_after_the_other(
     program: type[Any],
 ) -> None:
-    upper = upper_triangle(chain(60))
+    upper = filled_triangle(chain(60))
     exact = np.linalg.eigvalsh(chain(60).toarray())
     block = np.random.default_rng(4).standard_normal((60, 3))
     with program():
@@ -203,6 +203,6 @@ def test_symmetric_factors_solve_and_count_for_one_model_after_the_other(
 
 def test_the_upper_triangle_has_every_diagonal_entry() -> None:
     matrix = sparse.csr_array(np.array([[0.0, 2.0], [2.0, 3.0]]))
-    upper = upper_triangle(matrix)
+    upper = filled_triangle(matrix)
     assert upper.nnz == 3
     np.testing.assert_array_equal(upper.toarray(), [[0.0, 2.0], [0.0, 3.0]])

@@ -128,7 +128,7 @@ def test_no_job_moves_two_parameters_that_touch_one_entry_of_a_matrix() -> None:
         for sample in found.samples:
             items = [footprints[column] for column in sample.columns]
             for one, other in ((a, b) for a in items for b in items if a is not b):
-                shared = one.stiffness and other.stiffness or one.mass and other.mass
+                shared = (one.stiffness and other.stiffness) or (one.mass and other.mass)
                 assert not shared or one.nodes.isdisjoint(other.nodes)
         jobs = [sum(n in sample.columns for sample in found.samples) for n in range(8)]
         assert jobs == [len(item.powers) for item in footprints]  # as many as powers, no more
