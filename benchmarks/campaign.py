@@ -44,7 +44,7 @@ from benchmarks.ways import (
 from modetune.core.errors import ModetuneError
 
 #: What ends within a quarter of an hour on two cores.
-DEFAULT_SIZES = {"garteur": ("coarse", "medium", "fine:e"), "launcher": ("coarse", "medium:ade")}
+DEFAULT_SIZES = {"garteur": ("coarse", "medium", "fine:e"), "launcher": ("coarse:acde", "medium:e")}
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ Inverse = Callable[[Floats], Floats]
 
 #: Share of a mode's energy, for a change by one, below which its forces count as none: the shape
 #: changes by less than the root of it.
-NEGLIGIBLE = 1e-8
+NEGLIGIBLE = 1e-6
 #: Relative distance of eigenvalues below which what two modes take of each other is left out of
 #: second derivatives.
 CLOSE = 1e-3

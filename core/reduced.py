@@ -7,10 +7,12 @@ parts (`core/affine.py`), so are the projected ones, and r x r matrices are all 
     K_r(theta) = V^T K_ref V + sum (theta_c^k - ref_c^k) V^T K_ck V,   K_r x = lambda M_r x.
 
 By Rayleigh's principle errors of eigenvalues are the square of those of shapes. At the values
-where the basis was made, modes and first derivatives are those of the full model, as both are in
-the basis; so the shapes' error grows with the square of the distance, the eigenvalues' with its
-fourth power. It is solved as M_r x = mu (K_r - s M_r) x, lambda = s + 1 / mu, as M_r is singular
-where a vector moves no mass. Derivatives within the reduced space use all of its modes:
+where the basis was made, modes and the eigenvalues' first derivatives are those of the full model,
+as the modes are in the basis; the shapes' first derivatives are nearly so. Away from there the
+shapes' error grows with the distance times what these lack, some 10^-3, and with its square, the
+eigenvalues' with the square of that. It is solved as M_r x = mu (K_r - s M_r) x,
+lambda = s + 1 / mu, as M_r is singular where a vector moves no mass. Derivatives within the
+reduced space use all of its modes:
 
     d phi_i = sum_k x_k x_k^T (lambda_i dM - dK) phi_i / (1 - mu_k / mu_i)
               - 1/2 phi_i phi_i^T dM phi_i

@@ -73,13 +73,18 @@ def _beyond(one: sparse.csr_array, other: sparse.csr_array) -> sparse.csr_array:
 
 
 def separate(
-    difference: sparse.csr_array, nodes: Integers, footprints: Sequence[frozenset[int]]
+    difference: sparse.csr_array,
+    nodes: Integers,
+    footprints: Sequence[frozenset[int]],
+    whole: sparse.csr_array | None = None,
 ) -> list[sparse.csr_array]:
     """The parts of a difference that belong to groups of elements, upper triangles (n, n) each.
 
     difference: upper triangle, (n, n), without dust; nodes: (n,), the node that each equation is
-    named after; footprints: the nodes of each group. Raises ModelError where groups share a node,
-    or a part of the difference touches none or several of them.
+    named after; footprints: the nodes of each group; whole: upper triangle, (n, n), of the model,
+    by which equations inside elements are joined to their nodes where the difference does not join
+    them (of a rectangular shell's thickness it has only their diagonal). Raises ModelError where
+    groups share a node, or a part of the difference touches none or several of them.
     """
     owner = _owners(nodes, footprints)
     _, component = connected_components(difference, directed=False)
@@ -90,6 +95,11 @@ def separate(
     named = changed & (owner >= 0)
     np.minimum.at(lowest, component[named], owner[named])
     np.maximum.at(highest, component[named], owner[named])
+    if whole is not None:
+        lost = np.flatnonzero(changed & (highest[component] < 0))
+        beside = _beside(whole, lost, owner)
+        np.minimum.at(lowest, component[lost], np.where(beside < 0, len(footprints), beside))
+        np.maximum.at(highest, component[lost], beside)
     wrong = np.flatnonzero(changed & (lowest != highest)[component])
     if wrong.size:
         where = f"node {nodes[wrong[0]]}"
@@ -102,6 +112,19 @@ def separate(
         )
     owners = np.where(changed, highest[component], -1)
     return [_rows(difference, owners == place) for place in range(len(footprints))]
+
+
+def _beside(whole: sparse.csr_array, rows: Integers, owner: Integers) -> Integers:
+    """The group of the nodes that each of these rows is coupled with, (n_rows,); -1 where none.
+
+    An equation inside an element is coupled with that element's nodes alone, and two groups share
+    no node.
+    """
+    found = np.full(rows.size, -1)
+    for part in (whole[rows], sparse.csr_array(sparse.csc_array(whole)[:, rows].T)):
+        here = np.repeat(np.arange(rows.size), np.diff(part.indptr))
+        np.maximum.at(found, here, owner[part.indices])
+    return found
 
 
 def _owners(nodes: Integers, footprints: Sequence[frozenset[int]]) -> Integers:

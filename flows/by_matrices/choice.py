@@ -14,7 +14,7 @@ from modetune.flows.execution.engine import JobEngine
 logger = logging.getLogger(__name__)
 
 #: Models of fewer elements are solved by the solver itself as fast.
-SMALL = 5000
+SMALL = 2000
 
 
 def matrix_source(campaign: Campaign, engine: JobEngine) -> MatrixSource | None:

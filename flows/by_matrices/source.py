@@ -118,7 +118,8 @@ class MatrixSource:
     ) -> dict[int, Triangles]:
         """What of a job's change of stiffness and mass each of its columns made."""
         found = {column: [NOTHING, NOTHING] for column in columns}
-        for place, upper in enumerate(changed):
+        wholes = (base.upper_stiffness, base.upper_mass)
+        for place, (upper, whole) in enumerate(zip(changed, wholes, strict=True)):
             movers = [
                 column
                 for column in columns
@@ -126,7 +127,9 @@ class MatrixSource:
             ]
             if movers:
                 nodes = [self.footprints[column].nodes for column in movers]
-                for column, part in zip(movers, separate(upper, base.nodes, nodes), strict=True):
+                for column, part in zip(
+                    movers, separate(upper, base.nodes, nodes, whole), strict=True
+                ):
                     found[column][place] = part
         return {column: (pair[0], pair[1]) for column, pair in found.items()}
 

@@ -16,10 +16,10 @@ from scipy import sparse
 from modetune.core.errors import ModelError
 from modetune.core.factorisation import (
     factorise,
+    filled_triangle,
     superlu_only,
     symmetric_factors,
     symmetric_matrix,
-    filled_triangle,
 )
 
 

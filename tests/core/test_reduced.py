@@ -131,18 +131,19 @@ def frequency_errors(model: ReducedModel, full: Full) -> Floats:
 def test_modes_and_derivatives_are_those_of_the_full_model(affine: AffineMatrices) -> None:
     full = Full.at(affine, [1.0] * affine.reference.size)
     model = full.reduced()[0]
-    # K x of smooth shapes loses digits to the stiffness across the thickness of shells.
-    assert frequency_errors(model, full).max() < 1e-7
+    # No product K x is taken, so nothing is lost but to rounding.
+    assert frequency_errors(model, full).max() < 1e-10
     given = full.shapes[np.ix_(full.rows, full.used)]
     found, expected = model.derivatives(full.theta, full.used, given), full.derivatives()
     for column in range(full.theta.size):
         stiffness, mass = (symmetric(upper) for upper in affine.change(full.theta, column))
         lam = fox_kapoor(full.eigenvalues, full.shapes, stiffness, mass)[full.used]
         np.testing.assert_allclose(found.eigenvalues[:, column], lam, atol=1e-6 * np.abs(lam).max())
+        # One answer a mode and parameter, of modes up to six times the used ones' eigenvalue
+        # and more: what is left of unknown modes' share.
         shapes = expected.mode_shapes[:, :, column]
-        np.testing.assert_allclose(
-            found.mode_shapes[:, :, column], shapes, atol=1e-6 * np.abs(given).max()
-        )
+        wrong = np.linalg.norm(found.mode_shapes[:, :, column] - shapes)
+        assert wrong < 1e-2 * np.linalg.norm(shapes)
 
 
 def test_frequencies_away_from_the_basis_are_close_and_one_more_set_makes_them_exact(
@@ -151,7 +152,7 @@ def test_frequencies_away_from_the_basis_are_close_and_one_more_set_makes_them_e
     start = Full.at(affine, [1.0] * affine.reference.size)
     model, basis = start.reduced()
     near, far = (Full.at(affine, away(affine, share)) for share in (0.1, 0.2))
-    assert frequency_errors(model, near).max() < 1e-5
+    assert frequency_errors(model, near).max() < 2e-5
     before = frequency_errors(model, far).max()
     assert before < 1e-4
     richer, wider = Full.at(affine, away(affine, 0.15)).reduced(basis)
@@ -262,7 +263,8 @@ def test_repeated_modes_are_treated_as_the_full_model_treats_them() -> None:
     )  # fmt: skip
     found = model.derivatives(full.theta, used, full.shapes[:, used])
     np.testing.assert_allclose(found.eigenvalues, expected.eigenvalues, atol=1e-7)
-    np.testing.assert_allclose(found.mode_shapes, expected.mode_shapes, atol=1e-6)
+    # Ten of sixteen modes are known; the largest derivative is 0.9.
+    np.testing.assert_allclose(found.mode_shapes, expected.mode_shapes, atol=1e-2)
 
 
 def test_what_a_reduced_model_has_not_is_told() -> None:
@@ -277,3 +279,29 @@ def test_what_a_reduced_model_has_not_is_told() -> None:
         model.modes(np.array([-50.0, 0.0]), 2)
     with pytest.raises(ModesError, match="do not fit its basis"):
         ReducedModel(np.ones(1), -1.0, np.eye(2), np.eye(3), (), (), np.ones((4, 2)))
+
+
+def test_forces_on_known_modes_alone_and_parameters_that_strain_nothing_add_no_vectors() -> None:
+    affine = square_model()
+    full = Full.at(affine, [1.0, 0.0], known=8)
+    whole = full.reduced()[1]
+    # All of the mass moves no shape; 10^-12 of the first spring changes one by 10^-6 at most.
+    heavy = Share(2, (1,), (affine.base.upper_mass,))
+    faint = Share(
+        3, (1,), (affine.stiffness[0].upper(affine.base.upper_stiffness, np.array([1e-12])),)
+    )
+    shares = [
+        Share(part.column, (1,), (part.upper(affine.base.upper_stiffness, np.ones(1)),))
+        for part in affine.stiffness
+    ]
+    wider = affine_matrices(affine.base, np.array([1.0, 0.0, 1.0, 1.0]), [*shares, faint], [heavy])
+    again = Full(wider, np.array([1.0, 0.0, 1.0, 1.0]), full.eigenvalues, full.shapes)
+    model, basis = again.reduced()
+    assert basis.shape == whole.shape
+    doubled = np.array([1.0, 0.0, 2.0, 1.0])
+    halved = model.modes(doubled, 6)[0]
+    np.testing.assert_allclose(halved, 0.5 * full.eigenvalues[:6], rtol=1e-9)
+    # Back at the values of the base from a set elsewhere.
+    shares_moved = Full.at(wider, [1.2, 0.0, 1.5, 1.0], known=8).reduced()[0]
+    lowest = shares_moved.modes(np.array([1.0, 0.0, 1.0, 1.0]), 1)[0]
+    np.testing.assert_allclose(lowest, full.eigenvalues[:1], rtol=1e-4)

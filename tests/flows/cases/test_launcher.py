@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modetune.configs.launcher.launcher import COARSE, GROUPS, write_deck
+from modetune.configs.launcher.launcher import GROUPS
 from modetune.configs.launcher.twin import TRUTH
 from modetune.core.errors import SolverMissing
 from modetune.core.record import CampaignRecord
@@ -17,24 +17,21 @@ from modetune.flows.campaign import Campaign, load_campaign
 from modetune.flows.running import update_campaign
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "launcher"
-DECK = "model={deck: launcher.inp, solver: calculix, units: mm-t-s}"
 CASES = ("launcher", "case_1", "case_2")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The campaigns with a deck and a store that the tests of this file share."""
+    """The campaigns with a store that the tests of this file share."""
     path = tmp_path_factory.mktemp("launcher")
     for file in CONFIGS.iterdir():
         if file.suffix in (".yaml", ".csv"):
             shutil.copyfile(file, path / file.name)
-    with (path / "launcher.inp").open("wb") as deck:
-        write_deck(deck, COARSE)
     return path
 
 
 def loaded(folder: Path, name: str, *settings: str) -> Campaign:
-    return load_campaign(folder / f"{name}.yaml", [DECK, *settings])
+    return load_campaign(folder / f"{name}.yaml", list(settings))
 
 
 def run(folder: Path, watcher: Any, name: str, *settings: str) -> CampaignRecord:
