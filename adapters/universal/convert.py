@@ -26,6 +26,7 @@ from modetune.core.modes import Floats, Integers
 #: Coordinates beyond this are garbled text, in whatever unit; their squares are still numbers.
 FARTHEST = 1e30
 
+
 def units(place: Place, block: Block, read: Any) -> Units:
     """Dataset 164, whose factors turn SI into the file's units: 1000 for millimetres."""
     factor = float(read["length"])
