@@ -22,11 +22,13 @@ def matrix_source(campaign: Campaign, engine: JobEngine) -> MatrixSource | None:
     if campaign.eigensolver == "solver":
         return None
     solver, parameters = campaign.solver, campaign.parameters.parameters
-    reason = unsuitable(solver, parameters, campaign.sensitivity.method)
+    reason = None
+    if campaign.eigensolver == "auto":  # first: the rest takes a look at the whole deck
+        reason = _slower(solver)
     if reason is None and campaign.run.engine != "local":
         reason = "jobs run on other machines"
-    if reason is None and campaign.eigensolver == "auto":
-        reason = _slower(solver)
+    if reason is None:
+        reason = unsuitable(solver, parameters, campaign.sensitivity.method)
     if reason is not None:
         logger.info("modes are the solver's own: %s", reason)
         return None
