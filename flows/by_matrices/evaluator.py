@@ -86,11 +86,15 @@ class MatrixEvaluator(Evaluating):
         return self.native.evaluate(number, theta, previous, alone)
 
     def matrix(self, number: int, evaluation: Evaluation) -> Matrix:
-        if not self.trusted:
-            return self.native.matrix(number, evaluation)
-        return reduced_matrix(
-            self.campaign, self._stored(number).reduced(evaluation, self.analysis), evaluation
-        )
+        if self.trusted:
+            try:
+                reduced = self._stored(number).reduced(evaluation, self.analysis)
+                return reduced_matrix(self.campaign, reduced, evaluation)
+            except ModelError as error:
+                self.mistrust(str(error))
+        if evaluation.solved_by == MATRICES:  # the solver's own methods want its own result
+            evaluation, _ = self.native.evaluate(number, evaluation.theta, evaluation, alone=True)
+        return self.native.matrix(number, evaluation)
 
     def skip(self, number: int, slope: float) -> None:
         self.native.skip(number, slope)
@@ -109,13 +113,19 @@ class MatrixEvaluator(Evaluating):
     ) -> Step | None:
         if not self.trusted:
             return None
-        reduced = self._stored(0).reduced(current, self.analysis)
+        try:
+            reduced = self._stored(0).reduced(current, self.analysis)
+        except ModelError as error:
+            self.mistrust(str(error))
+            return None
         return refined_step(self.campaign, reduced, current, step, region)
 
     def confirmed(self, number: int, evaluation: Evaluation) -> Evaluation | None:
         if not self.trusted:
             return None
-        engine = self.engine.with_threads(cores())  # it goes alone
+        # It goes alone, on all the cores that jobs side by side would have.
+        shared = self.campaign.parallel * self.campaign.threads
+        engine = self.engine.with_threads(min(shared, cores()))
         job = Job(self.campaign.parameters.values(evaluation.theta), self.analysis)
         work = Work(f"modal by {self.campaign.solver.name}", (job,), engine)
         outcomes = unless_failed(self.execution.run(f"iteration {number}", [work])[0])

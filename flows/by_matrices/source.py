@@ -66,8 +66,10 @@ class MatrixSource:
 
     def matrices(self) -> AffineMatrices:
         """The matrices for all values. Raises ModelError where the jobs' do not fit together."""
-        jobs = self._all_jobs()
-        found = self.engine.derived(self.asked, lambda: self._take_apart(jobs), AffineMatrices)
+        jobs = self.jobs()
+        found = self.engine.derived(
+            self.asked, lambda: self._take_apart(self._all_jobs()), AffineMatrices
+        )
         for job in jobs:  # what was made of them is all that is wanted from now on
             self.engine.store.drop(self.engine.key(job))
         return found
