@@ -9,22 +9,15 @@ shape's root mean square on its entries, seed 2026) as they stand beside this fi
 from __future__ import annotations
 
 import sys
-import tempfile
-import threading
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.modes_csv import write_modes_csv
-from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
 from modetune.configs.garteur.aircraft import COARSE, GROUPS, aircraft, calculix_deck, node_at
+from modetune.configs.measuring import noisy, true_modes
 from modetune.core.modes import ModeSet
 from modetune.core.parameters import Parameter
-from modetune.core.results import ModalResult
 
 #: Young's moduli relative to the nominal 71,000 MPa.
 TRUTH = {"FUSELAGE": 1.20, "WING": 0.85, "FIN": 1.10, "TAILPLANE": 0.90, "DRUMS": 1.25}
@@ -59,30 +52,9 @@ def truth_modes(
     )
     nodes = tuple(sorted(set(node_at(aircraft(COARSE), places))))
     analysis = ModalAnalysis(6 + n_modes + 2, nodes)
-    with tempfile.TemporaryDirectory(prefix="modetune-") as name:
-        folder = Path(name)
-        deck = folder / "twin.inp"
-        deck.write_text(calculix_deck(COARSE))
-        solver = calculix_solver(deck, parameters)
-        solver.write(truth, analysis, folder)
-        finished = run_process(solver.command(1), folder, 600.0, threading.Event())
-        result = solver.read(truth, analysis, folder, finished.return_code)
-    assert isinstance(result, ModalResult)
-    return result.elastic.select(range(n_modes))
-
-
-def noisy(modes: ModeSet) -> ModeSet:
-    """The same modes as a test would measure them."""
-    noise = np.random.default_rng(SEED)
-    shapes = modes.mode_shapes
-    rms = np.sqrt(np.mean(shapes**2, axis=0))
-    return replace(
-        modes,
-        frequencies_hz=modes.frequencies_hz
-        * (1.0 + FREQUENCY_NOISE * noise.standard_normal(modes.n_modes)),
-        mode_shapes=shapes + SHAPE_NOISE * rms * noise.standard_normal(shapes.shape),
-        normalisation="unknown",
-    )
+    text = calculix_deck(COARSE)
+    modes = true_modes(lambda file: file.write(text.encode()), parameters, truth, analysis)
+    return modes.select(range(n_modes))
 
 
 def write_twin(folder: Path) -> None:
@@ -93,7 +65,7 @@ def write_twin(folder: Path) -> None:
     numbers = range(1, N_MEASURED + 1)
     write_modes_csv(folder / "twin_measured.csv", numbers, modes, [*said, "exact"])
     write_modes_csv(
-        folder / "twin_noisy.csv", numbers, noisy(modes),
+        folder / "twin_noisy.csv", numbers, noisy(modes, FREQUENCY_NOISE, SHAPE_NOISE, SEED),
         [*said, f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}"],
     )  # fmt: skip
 

@@ -10,21 +10,14 @@ are such that the model's first three frequencies are off as in the thesis's Tab
 from __future__ import annotations
 
 import sys
-import tempfile
-import threading
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.modes_csv import write_modes_csv
-from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
 from modetune.configs.launcher.launcher import COARSE, SENSORS, Mesh, write_deck
+from modetune.configs.measuring import noisy, signed, true_modes
 from modetune.core.modes import ModeSet
 from modetune.core.parameters import Parameter
-from modetune.core.results import ModalResult
 
 #: Young's moduli relative to the model's 71,000 MPa, by material.
 TRUTH = {
@@ -43,38 +36,8 @@ def truth_modes(mesh: Mesh = COARSE) -> ModeSet:
         Parameter(name, "youngs_modulus", "material", (name,), 0.5, 2.0, 0.2) for name in TRUTH
     )
     analysis = ModalAnalysis(N_MEASURED + 2, tuple(range(1, len(SENSORS) + 1)))
-    with tempfile.TemporaryDirectory(prefix="modetune-") as name:
-        folder = Path(name)
-        deck = folder / "twin.inp"
-        with deck.open("wb") as file:
-            write_deck(file, mesh)
-        solver = calculix_solver(deck, parameters)
-        solver.write(TRUTH, analysis, folder)
-        finished = run_process(solver.command(1), folder, 3600.0, threading.Event())
-        result = solver.read(TRUTH, analysis, folder, finished.return_code)
-    assert isinstance(result, ModalResult)
-    return result.elastic.select(range(N_MEASURED))
-
-
-def noisy(modes: ModeSet) -> ModeSet:
-    """The same modes as a test would measure them."""
-    noise = np.random.default_rng(SEED)
-    shapes = _signed(modes).mode_shapes
-    rms = np.sqrt(np.mean(shapes**2, axis=0))
-    return replace(
-        modes,
-        frequencies_hz=modes.frequencies_hz
-        * (1.0 + FREQUENCY_NOISE * noise.standard_normal(modes.n_modes)),
-        mode_shapes=shapes + SHAPE_NOISE * rms * noise.standard_normal(shapes.shape),
-        normalisation="unknown",
-    )
-
-
-def _signed(modes: ModeSet) -> ModeSet:
-    """The solver's sign means nothing; with one of our own the files can be made anywhere."""
-    largest = np.argmax(np.abs(modes.mode_shapes), axis=0)
-    signs = np.sign(modes.mode_shapes[largest, np.arange(modes.n_modes)])
-    return replace(modes, mode_shapes=modes.mode_shapes * signs)
+    modes = true_modes(lambda file: write_deck(file, mesh), parameters, TRUTH, analysis)
+    return modes.select(range(N_MEASURED))
 
 
 def write_twin(folder: Path, mesh: Mesh = COARSE) -> None:
@@ -85,9 +48,10 @@ def write_twin(folder: Path, mesh: Mesh = COARSE) -> None:
         "relative to the model: " + ", ".join(f"{name} {value:g}" for name, value in TRUTH.items()),
     ]
     numbers = range(1, N_MEASURED + 1)
-    write_modes_csv(folder / "exact.csv", numbers, _signed(modes), [*said, "exact"])
+    write_modes_csv(folder / "exact.csv", numbers, signed(modes), [*said, "exact"])
     write_modes_csv(
-        folder / "measured.csv", numbers, noisy(modes),
+        folder / "measured.csv", numbers,
+        noisy(signed(modes), FREQUENCY_NOISE, SHAPE_NOISE, SEED),
         [*said, f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}"],
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ from modetune.configs.fixture.twin import (
     FREQUENCY_NOISE,
     TRUE_CONCRETE_THICKNESS,
     TRUTH,
-    noisy,
+    measured,
     truth_modes,
     write_twin,
 )
@@ -182,9 +182,9 @@ def test_noise_is_seeded_and_knows_no_sign() -> None:
     shapes = np.random.default_rng(1).standard_normal((90, 2))
     modes = mode_set([100.0, 200.0], shapes, np.repeat(np.arange(1, 31), 3), np.tile([1, 2, 3], 30))
     turned = mode_set([100.0, 200.0], -shapes, modes.nodes, modes.components)
-    measured, again = noisy(modes), noisy(turned)
-    np.testing.assert_array_equal(measured.mode_shapes, again.mode_shapes)
-    apart = measured.frequencies_hz / modes.frequencies_hz - 1.0
+    once, again = measured(modes), measured(turned)
+    np.testing.assert_array_equal(once.mode_shapes, again.mode_shapes)
+    apart = once.frequencies_hz / modes.frequencies_hz - 1.0
     assert 0.0 < np.abs(apart).max() < 4.0 * FREQUENCY_NOISE
 
 
