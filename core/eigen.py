@@ -5,22 +5,22 @@ K - s M is positive definite even for a free structure with its singular K:
 
     A phi = theta phi,   A = (K - s M)^-1 M,   theta = 1 / (lambda - s).
 
-The first model is solved by Lanczos (ARPACK; Ericsson and Ruhe 1980), models with the same
-sparsity and nearly the same modes from those by a block Krylov space (core/krylov.py). Both are
-followed by one solution with all shapes at once, phi = A phi / theta, which gives their rows
-without mass and the residuals ||A phi - theta phi||_M / theta: there is a lambda within
+They are found in a block Krylov space (block Lanczos with all vectors kept, core/krylov.py): of
+the first model from a few random vectors, of models with the same sparsity and nearly the same
+modes from those. One solution with all shapes at once, phi = A phi / theta, gives their rows
+without mass, and the residuals ||A phi - theta phi||_M / theta tell that there is a lambda within
 
     |lambda - lambda_found| <= residual (lambda_found - s).
 
-Neither way sees what its start vectors lack. So eigenvalues are counted: K - c M has as many
-negative pivots as there are eigenvalues below c (Sylvester), at the cost of one more
-factorisation. From start shapes c is just above the Rayleigh quotient of the last one (which no
-eigenvalue of its number exceeds); as many modes as there are below c are found, or it is said
-that they are not. After Lanczos c is just below the last eigenvalue found. Of equal eigenvalues
-(bending of square and round sections, parts that occur twice) Lanczos from one vector sees one
-direction, and the others only as rounding brings them in: where the count says that some are
-missing, a block Krylov space from the shapes found and random vectors goes on to c just above
-the last one found, until it holds as many as there are.
+No way sees what its start vectors lack. So eigenvalues are counted: K - c M has as many negative
+pivots as there are eigenvalues below c (Sylvester), at the cost of one more factorisation. From
+start shapes c is just above the Rayleigh quotient of the last one (which no eigenvalue of its
+number exceeds); as many modes as there are below c are found, or it is said that they are not.
+From random vectors c is just below the last eigenvalue found. Of equal eigenvalues (bending of
+square and round sections, parts that occur twice) a space sees as many directions as it has start
+vectors, and others only as rounding brings them in: where the count says that some are missing,
+another one from the shapes found and random vectors goes on to c just above the last one found,
+until it holds as many as there are.
 
 Rounding sets a limit to all ways: lambda is known to about 10^-16 of the largest eigenvalue, as
 the computed eigenvalues of rigid modes show. Small models are solved whole by LAPACK
@@ -35,7 +35,6 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import eigh
 from scipy.linalg.blas import dgemm
-from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from modetune.core.dense_modes import solve_condensed, solve_whole
 from modetune.core.errors import ModelError
@@ -62,11 +61,18 @@ GUARD = 4
 BLOCKS = 5
 #: Blocks that random vectors need to show a mode, where nothing tells whether they must.
 LEAST_BLOCKS = 3
-#: Krylov spaces, each from the best of the one before, for modes that Lanczos did not find.
+#: Random start vectors where nothing is known: a solution with a few costs little more than with
+#: one, and as many equal eigenvalues are seen at once.
+COLUMNS = 6
+#: Vectors of such a space for a mode, and beyond, before it counts as in vain; half is common.
+VECTORS, MORE_VECTORS = 8, 80
+#: Krylov spaces, each from the best of the one before, for modes that the first did not hold.
 ROUNDS = 4
 #: Largest residual of a mode before the last solution, which leaves a few hundredths of it.
 #: Eigenvalues have its square over the gap to modes that were not looked for.
 TOLERANCE = 2e-5
+#: The same from random vectors, whose modes hold some of any other; a block more.
+RANDOM_TOLERANCE = 2e-6
 #: Eigenvalues this close, relative to their distance from the shift, are not told apart.
 _SAME = 1e-6
 
@@ -149,7 +155,7 @@ class ModeSolver:
             found = self._from_start(pencil, n_modes, shift, np.asfortranarray(start))
             if found is not None:
                 return found
-        return self._by_lanczos(pencil, n_modes, shift)
+        return self._from_random(pencil, n_modes, shift)
 
     def inverse(self, block: Floats) -> Floats:
         """(K - s M)^-1 block of the last model, (n,) or (n, n_columns), s as in its `Solved`."""
@@ -186,12 +192,12 @@ class ModeSolver:
             return None
         return _of_pairs(pencil, pairs, n_modes, "start", self._count)
 
-    def _by_lanczos(self, pencil: Pencil, n_modes: int, shift: float) -> Solved:
+    def _from_random(self, pencil: Pencil, n_modes: int, shift: float) -> Solved:
         self._shift = factorise_below(pencil, shift)
         if not pencil.is_invertible():
             raise singular_together(pencil)
-        inverted, vectors, solutions = _lanczos(pencil, n_modes)
-        solved = _completed(pencil, inverted, vectors, "Lanczos", solutions)
+        pairs = _random_pairs(pencil, n_modes)
+        solved = _of_pairs(pencil, pairs, n_modes, "random", False)
         if not self._count:
             return solved
         last = float(solved.eigenvalues[-1])
@@ -222,13 +228,13 @@ class ModeSolver:
         for turn in range(ROUNDS):
             start = with_random(shapes, wanted - shapes.shape[1] + GUARD, turn)
             pairs = largest_pairs(
-                pencil, start, wanted, TOLERANCE, 3 * BLOCKS,
+                pencil, start, wanted, RANDOM_TOLERANCE, 3 * BLOCKS,
                 least_inverted=1.0 / (above - self._shift),
             )  # fmt: skip
             solutions += pairs.solutions
             if pairs.converged:
                 pairs = replace(pairs, solutions=solutions)
-                return _of_pairs(pencil, pairs, n_modes, "Lanczos, block", True)
+                return _of_pairs(pencil, pairs, n_modes, "random, again", True)
             shapes = pairs.images
         return None
 
@@ -256,30 +262,22 @@ def solve_modes(
     return solved.eigenvalues, solved.shapes
 
 
-def _lanczos(pencil: Pencil, n_modes: int) -> tuple[Floats, Floats, int]:
-    """Theta descending, shapes on mass rows, and how many solutions they took."""
-    size, shift = pencil.n_with_mass, pencil.shift
-    assert shift is not None
-    solutions = 0
-
-    def solve(force: Floats) -> Floats:
-        nonlocal solutions
-        solutions += 1
-        return pencil.apply(np.ravel(force))[pencil.rows]
-
-    inverse = LinearOperator((size, size), matvec=solve, dtype=np.float64)
-    mass = LinearOperator((size, size), matvec=lambda x: pencil.inertia(x.ravel()), dtype=float)
-    # A fixed start makes a run repeat to the last digit.
-    start = np.random.default_rng(0).standard_normal(size)
-    try:
-        values, vectors = eigsh(
-            mass, n_modes, mass, sigma=shift, OPinv=inverse, v0=start, tol=1e-2 * TOLERANCE,
-            ncv=min(size - 1, max(2 * n_modes + 1, 20)),
-        )  # fmt: skip
-    except ArpackError as error:
-        raise ModelError(f"the eigenvalue solution did not end: {error}") from error
-    order = np.argsort(values)
-    return 1.0 / (values[order] - shift), vectors[:, order], solutions
+def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:
+    """The modes that Krylov spaces from random vectors hold. Raises ModelError if in vain."""
+    columns = min(COLUMNS, pencil.n_with_mass)
+    blocks = -(-(VECTORS * n_modes + MORE_VECTORS) // columns)
+    shapes, solutions = np.zeros((pencil.n_with_mass, 0)), 0
+    for turn in range(ROUNDS):
+        start = with_random(shapes, columns, turn)
+        pairs = largest_pairs(pencil, start, n_modes, RANDOM_TOLERANCE, blocks)
+        solutions += pairs.solutions
+        if pairs.converged:
+            return replace(pairs, solutions=solutions)
+        shapes = pairs.images
+    raise ModelError(
+        f"{n_modes} modes were not found in {solutions} vectors: the largest residual of the "
+        f"{pairs.inverted.size} at hand is {float(np.max(pairs.residuals, initial=0.0)):.1e}"
+    )
 
 
 def _of_pairs(pencil: Pencil, pairs: RitzPairs, n_modes: int, way: str, counted: bool) -> Solved:

@@ -99,6 +99,11 @@ class ReducedModel:
         Returns eigenvalues (n_modes,) ascending, (rad/s)^2, and mass-normalised shapes
         (n_rows, n_modes). Raises ModesError where the reduced model has no such modes.
         """
+        eigenvalues, combined = self.combinations(theta, n_modes)
+        return eigenvalues, self.rows @ combined
+
+    def combinations(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
+        """As `modes`, the shapes by what they have of each vector of the basis, (r, n_modes)."""
         inverted, vectors = self._solved(theta)
         with_mass = int(np.sum(inverted > 1e-12 * inverted[0]))
         if n_modes > with_mass:
@@ -107,7 +112,7 @@ class ReducedModel:
                 "make it of more modes"
             )
         kept = inverted[:n_modes]
-        return self.shift + 1.0 / kept, self.rows @ (vectors[:, :n_modes] / np.sqrt(kept))
+        return self.shift + 1.0 / kept, vectors[:, :n_modes] / np.sqrt(kept)
 
     def derivatives(
         self, theta: Floats, modes: Integers, shapes: Floats | None = None

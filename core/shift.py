@@ -13,11 +13,13 @@ import numpy as np
 
 from modetune.core.errors import ModelError
 from modetune.core.krylov import RitzPairs, block_krylov
-from modetune.core.modes import Floats, count_rigid_modes
+from modetune.core.modes import Floats
 from modetune.core.pencil import Pencil
 
 #: A shift of this share of the largest eigenvalue can be told from rounding.
 LEAST_SHIFT = 1e-10
+#: Eigenvalues of this many least shifts are not those of rigid motion.
+STRAINED = 10.0
 #: Shapes in the estimate of the first elastic eigenvalue: six rigid ones and some to spare.
 BLOCK = 10
 #: Eigenvalues are known to this share of the largest one, rigid ones for example.
@@ -37,8 +39,9 @@ def estimate_shift(pencil: Pencil) -> float:
     start = with_random(np.zeros((pencil.n_with_mass, 0)), min(BLOCK, pencil.n_with_mass))
     pairs = largest_pairs(pencil, start, BLOCK, 0.0, 2)
     eigenvalues = 1.0 / np.maximum(pairs.inverted, 1e-300) + least
-    rigid = count_rigid_modes(eigenvalues)
-    return float(min(-0.1 * abs(eigenvalues[min(rigid, eigenvalues.size - 1)]), least))
+    elastic = eigenvalues[eigenvalues > -STRAINED * least]  # parts may move rigidly by themselves
+    first = float(elastic[0] if elastic.size else abs(eigenvalues[-1]))
+    return min(-0.1 * first, least)
 
 
 def largest_pairs(

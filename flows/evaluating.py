@@ -93,6 +93,7 @@ class Evaluating(Protocol):
         """A set evaluated by the solver's own modes; None where it was so already."""
         return None
 
-    def mistrust(self, reason: str) -> None:
-        """From now on evaluate by the solver's own modes alone, for this reason."""
+    def refuted(self, evaluation: Evaluation, apart: float) -> None:
+        """The solver's own frequencies at this set differ by apart, relative: what found others
+        is to be believed no more."""
         return

@@ -141,7 +141,7 @@ class Loop:
         """Update until e1 holds, nothing more is gained, or the iterations are used up.
 
         Where modes came from the solver's matrices its own modes at the end are looked at; if these
-        do not agree with them, updating goes on with the solver's own.
+        do not agree with them, updating goes on with less belief in what was found otherwise.
         """
         state = self._start()
         while True:
@@ -151,9 +151,9 @@ class Loop:
                 self.watcher.confirmed(confirmed)
                 apart = float(np.max(np.abs(confirmed.errors - state.current.errors)))
                 unmet = status == "converged" and not confirmed.agrees(self.campaign.tolerances)
-                state = State(confirmed, None, None)
+                before, state = state.current, State(confirmed, None, None)
                 if apart > CONFIRMED or unmet:
-                    self.evaluator.mistrust(f"the solver's own frequencies differ by {apart:.1e}")
+                    self.evaluator.refuted(before, apart)
                     continue
             return End(status, self._reason(status, state.current), state.current, self.last_matrix)
 

@@ -6,6 +6,9 @@
     each step              the whole problem on reduced models   `reduced_step.py`: milliseconds
     at the end             the solver's own modes                one modal job
 
+A step that is short beside one whose end was foreseen well is not solved for by the matrices: where
+the reduced model says that e1 holds there, the solver's own modes are looked at next.
+
 Nothing is skipped: sensitivities follow from the reduced model, which the step needs anyhow. Where
 the matrices turn out not to be the model's (parts that they do not hold, sensors whose motion does
 not follow from them) the solver's own modes take over, which is told.
@@ -14,8 +17,12 @@ not follow from them) the solver's own modes take over, which is told.
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, replace
 
-from modetune.core.errors import ModelError
+import numpy as np
+
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.errors import ModelError, ModesError
 from modetune.core.estimation import Step
 from modetune.core.held_out import HeldOut
 from modetune.core.modes import Floats
@@ -23,7 +30,7 @@ from modetune.core.pairing import LostMode
 from modetune.core.record import RunCounts
 from modetune.core.results import ModalResult
 from modetune.flows.by_matrices.modes import MatrixModes
-from modetune.flows.by_matrices.reduced_step import reduced_matrix, refined_step
+from modetune.flows.by_matrices.reduced_step import REDUCED, reduced_matrix, refined_step
 from modetune.flows.by_matrices.source import MatrixSource
 from modetune.flows.campaign import Campaign, cores
 from modetune.flows.evaluating import Evaluating, Matrix
@@ -38,12 +45,30 @@ from modetune.flows.evaluator import (
 )
 from modetune.flows.execution.engine import Job, JobEngine
 from modetune.flows.execution.work import Execution, Work
+from modetune.flows.loop import CONFIRMED
 from modetune.flows.semi_analytic import UnlikeMatrices
 
 logger = logging.getLogger(__name__)
 
 #: Who finds modes here, in records.
 MATRICES = "stored matrices"
+#: Share of e1's frequency tolerance, and of what tells models apart, that a reduced model may be
+#: off where it is believed.
+BELIEVED = 0.1
+#: Modes beyond the last one wanted that the solver's own run may have in another order.
+SPARE_MODES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Miss:
+    """How far frequencies were from what was foreseen, relative, and after how long a step."""
+
+    error: float
+    length: float
+
+    def after(self, length: float) -> float:
+        """What to expect after another step: reduced models' errors grow at least as its square."""
+        return self.error * (length / self.length) ** 2
 
 
 class MatrixEvaluator(Evaluating):
@@ -59,6 +84,9 @@ class MatrixEvaluator(Evaluating):
         self.native = Evaluator(campaign, engine, execution)
         self.analysis = campaign_analysis(campaign)
         self.trusted = True
+        self._foreseen: Evaluation | None = None
+        self._miss: Miss | None = None
+        self._foresees = True
         self._modes: MatrixModes | None = None
         self._runs = RunCounts()
 
@@ -79,10 +107,14 @@ class MatrixEvaluator(Evaluating):
     ) -> tuple[Evaluation, Matrix | None]:
         if self.trusted:
             try:
+                foreseen = self._believed(theta, previous)
+                if foreseen is not None:
+                    return foreseen, None
                 evaluation = self._evaluate(number, theta, previous)
+                self._look_back(evaluation, previous)
                 return evaluation, None if alone else self.matrix(number, evaluation)
             except (UnlikeMatrices, ModelError) as error:
-                self.mistrust(str(error))
+                self._mistrust(str(error))
         return self.native.evaluate(number, theta, previous, alone)
 
     def matrix(self, number: int, evaluation: Evaluation) -> Matrix:
@@ -91,8 +123,9 @@ class MatrixEvaluator(Evaluating):
                 reduced = self._stored(number).reduced(evaluation, self.analysis)
                 return reduced_matrix(self.campaign, reduced, evaluation)
             except ModelError as error:
-                self.mistrust(str(error))
-        if evaluation.solved_by == MATRICES:  # the solver's own methods want its own result
+                self._mistrust(str(error))
+        # The solver's own methods want its own result, with all energies that they use.
+        if len(evaluation.modal.groups) < len(self.native.analysis.groups):
             evaluation, _ = self.native.evaluate(number, evaluation.theta, evaluation, alone=True)
         return self.native.matrix(number, evaluation)
 
@@ -116,17 +149,35 @@ class MatrixEvaluator(Evaluating):
         try:
             reduced = self._stored(0).reduced(current, self.analysis)
         except ModelError as error:
-            self.mistrust(str(error))
+            self._mistrust(str(error))
             return None
-        return refined_step(self.campaign, reduced, current, step, region)
+        found = refined_step(self.campaign, reduced, current, step, region)
+        if found is None:
+            return None
+        refined, self._foreseen = found
+        return refined
 
     def confirmed(self, number: int, evaluation: Evaluation) -> Evaluation | None:
-        if not self.trusted:
+        if not self.trusted or evaluation.solved_by not in (MATRICES, REDUCED):
             return None
         # It goes alone, on all the cores that jobs side by side would have.
         shared = self.campaign.parallel * self.campaign.threads
         engine = self.engine.with_threads(min(shared, cores()))
-        job = Job(self.campaign.parameters.values(evaluation.theta), self.analysis)
+        wanted = [evaluation.pairing.computed]
+        if evaluation.held_out is not None:
+            wanted.append(evaluation.held_out.computed)
+        last = evaluation.modal.n_rigid + int(np.max(np.concatenate(wanted))) + 1
+        least = min(last + SPARE_MODES, self.analysis.n_modes)
+        analysis = replace(self.analysis, n_modes=least, groups=())
+        try:
+            return self._confirmed(number, evaluation, engine, analysis)
+        except LostMode:
+            return self._confirmed(number, evaluation, engine, self.analysis)
+
+    def _confirmed(
+        self, number: int, evaluation: Evaluation, engine: JobEngine, analysis: ModalAnalysis
+    ) -> Evaluation:
+        job = Job(self.campaign.parameters.values(evaluation.theta), analysis)
         work = Work(f"modal by {self.campaign.solver.name}", (job,), engine)
         outcomes = unless_failed(self.execution.run(f"iteration {number}", [work])[0])
         self._runs = self._runs.plus(outcomes_count("modal", outcomes))
@@ -134,7 +185,46 @@ class MatrixEvaluator(Evaluating):
         assert isinstance(modal, ModalResult)
         return compare(self.campaign, evaluation.theta, outcomes[0].key, modal, evaluation)
 
-    def mistrust(self, reason: str) -> None:
+    def refuted(self, evaluation: Evaluation, apart: float) -> None:
+        if evaluation.solved_by == REDUCED and apart <= CONFIRMED:  # e1 is just not met
+            logger.info("the reduced model's frequencies differ by %.1e from the solver's", apart)
+            self._foresees = False
+        else:
+            self._mistrust(f"the solver's own frequencies differ by {apart:.1e}")
+
+    def _believed(self, theta: Floats, previous: Evaluation | None) -> Evaluation | None:
+        """What a reduced model foresees at a set, if e1 holds there and it can be believed."""
+        foreseen = self._foreseen_at(theta)
+        if foreseen is None or previous is None or self._miss is None or not self._foresees:
+            return None
+        tolerances, length = self.campaign.tolerances, _length(theta, previous)
+        doubt = self._miss.after(length)
+        least = BELIEVED * min(tolerances.frequency, CONFIRMED)
+        if doubt > least or not foreseen.agrees(tolerances):
+            return None
+        try:
+            key, modal = self._stored(0).foreseen(theta, self.analysis)
+            found = compare(self.campaign, theta, key, modal, previous, REDUCED)
+        except ModesError as error:
+            logger.debug("nothing is foreseen: %s", error)
+            return None
+        return found if found.agrees(tolerances) else None
+
+    def _look_back(self, evaluation: Evaluation, previous: Evaluation | None) -> None:
+        """Keep how far a reduced model's frequencies were from those found now."""
+        foreseen = self._foreseen_at(evaluation.theta)
+        if foreseen is not None and previous is not None:
+            error = float(np.max(np.abs(foreseen.errors - evaluation.errors)))
+            self._miss = Miss(error, _length(evaluation.theta, previous))
+
+    def _foreseen_at(self, theta: Floats) -> Evaluation | None:
+        """The end of the last step on a reduced model, if it is this set."""
+        foreseen = self._foreseen
+        if foreseen is None or not np.allclose(foreseen.theta, theta, rtol=0.0, atol=1e-12):
+            return None
+        return foreseen
+
+    def _mistrust(self, reason: str) -> None:
         logger.warning("%s: modes are the solver's own from now on", reason)
         self.trusted = False
         self._modes = None
@@ -169,3 +259,8 @@ class MatrixEvaluator(Evaluating):
         return [
             Work(f"matrices {place} of {len(jobs)}", (job,)) for place, job in enumerate(jobs, 1)
         ]
+
+
+def _length(theta: Floats, previous: Evaluation) -> float:
+    """How far a set is from another one; never zero."""
+    return max(float(np.max(np.abs(theta - previous.theta))), float(np.finfo(np.float64).eps))

@@ -1,19 +1,20 @@
 """Modes of a campaign's model from its stored matrices, solved in this process.
 
-What a set cost is in the store like a solver's result; shapes of all unknowns, which the next
-solution starts from and reduced models are made of, stay in memory for the newest set alone.
+What a set cost is in the store like a solver's result; shapes of all unknowns, which reduced models
+are made of, and the newest of their bases, which the next solution starts from, stay in memory.
 """
 
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.eigen import ModeSolver, Solved
+from modetune.core.errors import ModesError
 from modetune.core.keys import Json, canonical_json, content_key
 from modetune.core.modes import Floats, Integers, count_rigid_modes, mode_set
 from modetune.core.reduced import ReducedModel
@@ -28,12 +29,26 @@ from modetune.flows.semi_analytic import UnlikeMatrices
 logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are solved, or reduced, to other numbers.
-MODES_VERSION = 1
-REDUCED_VERSION = 1
+MODES_VERSION = 2
+REDUCED_VERSION = 2
 #: The shift below the spectrum, in first elastic eigenvalues.
 SHIFT = -0.1
 #: Unobservable nodes that a message names.
 NAMED = 5
+
+
+@dataclass(frozen=True, slots=True)
+class _Basis:
+    """A reduced model with its basis (n, r); around: its key."""
+
+    around: str
+    reduced: ReducedModel
+    vectors: Floats
+
+    def shapes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
+        """Eigenvalues (n_modes,) and shapes of all unknowns (n, n_modes). Raises ModesError."""
+        eigenvalues, combined = self.reduced.combinations(theta, n_modes)
+        return eigenvalues, self.vectors @ combined
 
 
 class MatrixModes:
@@ -46,13 +61,25 @@ class MatrixModes:
         self.affine = source.matrices()
         self._solver = ModeSolver()
         self._newest: tuple[Floats, Solved] | None = None
-        self._shift: float | None = None
+        self._basis: _Basis | None = None
+        self._around = ""
+        first = float(np.min(campaign.measured.modes.frequencies_hz))
+        self._shift = SHIFT * (2.0 * np.pi * first) ** 2  # the model's own, once it is known
 
     def modal(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """The key and the modes of a set at the analysis' nodes. Raises UnlikeMatrices where
         their motion does not follow from the matrices' unknowns."""
         asked = self._asked("modes", MODES_VERSION, theta, analysis)
         found = self.engine.derived(asked, lambda: self._modal(theta, analysis), ModalResult)
+        return content_key(canonical_json(asked)), found
+
+    def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
+        """As `modal`, by the newest reduced model. Raises ModesError where it has no such modes."""
+        asked = {
+            "around": self._around,
+            "of": self._asked("foreseen", REDUCED_VERSION, theta, analysis),
+        }
+        found = self.engine.derived(asked, lambda: self._foreseen(theta, analysis), ModalResult)
         return content_key(canonical_json(asked)), found
 
     def reduced(self, evaluation: Evaluation, analysis: ModalAnalysis) -> ReducedModel:
@@ -63,6 +90,7 @@ class MatrixModes:
             "pairs": modes.tolist(),
             "of": self._asked("reduced", REDUCED_VERSION, evaluation.theta, here),
         }
+        self._around = content_key(canonical_json(asked))
         return self.engine.derived(
             asked, lambda: self._reduced(evaluation.theta, modes, here), ReducedModel
         )
@@ -84,21 +112,40 @@ class MatrixModes:
                 return solved
         with self.engine.all_cores():
             matrices = self.affine.at(self.source.written(theta))
-            start = None if self._newest is None else self._newest[1].shapes
             solved = self._solver.solve(
-                matrices.upper_stiffness, matrices.upper_mass, n_modes, self._shift, start
-            )
+                matrices.upper_stiffness, matrices.upper_mass, n_modes, self._shift,
+                self._start(theta, n_modes),
+            )  # fmt: skip
         rigid = count_rigid_modes(solved.eigenvalues)
         if rigid < solved.eigenvalues.size:
             self._shift = SHIFT * float(solved.eigenvalues[rigid])
         self._newest = theta.copy(), solved
         return solved
 
+    def _start(self, theta: Floats, n_modes: int) -> Floats | None:
+        """Shapes near those of a set: the newest reduced model's there, else the newest ones."""
+        if self._basis is not None:
+            try:
+                return self._basis.shapes(theta, n_modes)[1]
+            except ModesError as error:
+                logger.debug("no start from a reduced model: %s", error)
+        return None if self._newest is None else self._newest[1].shapes
+
     def _modal(self, theta: Floats, analysis: ModalAnalysis) -> ModalResult:
         solved = self._solved(theta, analysis.n_modes)
-        eigenvalues = solved.eigenvalues[: analysis.n_modes]
+        return self._seen(solved.eigenvalues, solved.shapes, analysis)
+
+    def _foreseen(self, theta: Floats, analysis: ModalAnalysis) -> ModalResult:
+        if self._basis is None or self._basis.around != self._around:
+            return self._modal(theta, analysis)  # an earlier run died before this was stored
+        found = self._basis.shapes(self.source.written(theta), analysis.n_modes)
+        return self._seen(*found, analysis)
+
+    def _seen(self, eigenvalues: Floats, shapes: Floats, analysis: ModalAnalysis) -> ModalResult:
+        """The modes at an analysis' nodes, of shapes of all unknowns."""
+        eigenvalues = eigenvalues[: analysis.n_modes]
         nodes, components = _named(analysis.nodes)
-        shapes = self._observer(nodes, components) @ solved.shapes[:, : analysis.n_modes]
+        shapes = self._observer(nodes, components) @ shapes[:, : analysis.n_modes]
         return ModalResult(
             eigenvalues=eigenvalues,
             modes=mode_set(
@@ -115,10 +162,11 @@ class MatrixModes:
         solved = self._solved(theta, here.n_modes)
         nodes, components = _named(here.nodes)
         with self.engine.all_cores():
-            model, _ = reduce(
+            model, basis = reduce(
                 self.affine, self.source.written(theta), solved.eigenvalues, solved.shapes,
                 self._solver.inverse, modes, self._observer(nodes, components),
             )  # fmt: skip
+        self._basis = _Basis(self._around, model, basis)
         return model
 
     def _observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:

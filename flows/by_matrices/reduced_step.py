@@ -42,8 +42,9 @@ def refined_step(
     current: Evaluation,
     step: Step,
     region: tuple[Floats, Floats],
-) -> Step | None:
-    """The step to where updating ends on a reduced model around the current set.
+) -> tuple[Step, Evaluation] | None:
+    """The step to where updating ends on a reduced model around the current set, and what it
+    foresees there.
 
     step: the linear one, whose regularisation and condition it keeps; region: lower and upper
     values. None where the reduced model cannot be updated.
@@ -60,7 +61,8 @@ def refined_step(
     except ModesError as error:
         logger.debug("no reduced step: %s", error)
         return None
-    return replace(step, change=end.last.theta - current.theta, predicted=end.last.residual.values)
+    change = end.last.theta - current.theta
+    return replace(step, change=change, predicted=end.last.residual.values), end.last
 
 
 def reduced_matrix(campaign: Campaign, reduced: ReducedModel, evaluation: Evaluation) -> Matrix:
