@@ -84,6 +84,7 @@ class ModelSummary:
     solid_shapes: whether each unknown of a node is one equation of the stored matrices (solids
     without dependent nodes), so that they are matrices of the nodes. matrix_shapes: whether shapes
     at nodes follow from the stored matrices (`Solver.observation`), as those of shells do too.
+    file: what the model was read from, None where it is from no file.
     """
 
     name: str
@@ -92,6 +93,7 @@ class ModelSummary:
     n_elements: int
     solid_shapes: bool
     matrix_shapes: bool = False
+    file: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

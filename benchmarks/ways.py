@@ -51,7 +51,7 @@ WAYS = (
     Way("a", "differences one by one, numpy", method="gauss_newton"),
     Way("b", "SciPy least_squares", method="least_squares"),
     Way("c", "thesis's Case II", settings=(*THESIS, "update.e2=0")),
-    Way("d", "thesis's Case I", settings=(*THESIS, "update.e2=0.002")),
+    Way("d", "thesis's Case I", settings=THESIS),
     Way("e", "modetune as it comes"),
 )
 LETTERS = "".join(way.letter for way in WAYS)

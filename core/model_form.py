@@ -33,7 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from modetune.core.errors import CampaignError
 from modetune.core.estimation import RANK_TOLERANCE, StepProblem, parameter_step
@@ -125,7 +125,7 @@ def model_form(
     return ModelForm(
         statistic=statistic,
         dof=dof,
-        p_value=float(chi2.sf(statistic, dof)) if dof > 0 else float("nan"),
+        p_value=float(chdtrc(dof, statistic)) if dof > 0 else float("nan"),
         level=level,
         change=change,
         at_bound=at_bound,

@@ -18,10 +18,12 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 import threading
 import weakref
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -227,6 +229,11 @@ def is_available() -> bool:
 def _library() -> Any | None:
     # Read when MKL is loaded: the same numbers to the last digit in each run on a machine.
     os.environ.setdefault("MKL_CBWR", "AUTO")
+    here = sorted(
+        Path(sys.prefix, "lib").glob("libmkl_rt.so*")
+    )  # else all folders are looked through
+    if here:
+        os.environ.setdefault("PYPARDISO_MKL_RT", str(here[0]))
     try:
         from pypardiso.scipy_aliases import pypardiso_solver
     except ImportError:
@@ -250,8 +257,8 @@ def _settings(definite: bool, matching: bool, out_of_core: bool) -> NDArray[np.i
     # that is, for masses and rotations make small ones; 24: factors in two levels of parallel
     # work, which halves the time of single solves. Left at 0 is 8: solutions are refined only
     # after a lifted pivot, for refining takes twice as long again as solving. 37: unknowns whose
-    # rows are 90 % alike, as those of a node are, are ordered as one, which halves the ordering.
-    chosen = {1: 1, 2: 3, 10: 20, 18: -1, 21: 1, 24: 1, 37: -90, 60: 2 if out_of_core else 0}
+    # rows are 95 % alike, as those of a node are, are ordered as one, which halves the ordering.
+    chosen = {1: 1, 2: 3, 10: 20, 18: -1, 21: 1, 24: 1, 37: -95, 60: 2 if out_of_core else 0}
     if definite:
         chosen[21] = 0
     if matching:  # 10: the scaled matrix is of norm one; 24 does not go with 11 and 13

@@ -15,8 +15,15 @@ d phi inside it follows, for modes that are distinct at all, from the modal sum
 Where stiffness is proportional to a parameter E over an element group, phi^T dK phi is
 2 U_group / E with U the group's strain energy in the mass-normalised mode.
 
-Broyden's rank-one update corrects a sensitivity matrix by what the last step showed:
-S + (dz - S dtheta) dtheta^T / dtheta^T dtheta (Broyden 1965).
+Broyden's update corrects a sensitivity matrix by what the last step showed. Of all rows that
+explain their own part of it, S'_i dtheta = dz_i, it takes those changed least (Broyden 1965),
+
+    sum_j (S'_ij - S_ij)^2 / w_ij least:   S'_ij = S_ij + (dz_i - S_i dtheta) w_ij dtheta_j
+                                                          / sum_k w_ik dtheta_k^2.
+
+A frequency hardly depends on a parameter whose part it does not strain, wherever the others are;
+its entries are changed in proportion to their own size, w_ij = S_ij^2. Entries of shapes pass
+through zero as the shapes turn: w_ij = 1.
 """
 
 from __future__ import annotations
@@ -29,6 +36,10 @@ from modetune.core.errors import ModesError
 from modetune.core.factorisation import factorise
 from modetune.core.modes import Floats, Integers
 from modetune.core.results import ModeDerivatives
+
+#: How freely Broyden's update changes an entry of zero among the frequencies', in mean squares of
+#: its row.
+LEAST_FREEDOM = 1e-4
 
 
 def stack_derivatives(columns: list[ModeDerivatives]) -> ModeDerivatives:
@@ -175,13 +186,22 @@ def cluster_rotation(
     return derivatives, phi @ rotation
 
 
-def broyden_update(sensitivity: Floats, step: Floats, change: Floats) -> Floats:
+def broyden_update(
+    sensitivity: Floats, step: Floats, change: Floats, n_frequencies: int = 0
+) -> Floats:
     """The sensitivity closest to the given one that explains the last step.
 
     sensitivity: (n_residuals, n_parameters); step: (n_parameters,), taken; change:
-    (n_residuals,), of the computed values in that step. Source: Broyden 1965.
+    (n_residuals,), of the computed values in that step. n_frequencies: how many of the first rows
+    are of frequencies, whose entries change in proportion to their own size. Source: Broyden 1965.
     """
-    length = float(step @ step)
-    if length == 0.0:
+    if not step.any():
         return sensitivity
-    return np.asarray(sensitivity + np.outer(change - sensitivity @ step, step) / length)
+    freedom = np.ones_like(sensitivity)
+    squares = sensitivity[:n_frequencies] ** 2
+    mean = squares.mean(axis=1, keepdims=True)
+    # A row of zeros has no sizes to go by, and no step may be one that its row cannot explain.
+    freedom[:n_frequencies] = np.where(mean > 0.0, squares + LEAST_FREEDOM * mean, 1.0)
+    scaled = freedom * step
+    wrong = (change - sensitivity @ step) / (scaled @ step)
+    return np.asarray(sensitivity + wrong[:, None] * scaled)

@@ -13,6 +13,7 @@ killed is resumed by starting it again: what was finished is answered by the sto
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -37,9 +38,9 @@ STATIONARY = 1e-4
 NO_STEP = 1e-8
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
-#: Broyden goes on as long as a step leaves no more than this share of the objective: a new matrix
-#: would do about as well. Slower steps cost more runs than it.
-FAST = 0.1
+#: How far from e1, at least, Broyden's rate is asked to bring errors down: a rate that hardly is
+#: one is none, also where the frequencies hold already and the shapes do not.
+LEAST_WAY = 2.0
 #: Frequencies by stored matrices and by the solver itself that differ more are not one model's.
 CONFIRMED = 1e-4
 
@@ -254,7 +255,37 @@ class Loop:
     def _waits(self) -> bool:
         """Whether a set is looked at before its sensitivity is begun: Broyden's may do for it."""
         e2, between = self.campaign.update.e2, self.campaign.sensitivity.between
-        return e2 > 0.0 and between == "broyden" and not self.evaluator.cheap
+        if e2 == 0.0 or between == "keep" or self.evaluator.cheap:
+            return False
+        return self._n_jobs > self.campaign.parallel  # else a sensitivity takes no time of its own
+
+    @property
+    def _n_jobs(self) -> int:
+        """Jobs of a set with its sensitivity; those that all sets share are in the store by then.
+
+        Sets far from each other are compared for that; the solver is asked nothing.
+        """
+        low, high = (
+            [job for work in self.evaluator.planned(theta) for job in work.jobs]
+            for theta in (self.lower, self.upper)
+        )
+        return sum(job not in low for job in high)
+
+    def _worthwhile(self, matrix: Matrix, trial: Trial, left: float) -> bool:
+        """Whether Broyden's correction after a step brings e1 about as soon as a new matrix.
+
+        left: share of the objective that the step left. The new matrix takes its rounds of jobs
+        side by side and one more for the step, which is taken to arrive; a corrected one takes one
+        a step, at the rate of the last. After a new matrix this is not known yet, and tried.
+        """
+        if trial.step.rank < trial.step.change.size and trial.step.regularisation == 0.0:
+            return False  # errors of the matrix would go where the test does not hold them
+        if matrix.age == 0:
+            return True
+        rounds = 1 + math.ceil((self._n_jobs - 1) / self.campaign.parallel)
+        far = float(np.max(np.abs(trial.evaluation.errors))) / self.campaign.tolerances.frequency
+        # The objective is a square: its share left is that of the errors, squared.
+        return 2.0 * math.log(max(far, LEAST_WAY)) <= -rounds * math.log(max(left, 1e-300))
 
     def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
         """The state after a better set, and whether more than nothing was gained by it.
@@ -269,8 +300,10 @@ class Loop:
         small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
         spared, skip = None, None
         if self._waits:
-            fast = before - gain <= FAST * before
-            spared = trial.slope if small and kept and fast else None
+            worthwhile = kept and self._worthwhile(matrix, trial, (before - gain) / before)
+            spared = trial.slope if small and worthwhile else None
+        elif self.campaign.sensitivity.between == "broyden":
+            pass  # its matrix could only take the place of one that takes no time
         elif not self.evaluator.cheap and (kept or matrix.age == 0):
             spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix
@@ -288,7 +321,8 @@ class Loop:
         if self.campaign.sensitivity.between == "keep":
             return replace(matrix, age=matrix.age + 1)
         change = current.residual.values - trial.evaluation.residual.values
-        values = broyden_update(matrix.values, trial.step.change, change)
+        n_frequencies = current.residual.n_frequencies
+        values = broyden_update(matrix.values, trial.step.change, change, n_frequencies)
         return replace(matrix, values=values, age=matrix.age + 1)
 
     def _step(self, current: Evaluation, matrix: Matrix) -> Step:

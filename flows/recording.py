@@ -11,11 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from modetune import __version__
-from modetune.adapters.calculix.solver import CalculixSolver
-from modetune.adapters.matrices.solver import MatricesSolver
-from modetune.adapters.nastran.solver import NastranSolver
-from modetune.adapters.solver import Solver
-from modetune.adapters.translation.solver import TranslatedSolver
 from modetune.core.estimation import parameter_covariance
 from modetune.core.held_out import HeldOut
 from modetune.core.keys import Json, number_or_null
@@ -91,19 +86,12 @@ def _versions() -> tuple[str, ...]:
 def _deck_digest(campaign: Campaign) -> str:
     """SHA-256 and name of each deck's file, as `sha256sum` tells them; includes are not in it."""
     single = [each.campaign for each in campaign.configurations] or [campaign]
-    files = [file for each in single if (file := _deck_file(each.solver)) is not None]
+    files = [file for each in single if (file := each.solver.model.file) is not None]
     try:
         told = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
     except OSError:  # moved since it was read
         return ""
     return "; ".join(dict.fromkeys(told))
-
-
-def _deck_file(solver: Solver) -> Path | None:
-    """The file that a solver's deck was read from, None where it is from none."""
-    if isinstance(solver, CalculixSolver | NastranSolver | TranslatedSolver):
-        return solver.deck.deck.file
-    return solver.deck.file.path if isinstance(solver, MatricesSolver) else None
 
 
 def _trust(

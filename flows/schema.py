@@ -23,6 +23,9 @@ from modetune.flows.execution.run_section import RunSection
 from modetune.flows.section import Name, NotNegative, Positive, Section, Share
 from modetune.flows.sensors.section import SensorSection
 
+#: e2 where old matrices are kept as they are: nothing corrects them for what has changed.
+KEPT_E2 = 0.002
+
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
 SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
@@ -232,8 +235,9 @@ class UpdateSection(Section):
     """Factor on the parameters' own weights, or the corner of the L-curve."""
     e1: E1Section = E1Section()
     """Agreement that ends updating."""
-    e2: NotNegative = 0.002
-    """Change of the residual a parameter, below which a sensitivity is skipped; 0: never."""
+    e2: NotNegative = 0.2
+    """Change of the residual a parameter, up to which a sensitivity is skipped; 0: never. With
+    `between: keep` it is 0.002 unless given."""
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
     """Steps that are taken at most."""
     step_limit: Positive = 0.2
@@ -302,3 +306,10 @@ class CampaignFile(Section):
         if self.residuals.frequency_weight == 0.0 and self.residuals.shape_weight == 0.0:
             raise ValueError("residuals: one of the weights must be above zero")
         return self
+
+    @model_validator(mode="after")
+    def _kept(self) -> CampaignFile:
+        if self.sensitivity.between != "keep" or "e2" in self.update.model_fields_set:
+            return self
+        update = self.update.model_copy(update={"e2": KEPT_E2})
+        return self.model_copy(update={"update": update})

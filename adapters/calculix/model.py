@@ -69,6 +69,7 @@ class CalculixModel:
             n_elements=len(elements),
             solid_shapes=solid and free and not self.deck.named("*TRANSFORM"),
             matrix_shapes=self._followed(),
+            file=self.deck.file,
         )
 
     def _followed(self) -> bool:

@@ -51,6 +51,7 @@ class MatricesSolver:
             n_elements=len(model.parts),
             matrix_shapes=True,
             solid_shapes=True,  # every unknown is one of a node, under one name
+            file=self.deck.file.path,
         )
 
     def mesh(self) -> Mesh:

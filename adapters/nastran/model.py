@@ -48,6 +48,7 @@ class NastranModel:
             components=frozenset(range(1, 7)),
             n_elements=len(self.bulk.elements) + len(self.bulk.masses),
             solid_shapes=False,
+            file=self.deck.file,
         )
 
     @property

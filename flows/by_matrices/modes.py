@@ -59,7 +59,8 @@ class MatrixModes:
         self.engine = engine
         self.source = source
         self.affine = source.matrices()
-        self._solver = ModeSolver()
+        # The solver's own modes at the end tell whether any was missed: no need to count them.
+        self._solver = ModeSolver(count=False)
         self._newest: tuple[Floats, Solved] | None = None
         self._basis: _Basis | None = None
         self._around = ""

@@ -146,6 +146,23 @@ def test_broyden_explains_the_last_step_and_leaves_other_directions() -> None:
     assert broyden_update(s, np.zeros(3), change) is s
 
 
+def test_broyden_changes_frequencies_entries_by_their_own_size() -> None:
+    # Rows of two frequencies and a shape; a mistake of 1.0 in each, a step of (1, 1).
+    s = np.array([[2.0, 1.0], [0.0, 0.0], [2.0, 1.0]])
+    change = np.array([4.0, 1.0, 4.0])
+    updated = broyden_update(s, np.ones(2), change, n_frequencies=2)
+    # 2 : 1 in size is 4 : 1 in squares, so 0.8 and 0.2 of the mistake; the least share that an
+    # entry of zero has shifts this by less than 1e-4. The others share it evenly.
+    np.testing.assert_allclose(updated, [[2.8, 1.2], [0.5, 0.5], [2.5, 1.5]], atol=1e-4)
+    np.testing.assert_allclose(updated @ np.ones(2), change, rtol=1e-14)
+
+
+def test_broyden_can_explain_a_step_of_a_parameter_that_a_frequency_did_not_know() -> None:
+    s = np.array([[2.0, 0.0]])
+    updated = broyden_update(s, np.array([0.0, 0.5]), np.array([0.1]), n_frequencies=1)
+    np.testing.assert_allclose(updated, [[2.0, 0.2]])  # 0.1 over 0.5
+
+
 @pytest.mark.parametrize("parameter", [0, 1, 2, 3, 4])
 def test_shell_aircraft_agrees_with_differences_of_mystran_runs(
     shared_data: Path, parameter: int

@@ -165,6 +165,16 @@ def test_settings_override_the_file_and_are_checked_like_it(folder: Path) -> Non
     assert "KEY.KEY=VALUE" in problems(folder, settings=["name.x=1"])
 
 
+def test_e2_is_less_where_old_matrices_are_kept_as_they_are(folder: Path) -> None:
+    def e2(*settings: str) -> float:
+        return load_campaign(folder / "campaign.yaml", list(settings)).update.e2
+
+    assert e2() == 0.2
+    assert e2("sensitivity.between=keep") == e2("sensitivity.between=keep", "update.step_limit=1")
+    assert e2("sensitivity.between=keep") == 0.002
+    assert e2("sensitivity.between=keep", "update.e2=0.2") == 0.2
+
+
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"- a list\n", b"just text"])
 def test_what_is_no_campaign_is_told(folder: Path, content: bytes) -> None:
     (folder / "campaign.yaml").write_bytes(content)

@@ -114,6 +114,87 @@ def test_e2_skips_sensitivities_and_ends_at_the_same_values(bench: Any, watcher:
     assert skipping.status == always.status == "converged"
 
 
+def test_broyden_is_the_default_where_sensitivities_take_runs(bench: Any, watcher: Any) -> None:
+    update = UpdateSection(step="weighted_least_squares", e1=E1Section(frequency=1e-5, mac=0.0))
+    differences = SensitivitySection(method="finite_difference")
+    campaign = bench.campaign(TRUTH, sensitivity=differences, update=update)
+    record = run(bench, watcher, campaign)
+    always = run(bench, watcher, replace(campaign, update=settings(e1=update.e1)), "always")
+    assert record.status == always.status == "converged"
+    ages, fresh = (
+        [item.sensitivity_age for item in each.iterations[1:]] for each in (record, always)
+    )
+    assert set(fresh) == {0}
+    assert 0 < ages.count(0) < len(fresh)  # the first iteration's is a new one either way
+    assert record.runs.sensitivity == ages.count(0) * len(TRUTH)
+    np.testing.assert_allclose(record.updated, always.updated, rtol=1e-3)
+
+
+def test_a_residual_that_changed_by_more_than_e2_brings_a_new_matrix(
+    bench: Any, watcher: Any
+) -> None:
+    differences = SensitivitySection(method="finite_difference", step=0.001)
+    campaign = bench.campaign(TRUTH, sensitivity=differences, update=settings(e2=1e-9))
+    record = run(bench, watcher, campaign)
+    assert record.status == "converged"
+    assert not any(item.sensitivity_skipped for item in record.iterations)
+    assert all(item.sensitivity_age == 0 for item in record.iterations)
+
+
+def test_broyden_does_not_stand_in_for_sensitivities_that_take_no_time(
+    bench: Any, watcher: Any
+) -> None:
+    # With a place for each column beside the modal job a new matrix is there as soon as the modes.
+    differences = SensitivitySection(method="finite_difference", step=0.001)
+    campaign = bench.campaign(TRUTH, sensitivity=differences, update=settings(e2=0.2))
+    side_by_side = replace(campaign, run=RunSection(parallel=1 + len(TRUTH)))
+    record = run(bench, watcher, side_by_side)
+    assert record.status == "converged"
+    assert not any(item.sensitivity_skipped for item in record.iterations)
+    assert all(item.sensitivity_age == 0 for item in record.iterations)
+
+
+def test_broyden_does_not_stand_in_where_the_matrices_are_in_the_store(
+    bench: Any, watcher: Any
+) -> None:
+    semi = SensitivitySection(method="semi_analytic")
+    campaign = bench.campaign(TRUTH, sensitivity=semi, update=settings(e2=0.2))
+    record = run(bench, watcher, replace(campaign, run=RunSection(parallel=1)))
+    assert record.status == "converged"
+    assert bench.runs("matrices") == 1 + len(TRUTH)  # the model's own and one a spring, ever
+    assert all(item.sensitivity_age == 0 for item in record.iterations)
+
+
+def test_broyden_ends_where_it_would_take_more_rounds_than_a_new_matrix(
+    bench: Any, watcher: Any
+) -> None:
+    # So far away that the first corrected matrices leave more than a new one would take to end.
+    truth = {"k1": 2.2, "k2": 0.45, "k3": 1.9, "k4": 0.5}
+    differences = SensitivitySection(method="finite_difference", step=0.001)
+    update = settings(e2=10.0, max_iterations=60, e1=E1Section(frequency=1e-5, mac=0.99))
+    campaign = bench.campaign(truth, shapes=True, sensitivity=differences, update=update)
+    record = run(bench, watcher, campaign)
+    assert record.status == "converged"
+    ages = [item.sensitivity_age for item in record.iterations if item.accepted]
+    assert max(ages) >= 1
+    again = [place for place in range(2, len(ages)) if ages[place] == 0]
+    assert again  # a new matrix after corrected ones
+    np.testing.assert_allclose(record.updated, list(truth.values()), rtol=1e-3)
+
+
+def test_broyden_is_not_trusted_where_modes_are_fewer_than_parameters(
+    bench: Any, watcher: Any
+) -> None:
+    differences = SensitivitySection(method="finite_difference", step=0.001)
+    update = settings(e2=0.2, e1=E1Section(frequency=1e-6, mac=0.0))
+    campaign = bench.campaign(TRUTH, modes=(1, 2, 3), sensitivity=differences, update=update)
+    free = run(bench, watcher, campaign, "free")
+    assert free.status == "converged"
+    assert not any(item.sensitivity_skipped for item in free.iterations)
+    held = replace(campaign, update=update.model_copy(update={"step": "regularised"}))
+    assert any(item.sensitivity_skipped for item in run(bench, watcher, held, "held").iterations)
+
+
 def test_a_step_by_an_old_matrix_that_makes_it_worse_is_taken_back(
     bench: Any, watcher: Any
 ) -> None:
