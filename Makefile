@@ -11,7 +11,7 @@ demo: $(VENV)/.ready
 test: $(VENV)/.ready-dev
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest
 
-# Ways of updating side by side, about a quarter of an hour; options: BENCH_FLAGS="--repeats 3".
+# Ways of updating side by side, about half an hour; options: BENCH_FLAGS="--repeats 3".
 bench: $(VENV)/.ready
 	$(BIN)/python -m benchmarks.campaign $(BENCH_FLAGS)
 

@@ -11,7 +11,7 @@ known (problem.py). Each runs in a process of its own with a fresh store; a and 
 thread or all cores, whichever is quicker. Errors are those of one more plain run at the values each
 ended with. Modes of the same models by CalculiX and from its matrices follow (eigen.py).
 
-    python -m benchmarks.campaign [--case garteur] [--sizes coarse medium fine:e] [--repeats 1]
+    python -m benchmarks.campaign [--case garteur] [--sizes coarse medium fine:be] [--repeats 1]
 
 A size may name the ways that run at it; the last line of the output is one JSON object.
 """
@@ -43,8 +43,11 @@ from benchmarks.ways import (
 
 from modetune.core.errors import ModetuneError
 
-#: What ends within a quarter of an hour on two cores.
-DEFAULT_SIZES = {"garteur": ("coarse", "medium", "fine:e"), "launcher": ("coarse:acde", "medium:e")}
+#: What ends within half an hour on two cores.
+DEFAULT_SIZES = {
+    "garteur": ("coarse", "medium", "fine:be"),
+    "launcher": ("coarse:acde", "medium:e"),
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,9 +44,14 @@ GARTEUR_TRUTH = {"FUSELAGE": 1.15, "WING": 0.90, "FIN": 0.85, "TAILPLANE": 0.90,
 MEDIUM = aircraft.Mesh(size=18.0, layers=2, fuselage_height=18.75)
 #: For tests of the benchmark: 804 nodes and 328 elements.
 TINY = aircraft.Mesh(size=50.0, layers=1, fuselage_height=75.0)
-AIRCRAFT = {"tiny": TINY, "coarse": aircraft.COARSE, "medium": MEDIUM, "fine": aircraft.FINE}
+#: 145,488 nodes and 119,000 elements.
+LARGE = aircraft.Mesh(size=5.0, layers=5, fuselage_height=7.5)
+AIRCRAFT = {
+    "tiny": TINY, "coarse": aircraft.COARSE, "medium": MEDIUM, "fine": aircraft.FINE,
+    "large": LARGE,
+}  # fmt: skip
 #: Degrees of freedom of the launcher, six a node as Nastran counts them, and its modes.
-LAUNCHERS = {"coarse": 20_000, "medium": 100_000, "fine": 400_000}
+LAUNCHERS = {"coarse": 20_000, "medium": 100_000, "fine": 400_000, "large": 1_000_000}
 LAUNCHER_MODES = 3
 
 CAMPAIGN = """\

@@ -160,6 +160,7 @@ class MatrixEvaluator(Evaluating):
     def confirmed(self, number: int, evaluation: Evaluation) -> Evaluation | None:
         if not self.trusted or evaluation.solved_by not in (MATRICES, REDUCED):
             return None
+        self._modes = None  # the factors' memory is the solver's now
         # It goes alone, on all the cores that jobs side by side would have.
         shared = self.campaign.parallel * self.campaign.threads
         engine = self.engine.with_threads(min(shared, cores()))
