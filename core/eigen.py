@@ -59,8 +59,6 @@ DENSE = 300
 GUARD = 4
 #: Blocks of a Krylov space, the start shapes being the first, before the start counts as bad.
 BLOCKS = 5
-#: Blocks that random vectors need to show a mode, where nothing tells whether they must.
-LEAST_BLOCKS = 3
 #: Random start vectors where nothing is known: a solution with a few costs little more than with
 #: one, and as many equal eigenvalues are seen at once.
 COLUMNS = 6
@@ -125,8 +123,8 @@ class ModeSolver:
         the first elastic eigenvalue or somewhat smaller; where it is None the last one is kept if
         there is a start, else it is estimated; it is lowered below negative eigenvalues.
         start: (n, n_start), shapes of a similar model, at least n_modes of them and better some
-        more. With count, modes are complete or an error is raised; without it, a mode that was
-        not among the start shapes is found only if the random vectors beside them show it.
+        more. With count, modes are complete or an error is raised; without it, a mode of which the
+        start shapes hold nothing is not found: for whoever looks at the modes again by other means.
         Raises ModelError where the matrices allow no solution, SolverExhausted where memory does
         not suffice.
         """
@@ -169,7 +167,7 @@ class ModeSolver:
         self, pencil: Pencil, n_modes: int, shift: float, start: Floats
     ) -> Solved | None:
         """None where the start shapes are not good enough."""
-        shapes, wanted, above, guard = start[pencil.rows], n_modes, np.inf, GUARD
+        shapes, wanted, above, guard = start[pencil.rows], n_modes, np.inf, 0
         if self._count:
             quotients, shapes = _rayleigh_ritz(pencil, start)
             if quotients.size < n_modes:
@@ -185,7 +183,6 @@ class ModeSolver:
         self._shift = factorise_below(pencil, shift)
         pairs = largest_pairs(
             pencil, with_random(shapes, guard), wanted, TOLERANCE, BLOCKS,
-            least_blocks=1 if self._count else LEAST_BLOCKS,
             least_inverted=1.0 / (above - self._shift),
         )  # fmt: skip
         if not pairs.converged:

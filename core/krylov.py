@@ -58,7 +58,6 @@ def block_krylov(
     tolerance: float,
     n_blocks: int,
     *,
-    least_blocks: int = 1,
     least_inverted: float = 0.0,
 ) -> RitzPairs:
     """The n_pairs largest eigenvalues of A; fewer where the start vectors span less.
@@ -66,8 +65,8 @@ def block_krylov(
     solve: (K - s M)^-1 of a block, mass: M of a block; start: (n_rows, n_start), in Fortran
     order, written over; tolerance: largest relative
     residual; n_blocks: after how many blocks to give up. It goes on, though residuals are small,
-    for least_blocks and until the last theta is above least_inverted: a pair that start vectors
-    lack needs a few blocks to show.
+    until the last theta is above least_inverted: a pair that start vectors lack needs a few blocks
+    to show.
     """
     room = start.shape[1] * n_blocks
     # Large blocks are made once: first touches of memory cost as much as the products.
@@ -79,7 +78,7 @@ def block_krylov(
     used, cutoff, invariant, converged = 0, 0.0, False, False
     inverted, ritz, residuals = np.zeros(0), np.zeros((0, 0)), np.zeros(0)
     block = slice(0, 0)
-    for number in range(1, n_blocks + 1):
+    for _ in range(n_blocks):
         new = _append_orthonormal(y, my, q, mq, used, cutoff)
         invariant = new == 0
         if invariant:  # what the space holds is exact
@@ -99,7 +98,7 @@ def block_krylov(
         converged = used >= n_pairs and bool(
             (residuals[:n_pairs] <= tolerance).all() and inverted[n_pairs - 1] > least_inverted
         )
-        if converged and number >= least_blocks:
+        if converged:
             break
         cutoff = _DROPPED * tolerance * float(inverted[min(n_pairs, used) - 1])
     ritz, inverted = np.asfortranarray(ritz[:, :n_pairs]), inverted[:n_pairs]

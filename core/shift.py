@@ -51,7 +51,6 @@ def largest_pairs(
     tolerance: float,
     n_blocks: int,
     *,
-    least_blocks: int = 1,
     least_inverted: float = 0.0,
 ) -> RitzPairs:
     """block_krylov of a factorised pencil; start: (n_with_mass, n_start), written over."""
@@ -62,7 +61,6 @@ def largest_pairs(
         n_pairs,
         tolerance,
         n_blocks,
-        least_blocks=least_blocks,
         least_inverted=least_inverted,
     )
 

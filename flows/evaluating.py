@@ -10,6 +10,7 @@ from modetune.core.held_out import HeldOut
 from modetune.core.modes import Floats
 from modetune.core.record import RunCounts
 from modetune.flows.evaluation import Evaluation
+from modetune.flows.execution.engine import Job
 from modetune.flows.execution.work import Work
 
 
@@ -75,6 +76,10 @@ class Evaluating(Protocol):
     def planned(self, theta: Floats) -> list[Work]:
         """The work of an iteration at a set, with sensitivities."""
         ...
+
+    def first_job(self, theta: Floats) -> Job | None:
+        """The job that the evaluation of a set begins with; None where it may need none."""
+        return None
 
     def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:
         """What is only judged by, before and after."""

@@ -113,6 +113,9 @@ class Evaluator(Evaluating):
         """The work of an iteration at a set, with sensitivities."""
         return [self._modal_work(theta), *self._works(theta, self.methods)]
 
+    def first_job(self, theta: Floats) -> Job | None:
+        return Job(self._values(theta), self.analysis)
+
     def skip(self, number: int, slope: float) -> None:
         """Note that e2 makes this iteration do without a sensitivity of its own."""
         reason = f"e2: the residual changed by {slope:.3g} a parameter in the iteration before"

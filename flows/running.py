@@ -16,9 +16,8 @@ from modetune.core.record_file import write_record
 from modetune.core.store import check_writable, locked, storage_errors
 from modetune.flows.campaign import Campaign, cores
 from modetune.flows.deck_texts import keep_text
-from modetune.flows.evaluator import campaign_analysis
 from modetune.flows.evaluators import evaluator_of
-from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
+from modetune.flows.execution.engine import JobEngine, Ledger, Policy
 from modetune.flows.execution.limits import CORES, Limit, MachineLimits
 from modetune.flows.execution.slurm import on_slurm
 from modetune.flows.execution.work import Execution, ThreadExecution
@@ -166,8 +165,10 @@ def _answering(
     if server is None or answers(server.address.url):
         return server
     if server.shared and not campaign.configurations:
-        start = campaign.parameters.values(campaign.start)
-        engine.begin(Job(start, campaign_analysis(campaign)))
+        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+        first = evaluator.first_job(campaign.start)
+        if first is not None:
+            engine.begin(first)
     progress.working("waiting for Prefect's server")
     if server.wait():
         return server

@@ -55,8 +55,6 @@ MATRICES = "stored matrices"
 #: Share of e1's frequency tolerance, and of what tells models apart, that a reduced model may be
 #: off where it is believed.
 BELIEVED = 0.1
-#: Modes beyond the last one wanted that the solver's own run may have in another order.
-SPARE_MODES = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +136,9 @@ class MatrixEvaluator(Evaluating):
         job = Job(self.campaign.parameters.values(theta), self.analysis)
         return [*self._matrix_works(), Work("modal", (job,))]
 
+    def first_job(self, theta: Floats) -> Job | None:
+        return next(iter(self.source.jobs()), None)
+
     def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:
         return judged(self.campaign, initial, updated)
 
@@ -167,9 +168,9 @@ class MatrixEvaluator(Evaluating):
         wanted = [evaluation.pairing.computed]
         if evaluation.held_out is not None:
             wanted.append(evaluation.held_out.computed)
+        # Each mode and all energies cost the solver time: only what is compared is asked for.
         last = evaluation.modal.n_rigid + int(np.max(np.concatenate(wanted))) + 1
-        least = min(last + SPARE_MODES, self.analysis.n_modes)
-        analysis = replace(self.analysis, n_modes=least, groups=())
+        analysis = replace(self.analysis, n_modes=last, groups=())
         try:
             return self._confirmed(number, evaluation, engine, analysis)
         except LostMode:

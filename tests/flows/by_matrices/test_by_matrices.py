@@ -26,6 +26,8 @@ from modetune.core.results import ModalResult
 from modetune.core.store import Store
 from modetune.flows.by_matrices.choice import matrix_source
 from modetune.flows.campaign import Campaign, load_campaign
+from modetune.flows.evaluators import evaluator_of
+from modetune.flows.execution.work import ThreadExecution
 from modetune.flows.running import job_engine, update_campaign
 from tests.adapters.ccx_decks import bar, plate, wall
 from tests.adapters.test_solver_contract import run
@@ -380,6 +382,20 @@ def test_matrices_of_another_model_are_found_out_and_the_solver_goes_on(
     np.testing.assert_allclose(there, 1.01 * np.array(BAR.truth), rtol=1e-4)
     # The confirming run had no strain energies, which the solver's own sensitivities are made of.
     assert record.runs.modal == len(makers) - turn + 1
+
+
+def test_what_is_begun_before_a_server_answers_is_a_job_that_is_needed(
+    bar_file: Path, bar_stored: CampaignRecord, tmp_path: Path
+) -> None:
+    assert bar_stored.status == "converged"
+    for store, expected in ((tmp_path / "store", True), (bar_file.parent / "store", False)):
+        campaign = load_campaign(bar_file, [f"store={store}", STORED])
+        engine = job_engine(campaign)
+        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+        first = evaluator.first_job(campaign.start)
+        # With the matrices in the store modes follow from them, or are there too.
+        assert (first is not None) == expected
+        assert first is None or isinstance(first.analysis, MatrixAnalysis)
 
 
 def test_a_dry_run_tells_the_matrix_jobs_of_a_fresh_store(bar_file: Path, tmp_path: Path) -> None:
