@@ -13,7 +13,6 @@ killed is resumed by starting it again: what was finished is answered by the sto
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -23,7 +22,7 @@ from modetune.core.criteria import slope
 from modetune.core.errors import ModesError, SolverCancelled, SolverError, SolverMissing
 from modetune.core.estimation import Step, StepProblem, parameter_step
 from modetune.core.modes import Floats
-from modetune.core.sensitivity import broyden_update
+from modetune.flows.between import Between
 from modetune.flows.campaign import Campaign
 from modetune.flows.evaluating import Evaluating, Matrix
 from modetune.flows.evaluation import Evaluation, expects_agreement
@@ -38,9 +37,6 @@ STATIONARY = 1e-4
 NO_STEP = 1e-8
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
-#: How far from e1, at least, Broyden's rate is asked to bring errors down: a rate that hardly is
-#: one is none, also where the frequencies hold already and the shapes do not.
-LEAST_WAY = 2.0
 #: Frequencies by stored matrices and by the solver itself that differ more are not one model's.
 CONFIRMED = 1e-4
 
@@ -135,6 +131,7 @@ class Loop:
         low, high = region or (parameters.lower, parameters.upper)
         self.lower = np.maximum(parameters.lower, low)
         self.upper = np.minimum(parameters.upper, high)
+        self.between = Between(campaign, evaluator, self.lower, self.upper)
         self.last_matrix: Matrix | None = None
         self.number = 0
 
@@ -238,7 +235,7 @@ class Loop:
         current = state.current
         # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
         alone = (
-            self._waits
+            self.between.waits
             or state.skip is not None
             or chance > 0
             or self.number == self.campaign.update.max_iterations
@@ -250,42 +247,6 @@ class Loop:
         now, before = evaluation.residual.values[used], current.residual.values[used]
         change = slope(now, before, theta.size)
         return Trial(step, evaluation, fresh, change)
-
-    @property
-    def _waits(self) -> bool:
-        """Whether a set is looked at before its sensitivity is begun: Broyden's may do for it."""
-        e2, between = self.campaign.update.e2, self.campaign.sensitivity.between
-        if e2 == 0.0 or between == "keep" or self.evaluator.cheap:
-            return False
-        return self._n_jobs > self.campaign.parallel  # else a sensitivity takes no time of its own
-
-    @property
-    def _n_jobs(self) -> int:
-        """Jobs of a set with its sensitivity; those that all sets share are in the store by then.
-
-        Sets far from each other are compared for that; the solver is asked nothing.
-        """
-        low, high = (
-            [job for work in self.evaluator.planned(theta) for job in work.jobs]
-            for theta in (self.lower, self.upper)
-        )
-        return sum(job not in low for job in high)
-
-    def _worthwhile(self, matrix: Matrix, trial: Trial, left: float) -> bool:
-        """Whether Broyden's correction after a step brings e1 about as soon as a new matrix.
-
-        left: share of the objective that the step left. The new matrix takes its rounds of jobs
-        side by side and one more for the step, which is taken to arrive; a corrected one takes one
-        a step, at the rate of the last. After a new matrix this is not known yet, and tried.
-        """
-        if trial.step.rank < trial.step.change.size and trial.step.regularisation == 0.0:
-            return False  # errors of the matrix would go where the test does not hold them
-        if matrix.age == 0:
-            return True
-        rounds = 1 + math.ceil((self._n_jobs - 1) / self.campaign.parallel)
-        far = float(np.max(np.abs(trial.evaluation.errors))) / self.campaign.tolerances.frequency
-        # The objective is a square: its share left is that of the errors, squared.
-        return 2.0 * math.log(max(far, LEAST_WAY)) <= -rounds * math.log(max(left, 1e-300))
 
     def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
         """The state after a better set, and whether more than nothing was gained by it.
@@ -299,31 +260,23 @@ class Loop:
         kept = gain >= max(KEPT_PROMISE * promised, STATIONARY * before)
         small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
         spared, skip = None, None
-        if self._waits:
-            worthwhile = kept and self._worthwhile(matrix, trial, (before - gain) / before)
-            spared = trial.slope if small and worthwhile else None
+        if self.between.waits:
+            left = (before - gain) / before
+            pays = kept and self.between.pays(matrix, trial.step, trial.evaluation, left)
+            spared = trial.slope if small and pays else None
         elif self.campaign.sensitivity.between == "broyden":
             pass  # its matrix could only take the place of one that takes no time
         elif not self.evaluator.cheap and (kept or matrix.age == 0):
             spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix
         if spared is not None:
-            following = self._older(matrix, state.current, trial)
+            following = self.between.older(matrix, state.current, trial.step, trial.evaluation)
             self.evaluator.skip(self.number, spared)
         self.last_matrix = following or matrix
         decision = "" if skip is None else f"e2: slope {skip:.2g}, no new sensitivity next"
         self._note(trial.evaluation, trial.step, matrix, trial.slope, True, decision,
                    spared is not None)  # fmt: skip
         return State(trial.evaluation, following, skip), gain > STATIONARY * before
-
-    def _older(self, matrix: Matrix, current: Evaluation, trial: Trial) -> Matrix:
-        """The matrix of before for use once more, as it is or corrected by the last step."""
-        if self.campaign.sensitivity.between == "keep":
-            return replace(matrix, age=matrix.age + 1)
-        change = current.residual.values - trial.evaluation.residual.values
-        n_frequencies = current.residual.n_frequencies
-        values = broyden_update(matrix.values, trial.step.change, change, n_frequencies)
-        return replace(matrix, values=values, age=matrix.age + 1)
 
     def _step(self, current: Evaluation, matrix: Matrix) -> Step:
         self.last_matrix = matrix
