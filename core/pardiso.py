@@ -229,9 +229,8 @@ def is_available() -> bool:
 def _library() -> Any | None:
     # Read when MKL is loaded: the same numbers to the last digit in each run on a machine.
     os.environ.setdefault("MKL_CBWR", "AUTO")
-    here = sorted(
-        Path(sys.prefix, "lib").glob("libmkl_rt.so*")
-    )  # else all folders are looked through
+    # Where pip puts it; pypardiso would look through all folders.
+    here = sorted(Path(sys.prefix, "lib").glob("libmkl_rt.so*"))
     if here:
         os.environ.setdefault("PYPARDISO_MKL_RT", str(here[0]))
     try:

@@ -170,11 +170,11 @@ class MatrixEvaluator(Evaluating):
             wanted.append(evaluation.held_out.computed)
         # Each mode and all energies cost the solver time: only what is compared is asked for.
         last = evaluation.modal.n_rigid + int(np.max(np.concatenate(wanted))) + 1
-        analysis = replace(self.analysis, n_modes=last, groups=())
+        every = replace(self.analysis, groups=())
         try:
-            return self._confirmed(number, evaluation, engine, analysis)
+            return self._confirmed(number, evaluation, engine, replace(every, n_modes=last))
         except LostMode:
-            return self._confirmed(number, evaluation, engine, self.analysis)
+            return self._confirmed(number, evaluation, engine, every)
 
     def _confirmed(
         self, number: int, evaluation: Evaluation, engine: JobEngine, analysis: ModalAnalysis

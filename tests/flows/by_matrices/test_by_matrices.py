@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import weakref
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +26,8 @@ from modetune.core.record import CampaignRecord
 from modetune.core.results import ModalResult
 from modetune.core.store import Store
 from modetune.flows.by_matrices.choice import matrix_source
+from modetune.flows.by_matrices.evaluator import MatrixEvaluator
+from modetune.flows.by_matrices.modes import MatrixModes
 from modetune.flows.campaign import Campaign, load_campaign
 from modetune.flows.evaluators import evaluator_of
 from modetune.flows.execution.work import ThreadExecution
@@ -232,6 +235,27 @@ def test_a_short_last_step_goes_to_the_solver_without_another_solution(
     assert record.best.solved_by == "calculix"
     assert record.runs.modal == 1
     assert apart(record) < 1e-6
+
+
+def test_factors_have_left_memory_when_the_solver_has_the_last_word(
+    bar_file: Path, tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held: list[weakref.ref[MatrixModes]] = []
+    left: list[bool] = []
+    begin, confirm = MatrixModes.__init__, MatrixEvaluator._confirmed
+
+    def begun(self: MatrixModes, *given: Any) -> None:
+        begin(self, *given)
+        held.append(weakref.ref(self))
+
+    def confirmed(self: MatrixEvaluator, *given: Any) -> Any:
+        left.append(all(each() is None for each in held))
+        return confirm(self, *given)
+
+    monkeypatch.setattr(MatrixModes, "__init__", begun)
+    monkeypatch.setattr(MatrixEvaluator, "_confirmed", confirmed)
+    assert update(bar_file, tmp_path, watcher, STORED).status == "converged"
+    assert (len(held), left) == (1, [True])
 
 
 def test_matrices_of_the_jobs_do_not_stay_beside_what_was_made_of_them(
