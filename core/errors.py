@@ -11,7 +11,7 @@
     │   ├── SolverMissing        install it
     │   ├── SolverRejected       it refused the input: fix the deck
     │   ├── SolverCrashed        it was stopped or broke off: may be tried again
-    │   │   └── NoResult         it ended well and left what is no result: look at its folder
+    │   │   └── NoResult         it ended well and left what is not a result: look at its folder
     │   ├── SolverExhausted      give it more memory or disk
     │   ├── LicenceDenied        wait: no licence was free
     │   ├── SolverTimeout        raise the limit or make the model smaller
@@ -93,7 +93,7 @@ class SolverCrashed(SolverError):
 
 
 class NoResult(SolverCrashed):
-    """The solver ended with good grace, but what it left is no result: cut short, empty, NaN."""
+    """The solver ended with good grace, but what it left is not a result: cut short, empty, NaN."""
 
 
 class SolverExhausted(SolverError):

@@ -8,16 +8,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modetune.core.brief import brief
 from modetune.core.errors import ModesError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Normalisation = Literal["mass", "max", "unknown"]
 
+#: Relative distance of eigenvalues that seven printed digits, which solvers give, cannot tell: such
+#: modes are repeated.
+REPEATED = 5e-7
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class ModeSet:
     """Natural frequencies and mode shapes at named degrees of freedom.
 
@@ -34,6 +38,8 @@ class ModeSet:
     components: Integers
     damping_ratios: Floats
     normalisation: Normalisation = "unknown"
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         n_modes, n_dof = self.frequencies_hz.size, self.nodes.size
@@ -107,6 +113,11 @@ def mode_set(
         damping_ratios=np.atleast_1d(np.asarray(damping_ratios, dtype=np.float64)),
         normalisation=normalisation,
     )
+
+
+def mode_name(number: int, configuration: str = "") -> str:
+    """A measured mode as people call it; configuration: whose test it is of, where several are."""
+    return f"mode {number} of {configuration}" if configuration else f"mode {number}"
 
 
 def dof_name(dof: tuple[int, int]) -> str:

@@ -22,7 +22,7 @@ from modetune.core.modes import Floats, Integers
 
 #: Steps of the longest side of the box round a mesh.
 STEPS = 1 << 20
-#: More cubes along the longest side than any picture wants.
+#: More cubes along the longest side than any picture requires.
 FINEST = 1 << 12
 #: Two faces that meet at more than about 32 degrees have an edge between them.
 SMOOTH = 0.85

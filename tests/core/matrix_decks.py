@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.calculix.matrices import read_matrices
-from modetune.core.matrices import MatrixResult
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import Floats
+from tests.adapters.ccx_decks import EDGES, TETRAHEDRA
 
 E_MODULUS, POISSON, DENSITY = 70_000.0, 0.3, 2.7e-9
 SIDE = 10.0
@@ -28,11 +29,13 @@ def bar(
     count = 2 * len(moduli)
     node = {
         (i, j, k): 100 * (i + 1) + 10 * j + k
-        for i in range(count + 1) for j in range(3) for k in range(3)
-    }  # fmt: skip
+        for i in range(count + 1)
+        for j in range(3)
+        for k in range(3)
+    }
     lines = ["*NODE, NSET=ALL"]
     lines += [f"{n}, {SIDE * i}, {5.0 * j}, {4.0 * k}" for (i, j, k), n in node.items()]
-    footprints = []
+    node_groups = []
     number = itertools.count(1)
     for place in range(len(moduli)):
         lines.append(f"*ELEMENT, TYPE=C3D8I, ELSET=P{place}")
@@ -40,20 +43,64 @@ def bar(
             ring = [(j, k), (j + 1, k), (j + 1, k + 1), (j, k + 1)]
             corners = [node[i + a, b, c] for a in (0, 1) for b, c in ring]
             lines.append(f"{next(number)}, " + ", ".join(map(str, corners)))
-        footprints.append(
+        node_groups.append(
             frozenset(n for (i, _, _), n in node.items() if 2 * place <= i <= 2 * place + 2)
         )
     for place, (modulus, density) in enumerate(
         zip(moduli, densities or [1.0] * len(moduli), strict=True)
     ):
         lines += [
-            f"*MATERIAL, NAME=M{place}", "*ELASTIC", f"{E_MODULUS * modulus!r}, {POISSON}",
-            "*DENSITY", f"{DENSITY * density!r}",
+            f"*MATERIAL, NAME=M{place}",
+            "*ELASTIC",
+            f"{E_MODULUS * modulus!r}, {POISSON}",
+            "*DENSITY",
+            f"{DENSITY * density!r}",
             f"*SOLID SECTION, ELSET=P{place}, MATERIAL=M{place}",
-        ]  # fmt: skip
+        ]
     if held:
         lines += ["*BOUNDARY", *(f"{n}, 1, 3" for (i, _, _), n in node.items() if i == 0)]
-    return "\n".join(lines) + "\n", footprints
+    return "\n".join(lines) + "\n", node_groups
+
+
+def bracket(moduli: Sequence[float], dust: float) -> tuple[str, list[frozenset[int]]]:
+    """A free L of C3D10: the outer arm, the knee and the upright are of a material each.
+
+    moduli: relative values; dust: coordinates are off by up to this times 10 mm, as those of a
+    mesh that was moved or turned. Returns the nodes of each material too.
+    """
+    lying = [(i, j, 0) for i in range(4) for j in range(2)]
+    standing = [(0, j, k) for k in range(1, 4) for j in range(2)]
+    corners = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1),
+               (0, 1, 1))  # fmt: skip
+    node: dict[tuple[int, ...], int] = {}
+    rows: list[list[list[int]]] = [[], [], []]
+    for cell in (*lying, *standing):
+        ring = [tuple(2 * (c + d) for c, d in zip(cell, corner, strict=True)) for corner in corners]
+        place = 0 if cell[0] >= 2 else 1 if cell[2] < 2 else 2
+        for four in TETRAHEDRA:
+            ends = [ring[number - 1] for number in four]
+            middles = [
+                tuple((a + b) // 2 for a, b in zip(ends[i], ends[j], strict=True)) for i, j in EDGES
+            ]
+            rows[place].append([node.setdefault(p, len(node) + 1) for p in (*ends, *middles)])
+    random = np.random.default_rng(0)
+    lines = ["*NODE, NSET=ALL"]
+    for point, n in node.items():
+        at = np.array(point) * [5.0, 3.5, 3.0] + 10.0 * dust * random.uniform(-1.0, 1.0, 3)
+        lines.append(f"{n}, " + ", ".join(f"{value:.14f}" for value in at))
+    number = itertools.count(1)
+    for place, (elements, modulus) in enumerate(zip(rows, moduli, strict=True)):
+        lines.append(f"*ELEMENT, TYPE=C3D10, ELSET=P{place}")
+        lines += [f"{next(number)}, " + ", ".join(map(str, nodes)) for nodes in elements]
+        lines += [
+            f"*MATERIAL, NAME=M{place}",
+            "*ELASTIC",
+            f"{E_MODULUS * modulus!r}, {POISSON}",
+            "*DENSITY",
+            f"{DENSITY!r}",
+            f"*SOLID SECTION, ELSET=P{place}, MATERIAL=M{place}",
+        ]
+    return "\n".join(lines) + "\n", [frozenset(itertools.chain(*part)) for part in rows]
 
 
 def plates(
@@ -80,10 +127,14 @@ def plates(
             lines.append(f"{10 * i + j + 1}, " + ", ".join(map(str, corners)))
     for place, (thickness, modulus) in enumerate(zip(thicknesses, moduli, strict=True)):
         lines += [
-            f"*MATERIAL, NAME=M{place}", "*ELASTIC", f"{E_MODULUS * modulus!r}, {POISSON}",
-            "*DENSITY", f"{DENSITY!r}", f"*SHELL SECTION, ELSET=P{place}, MATERIAL=M{place}",
+            f"*MATERIAL, NAME=M{place}",
+            "*ELASTIC",
+            f"{E_MODULUS * modulus!r}, {POISSON}",
+            "*DENSITY",
+            f"{DENSITY!r}",
+            f"*SHELL SECTION, ELSET=P{place}, MATERIAL=M{place}",
             f"{thickness!r}",
-        ]  # fmt: skip
+        ]
     if held:
         lines += ["*BOUNDARY", *(f"{node[0, j]}, 1, 6" for j in range(5))]
     return "\n".join(lines) + "\n"

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from modetune.core.correlation import subspace_mac
-from modetune.core.direct import ReferenceModes, direct_matrix_update
+from modetune.core.correlation.correlation import subspace_mac
+from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.modes import mode_set
-from modetune.core.pairing import pair_by_shape
-from modetune.core.sensitivity import cluster_rotation, fox_kapoor, nelson
+from modetune.core.updating.direct import ReferenceModes, direct_matrix_update
+from modetune.core.updating.sensitivity import cluster_rotation, fox_kapoor, nelson
 
 #: Two equal chains side by side: every mode is a pair of equal frequency.
 N = 5
@@ -122,11 +122,12 @@ def test_a_direct_update_does_not_see_a_measured_pair_turn(angle: float, sign: f
     hz, rows = np.array([0.3, 0.3, 0.4]), np.arange(2 * N)
     one, other = (
         direct_matrix_update(
-            STIFFNESS, MASS,
+            STIFFNESS,
+            MASS,
             ReferenceModes(hz, np.column_stack([pair[:, :2], sign * shapes[:, 2]]), rows, "mass"),
         )
         for pair in (shapes, turned(shapes, angle))
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(
         other.stiffness_change.dense(), one.stiffness_change.dense(), atol=1e-11
     )

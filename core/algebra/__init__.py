@@ -1,0 +1,1 @@
+"""Matrices, factorisations, eigenvalue problems."""

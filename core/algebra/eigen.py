@@ -1,0 +1,361 @@
+"""Modes from stiffness and mass matrices by shift-invert.
+
+K phi = lambda M phi is solved for the eigenvalues next to a shift s below the spectrum, where
+K - s M is positive definite even for a free structure with its singular K:
+
+    A phi = theta phi,   A = (K - s M)^-1 M,   theta = 1 / (lambda - s).
+
+They are found in a block Krylov space (block Lanczos with all vectors kept,
+core/algebra/krylov): of the first model from a few random vectors, of models with the same sparsity
+and nearly the same modes from those. ARPACK, which takes one vector after the other, is not a match
+for the first either: of a square bar's pairs of bending modes it lacks one for 9 of 40 numbers of
+modes, and a solution with six right-hand sides costs little more than with one, so that its fewer
+vectors take half as long again and more. One solution with all shapes at once, phi = A phi / theta,
+gives their rows without mass, and the residuals ||A phi - theta phi||_M / theta tell that there is
+a lambda within
+
+    |lambda - lambda_found| <= residual (lambda_found - s).
+
+No way sees what its start vectors lack. So eigenvalues are counted: K - c M has as many negative
+pivots as there are eigenvalues below c (Sylvester), at the cost of one more factorisation. From
+start shapes c is just above the Rayleigh quotient of the last one (which no eigenvalue of its
+number exceeds); as many modes as there are below c are found, or it is said that they are not.
+From random vectors c is just below the last eigenvalue found. Of equal eigenvalues (bending of
+square and round sections, parts that occur twice) a space sees as many directions as it has start
+vectors, and others only as rounding brings them in: where the count says that some are missing,
+another one from the shapes found and random vectors goes on to c just above the last one found,
+until it holds as many as there are.
+
+Rounding sets a limit to all ways: lambda is known to about 10^-16 of the largest eigenvalue, as
+the computed eigenvalues of rigid modes show. Small models are solved whole by LAPACK
+(core/algebra/dense_modes). How the shift is found: core/algebra/pencil.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import eigh
+from scipy.linalg.blas import dgemm
+
+from modetune.core.algebra.dense_modes import solve_condensed, solve_whole
+from modetune.core.algebra.krylov import RitzPairs, unit_combinations, with_random
+from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.pencil import (
+    LEAST_SHIFT,
+    ROUNDING,
+    Pencil,
+    count_below,
+    estimate_shift,
+    factorise_below,
+    largest_pairs,
+    singular_together,
+)
+from modetune.core.errors import ModelError
+from modetune.core.modes import Floats, count_rigid_modes
+
+#: Models up to this many unknowns are solved whole.
+DENSE = 300
+#: Random vectors beside the start shapes: they hold a little of every mode.
+GUARD = 4
+#: Blocks of a Krylov space, the start shapes being the first, before the start counts as bad.
+BLOCKS = 5
+#: Random start vectors where nothing is known: a solution with a few costs little more than with
+#: one, and as many equal eigenvalues are seen at once.
+COLUMNS = 6
+#: Vectors of such a space for a mode, and beyond, before it counts as in vain; half is common.
+VECTORS, MORE_VECTORS = 8, 80
+#: Krylov spaces, each from the best of the one before, for modes that the first did not hold.
+ROUNDS = 4
+#: Largest residual of a mode before the last solution, which leaves a few hundredths of it.
+#: Eigenvalues have its square over the gap to modes that were not looked for.
+TOLERANCE = 2e-5
+#: The same from random vectors, whose modes hold some of any other; a block more.
+RANDOM_TOLERANCE = 2e-6
+#: Eigenvalues this close, relative to their distance from the shift, are not told apart.
+_SAME = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedModes:
+    """The lowest modes of a model.
+
+    eigenvalues: (n_modes,) ascending, (rad/s)^2. shapes: (n, n_modes), mass-normalised.
+    residuals: (n_modes,), largest error of an eigenvalue relative to its distance from the shift;
+    those of the shapes before the last solution, which makes them better.
+    shift: (rad/s)^2. way: how they were found. counted: whether inertia has shown that none below
+    the last one is missing. solutions: right-hand sides solved.
+    """
+
+    eigenvalues: Floats
+    shapes: Floats
+    residuals: Floats
+    shift: float
+    way: str
+    counted: bool
+    solutions: int
+
+
+class ModeSolver:
+    """Modes of one model after the other; what depends on their sparsity alone is kept.
+
+    One solver holds the matrices of the last model and the factors of one shifted matrix. It is
+    for one thread.
+    """
+
+    def __init__(self, *, count: bool = True) -> None:
+        """count: whether to prove by inertia that no mode is missing; one factorisation more."""
+        self._count = count
+        self._pencil: Pencil | None = None
+        self._shift: float | None = None
+
+    def solve(
+        self,
+        stiffness: sparse.csr_array,
+        mass: sparse.csr_array,
+        n_modes: int,
+        shift: float | None = None,
+        start: Floats | None = None,
+    ) -> SolvedModes:
+        """The lowest modes of a model, rigid ones included.
+
+        stiffness, mass: (n, n), upper triangles, sorted, kept and not copied; they may be another
+        model's, with another sparsity, than before. shift: (rad/s)^2, negative, of the size of
+        the first elastic eigenvalue or somewhat smaller; where it is None the last one is kept if
+        there is a start, else it is estimated; it is lowered below negative eigenvalues.
+        start: (n, n_start), shapes of a similar model, at least n_modes of them and better some
+        more. With count, modes are complete or an error is raised; without it, a mode of which the
+        start shapes hold nothing is not found: for whoever looks at the modes again by other means.
+        Raises ModelError where the matrices allow no solution, SolverExhausted where memory does
+        not suffice.
+        """
+        size = int(stiffness.shape[0])
+        if not 0 < n_modes <= size:
+            raise ModelError(f"{n_modes} modes were asked of a model with {size} unknowns")
+        if self._pencil is None or not self._pencil.update(stiffness, mass):
+            self._pencil = None  # its memory is free before the next one takes any
+            self._pencil, self._shift = Pencil(stiffness, mass), None
+        pencil = self._pencil
+        if size <= DENSE or n_modes > size // 2:
+            return self._whole(pencil, n_modes, shift)
+        if n_modes > pencil.n_with_mass:
+            raise ModelError(
+                f"{n_modes} modes were asked of a model with {pencil.n_with_mass} unknowns that "
+                "have mass"
+            )
+        if shift is None:
+            kept = None if start is None else self._shift
+            shift = estimate_shift(pencil) if kept is None else kept
+        if pencil.n_with_mass <= DENSE or n_modes > pencil.n_with_mass // 2:
+            self._shift = factorise_below(pencil, shift)
+            inverted, shapes = solve_condensed(pencil, n_modes)
+            return _completed(pencil, inverted, shapes, "condensed", pencil.n_with_mass, True)
+        if start is not None and start.shape[1] >= n_modes and start.shape[0] == size:
+            found = self._from_start(pencil, n_modes, shift, np.asfortranarray(start))
+            if found is not None:
+                return found
+        return self._from_random(pencil, n_modes, shift)
+
+    def inverse(self, block: Floats) -> Floats:
+        """(K - s M)^-1 block of the last model, (n,) or (n, n_columns), s as in its `Solved`."""
+        if self._pencil is None or self._shift is None:
+            raise ModelError("no model has been solved yet: there is nothing to invert")
+        if self._pencil.shift != self._shift:
+            self._shift = factorise_below(self._pencil, self._shift)
+        return self._pencil.inverse(block)
+
+    def _from_start(
+        self, pencil: Pencil, n_modes: int, shift: float, start: Floats
+    ) -> SolvedModes | None:
+        """None where the start shapes are not good enough."""
+        shapes, wanted, above, guard = start[pencil.rows], n_modes, np.inf, 0
+        if self._count:
+            quotients, shapes = _rayleigh_ritz(pencil, start)
+            if quotients.size < n_modes:
+                return None
+            last = float(quotients[n_modes - 1])
+            above, wanted = count_below(pencil, last, _margin(pencil, last, shift))
+            # No eigenvalue is above the quotient of its number: as many as these there are, more
+            # if the start lacks some.
+            lacking = wanted - int(np.sum(quotients < above))
+            if not 0 <= lacking <= GUARD:
+                return None
+            guard = lacking + GUARD if lacking else 0
+        self._shift = factorise_below(pencil, shift)
+        pairs = largest_pairs(
+            pencil,
+            with_random(shapes, guard),
+            wanted,
+            TOLERANCE,
+            BLOCKS,
+            least_inverted=1.0 / (above - self._shift),
+        )
+        if not pairs.converged:
+            return None
+        return _of_pairs(pencil, pairs, n_modes, "start", self._count)
+
+    def _from_random(self, pencil: Pencil, n_modes: int, shift: float) -> SolvedModes:
+        self._shift = factorise_below(pencil, shift)
+        if not pencil.is_invertible():
+            raise singular_together(pencil)
+        pairs = _random_pairs(pencil, n_modes)
+        solved = _of_pairs(pencil, pairs, n_modes, "random", False)
+        if not self._count:
+            return solved
+        last = float(solved.eigenvalues[-1])
+        margin = _margin(pencil, last, self._shift)
+        below, there = count_below(pencil, last, -margin)
+        found = int(np.sum(solved.eigenvalues < below))
+        if there == found:
+            return replace(solved, counted=True)
+        whole = self._with_missing(pencil, solved, margin)
+        if whole is None:
+            raise ModelError(
+                f"{n_modes} modes were looked for, but of the eigenvalues below {below:.6e} "
+                f"(rad/s)^2 {found} were found and {max(there, 0)} counted; ask for some more "
+                "modes, or look at the mass matrix: it may have negative eigenvalues"
+            )
+        return whole
+
+    def _with_missing(
+        self, pencil: Pencil, found: SolvedModes, margin: float
+    ) -> SolvedModes | None:
+        """Modes found and those between them that the count says are there; None in vain."""
+        n_modes, shift = found.eigenvalues.size, found.shift
+        # Those found are not below the eigenvalues of their numbers: here are n_modes or more,
+        # all that are equal to the last one among them.
+        above, wanted = count_below(pencil, float(found.eigenvalues[-1]), margin)
+        if wanted < n_modes:
+            return None
+        self._shift = factorise_below(pencil, shift)
+        shapes, solutions = found.shapes[pencil.rows], found.solutions
+        for turn in range(ROUNDS):
+            start = with_random(shapes, wanted - shapes.shape[1] + GUARD, turn)
+            pairs = largest_pairs(
+                pencil,
+                start,
+                wanted,
+                RANDOM_TOLERANCE,
+                3 * BLOCKS,
+                least_inverted=1.0 / (above - self._shift),
+            )
+            solutions += pairs.solutions
+            if pairs.converged:
+                pairs = replace(pairs, solutions=solutions)
+                return _of_pairs(pencil, pairs, n_modes, "random, again", True)
+            shapes = pairs.images
+        return None
+
+    def _whole(self, pencil: Pencil, n_modes: int, shift: float | None) -> SolvedModes:
+        values, vectors = solve_whole(pencil, n_modes)
+        rigid = min(count_rigid_modes(values), values.size - 1)
+        least = min(-0.1 * abs(float(values[rigid])), -LEAST_SHIFT * pencil.largest_eigenvalue())
+        below = least if shift is None else shift
+        self._shift = below if values[0] > below else 2.0 * float(values[0])
+        return SolvedModes(values, vectors, np.zeros(n_modes), self._shift, "whole", True, 0)
+
+
+def solve_modes(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, n_modes: int, shift: float | None = None
+) -> tuple[Floats, Floats]:
+    """The lowest modes, rigid ones included.
+
+    stiffness, mass: (n, n), symmetric, both triangles; shift: (rad/s)^2, negative, of the size of
+    the first elastic eigenvalue or somewhat smaller; estimated where it is None. Returns
+    eigenvalues (n_modes,) ascending and mass-normalised shapes (n, n_modes). Raises ModelError
+    where the matrices allow no solution. For large models and several of them: `ModeSolver`.
+    """
+    upper = [upper_triangle(sparse.csr_array(a).astype(np.float64)) for a in (stiffness, mass)]
+    solved = ModeSolver().solve(upper[0], upper[1], n_modes, shift)
+    return solved.eigenvalues, solved.shapes
+
+
+def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:
+    """The modes that Krylov spaces from random vectors hold. Raises ModelError if in vain."""
+    columns = min(COLUMNS, pencil.n_with_mass)
+    blocks = -(-(VECTORS * n_modes + MORE_VECTORS) // columns)
+    shapes, solutions = np.zeros((pencil.n_with_mass, 0)), 0
+    for turn in range(ROUNDS):
+        start = with_random(shapes, columns, turn)
+        pairs = largest_pairs(pencil, start, n_modes, RANDOM_TOLERANCE, blocks)
+        solutions += pairs.solutions
+        if pairs.converged:
+            return replace(pairs, solutions=solutions)
+        shapes = pairs.images
+    raise ModelError(
+        f"{n_modes} modes were not found in {solutions} vectors: the largest residual of the "
+        f"{pairs.inverted.size} at hand is {float(np.max(pairs.residuals, initial=0.0)):.1e}"
+    )
+
+
+def _of_pairs(
+    pencil: Pencil, pairs: RitzPairs, n_modes: int, way: str, counted: bool
+) -> SolvedModes:
+    theta, vectors = pairs.inverted[:n_modes], pairs.vectors[:, :n_modes]
+    if not isinstance(pencil.rows, slice):
+        return _completed(pencil, theta, vectors, way, pairs.solutions, counted)
+    # Where all rows have mass the last solution is at hand: A x.
+    inertia, images = pencil.inertia(vectors), pairs.images[:, :n_modes]
+    values, shapes = _refined(pencil, inertia, images, images, pencil.inertia(images))
+    residuals = pairs.residuals[:n_modes]
+    return SolvedModes(values, shapes, residuals, _shift_of(pencil), way, counted, pairs.solutions)
+
+
+def _completed(
+    pencil: Pencil,
+    inverted: Floats,
+    vectors: Floats,
+    way: str,
+    solutions: int,
+    counted: bool = False,
+) -> SolvedModes:
+    """Shapes on all rows by one solution.
+
+    inverted: theta (n_modes,); vectors: (n_with_mass, n_modes).
+    """
+    inertia = pencil.inertia(vectors)
+    images = pencil.apply(inertia)
+    own = images[pencil.rows]
+    own_inertia = pencil.inertia(own)
+    values, shapes = _refined(pencil, inertia, images, own, own_inertia)
+    rest, rest_inertia = own - vectors * inverted, own_inertia - inertia * inverted
+    squares = np.sum(rest * rest_inertia, axis=0) / np.sum(vectors * inertia, axis=0)
+    residuals = np.sqrt(np.maximum(squares, 0.0)) / np.abs(inverted)
+    solutions += inverted.size
+    return SolvedModes(values, shapes, residuals, _shift_of(pencil), way, counted, solutions)
+
+
+def _refined(
+    pencil: Pencil, inertia: Floats, images: Floats, own: Floats, own_inertia: Floats
+) -> tuple[Floats, Floats]:
+    """Rayleigh-Ritz in the space of A x: eigenvalues, ascending, and mass-normalised shapes.
+
+    inertia: b = M x; images: z = (K - s M)^-1 b on all rows; own, own_inertia: z and M z on the
+    rows with mass. z^T (K - s M) z is z^T b: no product with K.
+    """
+    energy, mass = own.T @ inertia, own.T @ own_inertia
+    lengths = np.sqrt(np.diag(mass))
+    energy, mass = (0.5 * (a + a.T) / np.outer(lengths, lengths) for a in (energy, mass))
+    above_shift, ritz = eigh(energy, mass)
+    shapes = dgemm(1.0, images, np.asfortranarray(ritz / lengths[:, None]))
+    return above_shift + _shift_of(pencil), shapes
+
+
+def _shift_of(pencil: Pencil) -> float:
+    assert pencil.shift is not None
+    return pencil.shift
+
+
+def _margin(pencil: Pencil, eigenvalue: float, shift: float) -> float:
+    """How far from an eigenvalue to count, so that neither it nor its equals are cut by chance."""
+    return max(_SAME * abs(eigenvalue - shift), ROUNDING * pencil.largest_eigenvalue())
+
+
+def _rayleigh_ritz(pencil: Pencil, start: Floats) -> tuple[Floats, Floats]:
+    """Rayleigh quotients (n_found,) ascending in the space of start, and shapes on mass rows."""
+    own = start[pencil.rows]
+    factor = unit_combinations(own.T @ pencil.inertia(own), 0.0)
+    quotients, ritz = eigh(factor.T @ (start.T @ pencil.stiff(start)) @ factor)
+    return quotients, dgemm(1.0, own, np.asfortranarray(factor @ ritz))

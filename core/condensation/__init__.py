@@ -1,0 +1,1 @@
+"""Reduction and expansion."""

@@ -1,0 +1,1 @@
+"""How alike modes are, and which belong together."""

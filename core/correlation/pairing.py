@@ -1,0 +1,207 @@
+"""Which computed mode answers which measured one.
+
+With measured shapes, pairs are the one-to-one assignment that maximises the sum of MAC (the
+Hungarian method), with the relative frequency difference as tie-break. Without them the first
+pairing takes the computed elastic modes in the order of frequency. Either way later pairings are
+tracked: without measured shapes each pair stays with the computed mode whose shape continues the
+one paired before, whatever its place in the order has become.
+
+Close modes turn within their common space at the least change of the model, so a single MAC says
+little there: a measured shape that lies in the space of a cluster of close computed modes counts
+as found even if no single member of the cluster resembles it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import linear_sum_assignment
+
+from modetune.core.correlation.correlation import Shapes, mac, subspace_mac
+from modetune.core.errors import ModesError
+from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
+
+#: Below this MAC a pair is not a pair (the usual limit for "uncorrelated" is 0.2 to 0.4).
+LOST_MAC = 0.3
+#: A shape this small beside the largest one is rounding.
+AT_REST = 1e-7
+#: Modes whose frequencies differ by less than this share are a cluster.
+CLUSTER = 0.015
+#: How much a relative frequency difference of 100 % weighs against a MAC of 1 as tie-break.
+FREQUENCY_TIE_BREAK = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """One-to-one pairs of measured and computed modes.
+
+    measured, computed: (n_pairs,), positions in the two mode sets.
+    mac: (n_pairs,), MAC of each pair at the common sensors, NaN where no shape was measured.
+    subspace_mac: (n_pairs,), the same against the whole cluster of close computed modes.
+    reasons: why each pair is one.
+    """
+
+    measured: Integers
+    computed: Integers
+    mac: Floats
+    subspace_mac: Floats
+    reasons: tuple[str, ...]
+
+    @property
+    def judged_mac(self) -> Floats:
+        """The larger of both: close modes turn within their space, and that is not an error."""
+        return np.fmax(self.mac, self.subspace_mac)
+
+
+class LostMode(ModesError):
+    """A measured mode has no counterpart among the computed ones: compute more of them."""
+
+
+def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_MAC) -> Pairing:
+    """Pair every measured mode with one computed mode by MAC at the common sensors.
+
+    Raises LostMode where fewer modes were computed than measured, or where a measured shape is
+    found neither in its partner nor in the cluster around it; ModesError without common sensors.
+    """
+    _enough(measured, computed)
+    rows_m, rows_c = common_dofs(measured, computed)
+    if rows_m.size == 0:
+        raise ModesError("no sensor of the test is a node of the model's results")
+    shapes_m = measured.mode_shapes[rows_m]
+    shapes_c = without_rounding(computed.mode_shapes[rows_c])
+    table = mac_or_zero(shapes_m, shapes_c)
+    apart = np.abs(computed.frequencies_hz[None, :] / measured.frequencies_hz[:, None] - 1.0)
+    cost = -(table - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
+    rows, columns = linear_sum_assignment(cost)
+    spaces, reasons = [], []
+    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+        value = float(table[row, column])
+        cluster = close_modes(computed.frequencies_hz, column)
+        space = _space_or_zero(shapes_m[:, row], shapes_c[:, cluster])
+        if max(value, space) < lost_mac:
+            raise LostMode(
+                f"the measured mode at {measured.frequencies_hz[row]:.4g} Hz is not among "
+                f"the {computed.n_modes} computed modes: the best MAC left for it is {value:.2f}, "
+                f"at least {lost_mac:.2f} is needed; check sensor nodes and directions, or "
+                "compute more modes"
+            )
+        spaces.append(space)
+        reasons.append(_reason(value, space, row, column, table, cluster))
+    return Pairing(
+        rows.astype(np.int64),
+        columns.astype(np.int64),
+        table[rows, columns],
+        np.array(spaces),
+        tuple(reasons),
+    )
+
+
+def pair_by_order(measured: ModeSet, computed: ModeSet, others_hz: ArrayLike = ()) -> Pairing:
+    """Pair the measured modes, in ascending frequency, with the lowest computed ones.
+
+    others_hz: frequencies of measured modes that are not to be paired, yet have their place in the
+    order. For tests without shapes: the analyst's statement that no mode was missed.
+    """
+    _enough(measured, computed)
+    known = np.concatenate([measured.frequencies_hz, np.asarray(others_hz, dtype=np.float64)])
+    order = np.argsort(known, kind="stable")
+    ranks = np.argsort(order, kind="stable")[: measured.n_modes]
+    if ranks.max(initial=0) >= computed.n_modes:
+        raise LostMode(
+            f"the measured mode at {known[ranks.argmax()]:.4g} Hz is number {ranks.max() + 1} in "
+            f"the order of frequency, but there are {computed.n_modes} computed elastic modes: "
+            "compute more modes"
+        )
+    by_frequency = np.argsort(computed.frequencies_hz, kind="stable")
+    unknown = np.full(measured.n_modes, np.nan)
+    reasons = tuple(
+        f"no shape was measured: elastic mode {rank + 1} in the order of frequency"
+        for rank in ranks.tolist()
+    )
+    positions = np.arange(measured.n_modes, dtype=np.int64)
+    return Pairing(positions, by_frequency[ranks].astype(np.int64), unknown, unknown, reasons)
+
+
+def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> Pairing:
+    """Continue a pairing: each measured mode follows the computed shape it was paired with.
+
+    previous, computed: the computed modes of `before` and of now, at the same rows.
+    Raises LostMode where a shape does not continue.
+    """
+    if computed.n_modes < before.computed.size:
+        raise LostMode(f"only {computed.n_modes} elastic modes for {before.computed.size} pairs")
+    shapes_before = without_rounding(previous.mode_shapes)[:, before.computed]
+    shapes_now = without_rounding(computed.mode_shapes)
+    table = mac_or_zero(shapes_before, shapes_now)
+    rows, columns = linear_sum_assignment(-table)
+    reasons = []
+    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+        cluster = close_modes(computed.frequencies_hz, column)
+        space = _space_or_zero(shapes_before[:, row], shapes_now[:, cluster])
+        if max(table[row, column], space) < LOST_MAC:
+            raise LostMode(
+                f"the elastic mode at {previous.frequencies_hz[before.computed[row]]:.4g} Hz, one "
+                f"of the pairs, does not continue: the best MAC with its shape before is "
+                f"{table[row, column]:.2f}"
+            )
+        moved = (
+            ""
+            if column == before.computed[row]
+            else (f", now elastic mode {column + 1} (was {before.computed[row] + 1})")
+        )
+        reasons.append(f"continues its shape, MAC {table[row, column]:.3f}{moved}")
+    unknown = np.full(rows.size, np.nan)
+    return Pairing(before.measured, columns.astype(np.int64), unknown, unknown, tuple(reasons))
+
+
+def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
+    """MAC where a mode may rest at all sensors: it resembles nothing."""
+    table = np.zeros((first.shape[1], second.shape[1]))
+    rows, columns = first.any(axis=0), second.any(axis=0)
+    table[np.ix_(rows, columns)] = mac(first[:, rows], second[:, columns])
+    return table
+
+
+def _space_or_zero(shape: Shapes, basis: Shapes) -> float:
+    moving = basis[:, basis.any(axis=0)]
+    return subspace_mac(shape, moving) if moving.shape[1] and shape.any() else 0.0
+
+
+def without_rounding(shapes: Shapes) -> Shapes:
+    """Shapes (n_dof, n_modes), zero where they rest at the sensors but for rounding.
+
+    A mode of rotations alone, such as the torsion of beams on one axis, leaves noise there.
+    """
+    size = np.abs(shapes).max(axis=0, initial=0.0)
+    return np.where(size > AT_REST * size.max(initial=0.0), shapes, 0.0)
+
+
+def close_modes(frequencies_hz: Floats, mode: int, width: float = CLUSTER) -> Integers:
+    """Positions of the modes within a relative width of one mode's frequency, itself included."""
+    apart = np.abs(frequencies_hz / frequencies_hz[mode] - 1.0)
+    return np.flatnonzero(apart <= width)
+
+
+def _enough(measured: ModeSet, computed: ModeSet) -> None:
+    if computed.n_modes < measured.n_modes:
+        raise LostMode(
+            f"{measured.n_modes} measured modes cannot be paired one-to-one with "
+            f"{computed.n_modes} computed elastic modes: compute more modes"
+        )
+
+
+def _reason(
+    value: float, space: float, row: int, column: int, table: Floats, cluster: Integers
+) -> str:
+    if cluster.size > 1 and space > value + 0.05:
+        members = ", ".join(str(mode + 1) for mode in cluster.tolist())
+        return f"MAC {value:.3f}; {space:.3f} in the space of close elastic modes {members}"
+    best = int(np.argmax(table[row]))
+    if best != column:
+        return (
+            f"MAC {value:.3f}; elastic mode {best + 1} has {table[row, best]:.3f} but answers "
+            "another measured mode better"
+        )
+    return f"highest MAC, {value:.3f}"

@@ -1,0 +1,1 @@
+"""Response functions, identification, sensors."""

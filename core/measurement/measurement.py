@@ -1,0 +1,119 @@
+"""What a test gives: modes, response functions, where its sensors sit and which way they look."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modetune.core.brief import brief
+from modetune.core.errors import ModesError
+from modetune.core.measurement.frf import Complexes, Response
+from modetune.core.modes import Floats, Integers, MeasuredModes
+
+
+@dataclass(frozen=True, slots=True)
+class TestGeometry:
+    """The points of a test.
+
+    nodes: (n,), the test's own numbers, each once. coordinates: (n, 3), the test's global axes.
+    frames: (n, 3, 3), rows are the directions x, y, z in which a point's motion was measured,
+    unit vectors in the test's global axes; the identity where the file tells no other.
+    lines: pairs of nodes (n_lines, 2) that draw the structure; faces: (n_faces, 3), triangles.
+    metres: length of the coordinates' unit in metres, NaN where the file does not tell.
+    Raises ModesError where arrays do not fit together.
+    """
+
+    __test__ = False  # not a test of pytest's
+
+    nodes: Integers
+    coordinates: Floats
+    frames: Floats
+    lines: Integers
+    faces: Integers
+    metres: float = float("nan")
+
+    def __post_init__(self) -> None:
+        n = self.nodes.size
+        if self.coordinates.shape != (n, 3) or self.frames.shape != (n, 3, 3):
+            raise ModesError(f"the coordinates or axes of the test do not fit its {n} points")
+        if np.unique(self.nodes).size != n:
+            raise ModesError("a point of the test is given twice")
+        if not (np.isfinite(self.coordinates).all() and np.isfinite(self.frames).all()):
+            raise ModesError("a coordinate or direction of the test is not a finite number")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class MeasuredFrfs:
+    """Frequency response functions of a test, all on the same frequencies.
+
+    frequencies_hz: (n_lines,), ascending. values: (n_lines, n_functions), motion per force in
+    SI: m, m/s or m/s^2 (rad for rotations) per N (Nm for moments).
+    nodes, components: (n_functions,), where and which way the response was measured: test node,
+    and 1..6; signs: (n_functions,), -1 where the sensor looks the other way.
+    reference_nodes, reference_components, reference_signs: (n_functions,), of the force likewise.
+    coherences: (n_lines, n_functions), empty where the test has none.
+    Raises ModesError where arrays do not fit together.
+    """
+
+    kind: Response
+    frequencies_hz: Floats
+    values: Complexes
+    nodes: Integers
+    components: Integers
+    signs: Floats
+    reference_nodes: Integers
+    reference_components: Integers
+    reference_signs: Floats
+    coherences: NDArray[np.float64]
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Response):
+            raise ModesError(
+                f"response functions are {', '.join(get_args(Response))}, not {self.kind!r}"
+            )
+        n_lines, n_functions = self.values.shape
+        columns = (
+            self.nodes,
+            self.components,
+            self.signs,
+            self.reference_nodes,
+            self.reference_components,
+            self.reference_signs,
+        )
+        if self.frequencies_hz.shape != (n_lines,) or any(
+            column.shape != (n_functions,) for column in columns
+        ):
+            raise ModesError("the columns of the response functions do not fit together")
+        if self.coherences.size and self.coherences.shape != self.values.shape:
+            raise ModesError("the coherences do not fit the response functions")
+        finite = np.isfinite(self.frequencies_hz).all()
+        if not finite or (np.diff(self.frequencies_hz) <= 0.0).any():
+            raise ModesError("the frequencies of response functions must be finite and ascend")
+        if not np.isfinite(self.values).all():
+            raise ModesError("a response function holds values that are not finite numbers")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Measurement:
+    """A test as its files give it; each part may be missing.
+
+    modes: real shapes at the test's own nodes, in the directions of `geometry.frames`.
+    notes: what the reader decided or left out, a sentence each, for people.
+    """
+
+    modes: MeasuredModes | None = None
+    geometry: TestGeometry | None = None
+    frfs: MeasuredFrfs | None = None
+    notes: tuple[str, ...] = ()
+
+    __repr__ = brief
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there are neither modes, geometry nor response functions."""
+        return self.modes is None and self.geometry is None and self.frfs is None

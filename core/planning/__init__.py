@@ -1,0 +1,1 @@
+"""Sensor and exciter places."""

@@ -1,0 +1,1 @@
+"""Keys, the store of results, the record of a campaign."""

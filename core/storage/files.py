@@ -1,0 +1,128 @@
+"""Files written whole or not at all, and what the system says of a place in words with a remedy."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from modetune.core.errors import StorageUnavailable
+
+#: What the system says where a folder may not be written, or is a file.
+REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR)
+#: What it says of a disk or a share that does not work, and of a file larger than it takes.
+BROKEN = (errno.EIO, errno.ESTALE, errno.EFBIG)
+
+
+def locked(handle: IO[str]) -> bool:
+    """Take the lock of an open file for this handle alone, unless another has it."""
+    with storage_errors(Path(handle.name)):
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True
+
+
+@contextmanager
+def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place, flushed to disk, when all went well.
+
+    Raises StorageUnavailable on a full disk or without permission; what stood at `path` before
+    then still stands there. A device or a pipe is written to and keeps its place.
+    """
+    with storage_errors(path, remedy):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        device = path.exists() and not path.is_file()
+        folder = None if device else path.parent
+        handle, name = tempfile.mkstemp(dir=folder, prefix=".", suffix=".part")
+        os.close(handle)
+        part = Path(name)
+        try:
+            yield part
+            with part.open("rb") as written:
+                os.fsync(written.fileno())
+            if device:
+                with part.open("rb") as written, path.open("wb") as out:
+                    shutil.copyfileobj(written, out)
+                return
+            part.chmod(0o666 & ~_umask())  # mkstemp's files are for their owner only
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def check_writable(folder: Path, remedy: str) -> None:
+    """Fail now rather than after an hour's solving. Raises StorageUnavailable."""
+    with storage_errors(folder / "any", remedy):
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+
+
+def _umask() -> int:
+    """The process's file mode mask, as the kernel tells it without changing it."""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return 0o022
+    return int(status.partition("Umask:")[2].split(None, 1)[0], 8)
+
+
+@contextmanager
+def storage_errors(path: Path, remedy: str = "name another place") -> Iterator[None]:
+    """Turn what the operating system says of a folder into a sentence with a remedy."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT) or "space left" in str(error):
+            raise StorageUnavailable(
+                f"the disk that holds {path.parent} is full; nothing stored before was harmed; "
+                "free some space and run the same command again: finished jobs are not repeated"
+            ) from error
+        if error.errno in (errno.ENOTDIR, errno.EEXIST) and (file := _file_in_the_way(path)):
+            raise StorageUnavailable(
+                f"{file} is a file, and a folder is needed there; move it, or {remedy}"
+            ) from error
+        if error.errno == errno.EISDIR and path.is_dir():
+            raise StorageUnavailable(
+                f"{path} is a folder, and a file is needed there; move it, or {remedy}"
+            ) from error
+        if error.errno in REFUSED:
+            raise StorageUnavailable(
+                f"{path.parent} cannot be written ({error.strerror}); give write permission, or "
+                f"{remedy}"
+            ) from error
+        if error.errno in BROKEN or _is_of(error, path):
+            raise StorageUnavailable(
+                f"{path.parent} cannot be written ({error.strerror}); {remedy}"
+            ) from error
+        if error.errno is None:  # HDF5 reports a failed write without the system's number
+            raise StorageUnavailable(f"{path} could not be written: {error}") from error
+        raise
+
+
+def _file_in_the_way(path: Path) -> Path | None:
+    """The file that stands where a folder above a path should be, or nothing."""
+    for above in path.parents:
+        with suppress(OSError):
+            if above.exists():
+                return None if above.is_dir() else above
+    return None
+
+
+def _is_of(error: OSError, path: Path) -> bool:
+    """Whether an error speaks of a path, a folder above it or a file beside it.
+
+    What goes on inside a job's folder is the job's own: a file that is missing there stays a fault.
+    """
+    if not isinstance(error.filename, str | os.PathLike):
+        return False
+    spoken, path = Path(os.fspath(error.filename)).absolute(), path.absolute()
+    return path.is_relative_to(spoken) or spoken.parent == path.parent

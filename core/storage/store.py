@@ -1,0 +1,242 @@
+"""The store: results of solver runs by content key, one HDF5 file each, shared by everybody.
+
+    STORE/ab/abcdef....3.h5   a result, and before it in plain text what was asked, by whom it was
+                              computed, and a note; 3 is the number of the format
+    STORE/damaged/            entries whose checksum did not hold, set aside
+    STORE/locks/KEY           one lock a job under way; the kernel frees it when its holder dies
+
+A file is written aside, flushed to disk and renamed, so an entry is whole or absent. Many
+processes and machines may share the folder. Nothing is believed that its checksum denies
+(`core/storage/seal`): a damaged entry is set aside with a warning and counts as absent. Entries of
+other formats, older or newer, are other files: they are left alone.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from modetune.core.errors import StorageUnavailable, StoreDamaged
+from modetune.core.storage.codec import read_value, write_value
+from modetune.core.storage.files import locked, storage_errors, writing
+from modetune.core.storage.seal import content, holds, read_head, sealed
+from modetune.core.updating.results import (
+    MatrixResult,
+    ModalResult,
+    ModeDerivatives,
+    ParameterMatrices,
+    ReducedModel,
+    Result,
+)
+
+logger = logging.getLogger(__name__)
+
+#: Grows whenever the layout of a result's dataclasses changes.
+FORMAT = 3
+TITLE = f"modetune store entry {FORMAT}"
+KINDS: dict[str, type[Result]] = {
+    "modal": ModalResult,
+    "matrices": MatrixResult,
+    "derivatives": ModeDerivatives,
+    "parameter_matrices": ParameterMatrices,
+    "reduced": ReducedModel,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A stored result with what it cost and who computed it."""
+
+    key: str
+    result: Result
+    solver: str
+    solver_version: str
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Holding:
+    """What stands before an entry's result.
+
+    kind: of the result, one of KINDS; asked: the canonical JSON behind the key; note: what was
+    noted beside it, empty where nothing was; written_s: when, seconds since 1970.
+    """
+
+    key: str
+    kind: str
+    asked: str
+    note: str
+    solver: str
+    solver_version: str
+    wall_s: float
+    written_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A folder of results by content key."""
+
+    folder: Path
+
+    def path(self, key: str) -> Path:
+        return self.folder / key[:2] / f"{key}.{FORMAT}.h5"
+
+    def __contains__(self, key: str) -> bool:
+        path = self.path(key)
+        with storage_errors(path):
+            found = path.is_file()
+        if not found and any(path.parent.glob(f"{key}.*h5")):
+            _tell_of_other_formats(self.folder)
+        return found
+
+    def get(self, key: str) -> Entry | None:
+        """The entry of this key, or nothing; a damaged one is set aside and counts as nothing.
+
+        Raises StorageUnavailable where the folder may not be read.
+        """
+        path = self.path(key)
+        try:
+            with path.open("rb") as file:
+                try:
+                    return _read_entry(file.read(), path, key)
+                except StoreDamaged as problem:
+                    logger.warning("%s; set aside, it will be computed again", problem)
+                    self._set_aside(path, os.fstat(file.fileno()).st_ino)
+                    return None
+        except FileNotFoundError:
+            return None
+        except PermissionError as error:
+            raise StorageUnavailable(f"{path} may not be read; give read permission") from error
+        except OSError as error:  # too many files, a stale handle, a bad disk: no word on the entry
+            raise StorageUnavailable(f"{path} could not be read: {error}") from error
+
+    def put(self, entry: Entry, asked: str, note: str = "") -> None:
+        """Write an entry whole or not at all.
+
+        asked: the canonical JSON behind the key; note: what people are told of it.
+        Raises StorageUnavailable on a full disk or without permission.
+        """
+        kind = next(name for name, form in KINDS.items() if isinstance(entry.result, form))
+        head = json.dumps(
+            {
+                "key": entry.key,
+                "kind": kind,
+                "asked": asked,
+                "note": note,
+                "solver": entry.solver,
+                "solver_version": entry.solver_version,
+                "wall_s": entry.wall_s,
+            }
+        )
+        data = sealed(TITLE, lambda file: write_value(file, entry.result), head)
+        with writing(self.path(entry.key)) as part:
+            part.write_bytes(data)
+
+    def entries(self, start: str = "") -> Iterator[Path]:
+        """The files of entries whose keys start so; start: at least two digits, or nothing."""
+        return self.folder.glob(f"{start[:2] or '[0-9a-f][0-9a-f]'}/{start}*.{FORMAT}.h5")
+
+    def holdings(self, newest: int | None = None) -> Iterator[Holding]:
+        """What stands before the entries, the newest first, or before so many of them.
+
+        No result is read and no checksum taken, so nothing that is computed may rest on it; what
+        cannot be read is passed over: whoever wants that entry finds the damage.
+        """
+        dated = []
+        for path in self.entries():
+            with suppress(OSError):  # gone, or not ours to see
+                dated.append((path.stat().st_mtime, path))
+        for written_s, path in sorted(dated, reverse=True)[:newest]:
+            holding = _holding(path, written_s)
+            if holding is not None:
+                yield holding
+
+    def holding(self, key: str) -> Holding | None:
+        """What stands before the entry of this key, or nothing."""
+        path = self.path(key)
+        return _holding(path, path.stat().st_mtime) if path.is_file() else None
+
+    def drop(self, key: str) -> None:
+        """Remove the entry of this key, if there is one. Raises StorageUnavailable."""
+        path = self.path(key)
+        with storage_errors(path):
+            path.unlink(missing_ok=True)
+
+    @contextmanager
+    def lock(self, key: str, waiting: Callable[[], None]) -> Iterator[None]:
+        """Hold the job of this key; a second holder, of this or another process, waits.
+
+        waiting: called over and over while another holds it; it sleeps a little, or raises.
+        """
+        path = self.folder / "locks" / key
+        with storage_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = path.open("w")
+        with handle:
+            while not locked(handle):
+                waiting()
+            yield
+
+    def _set_aside(self, path: Path, inode: int) -> None:
+        """Move a damaged file away, unless another process has put a good one there since."""
+        with storage_errors(path):
+            target = self.folder / "damaged" / path.name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileNotFoundError):  # another process found the same damage
+                if path.stat().st_ino != inode:
+                    return
+                path.replace(target)
+                if target.stat().st_ino != inode:  # written between two breaths: back with it
+                    target.replace(path)
+
+
+@cache
+def _tell_of_other_formats(folder: Path) -> None:
+    """Say it once."""
+    logger.warning(
+        "%s holds results in a format that this version of modetune does not read (it reads "
+        "KEY.%d.h5); they are left alone, and what is needed is computed again. Remove them when "
+        "no other version uses the store.",
+        folder,
+        FORMAT,
+    )
+
+
+def _holding(path: Path, written_s: float) -> Holding | None:
+    try:
+        with path.open("rb") as file:
+            head = json.loads(read_head(file, TITLE))
+        return Holding(
+            key=str(head["key"]),
+            kind=str(head["kind"]),
+            asked=str(head["asked"]),
+            note=str(head["note"]),
+            solver=str(head["solver"]),
+            solver_version=str(head["solver_version"]),
+            wall_s=float(head["wall_s"]),
+            written_s=written_s,
+        )
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _read_entry(data: bytes, path: Path, key: str) -> Entry:
+    """The entry that a file's bytes are. Raises StoreDamaged."""
+    if not holds(data, TITLE):
+        raise StoreDamaged(f"the checksum of {path} does not hold")
+    try:
+        head = json.loads(read_head(io.BytesIO(data), TITLE))
+        if head["key"] != key:
+            raise StoreDamaged(f"{path} is the entry of another key")
+        with content(data) as file:
+            result = read_value(file, KINDS[head["kind"]])
+        return Entry(key, result, head["solver"], head["solver_version"], head["wall_s"])
+    except (ValueError, KeyError, TypeError, StoreDamaged) as error:
+        raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error

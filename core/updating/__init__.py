@@ -1,0 +1,1 @@
+"""Responses, sensitivities, parameter matrices, steps, trust."""

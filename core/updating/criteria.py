@@ -1,0 +1,44 @@
+"""When updating stops, and when a sensitivity may be used again.
+
+e1 (thesis (4.1)): every used frequency, and every used shape where shapes were measured, is
+within its tolerance. e2 (thesis (4.2)): where the residual changes by no more than e2 for each
+parameter, |z_j - z_(j-1)| / L, the sensitivity of the next iteration is not computed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.correlation.pairing import Pairing
+from modetune.core.modes import Floats, ModeSet
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """e1: largest relative frequency error and least MAC of a model that agrees with its test.
+
+    The MAC counts wherever shapes were measured, also if the residual leaves them out.
+    """
+
+    frequency: float
+    mac: float
+
+
+def frequency_errors(measured: ModeSet, computed: ModeSet, pairing: Pairing) -> Floats:
+    """Computed over measured frequency less one, of each pair, (n_pairs,)."""
+    return np.asarray(
+        computed.frequencies_hz[pairing.computed] / measured.frequencies_hz[pairing.measured] - 1.0
+    )
+
+
+def agrees(errors: Floats, mac: Floats, tolerances: Tolerances) -> bool:
+    """Whether e1 holds. errors, mac: (n_pairs,); a MAC of NaN stands for no measured shape."""
+    shapes = mac[np.isfinite(mac)]
+    return bool((np.abs(errors) <= tolerances.frequency).all() and (shapes >= tolerances.mac).all())
+
+
+def slope(residual: Floats, previous: Floats, n_parameters: int) -> float:
+    """Change of the residual for each parameter, |z_j - z_(j-1)| / L. Source: thesis (4.2)."""
+    return float(np.linalg.norm(residual - previous)) / n_parameters

@@ -1,0 +1,219 @@
+"""Parameter steps: from a residual and its sensitivity to the change of the parameters.
+
+With S the sensitivity, z the residual (measured minus computed), W the weights of the
+measurements and W_t those of the parameters, the thesis's forms are
+
+    pseudo_inverse          S+ z                                                 (3.17), (34), (35)
+    weighted_least_squares  min |z - S d|^2_W                                    (40)-(42)
+    minimum_norm            min |d|^2_Wt with S d = z                            (43)-(45)
+    regularised             min |z - S d|^2_W + a |d|^2_Wt                       (46)-(49)
+    pulled_to_initial       min |z - S d|^2_W + a |t + d - t_0|^2_Wt             (50)-(53)
+
+Each is a linear least-squares problem A d = b with stacked rows, solved by orthogonal
+factorisation (normal equations would square the condition number). Bounds and the step limit
+make a box for d; where the free solution leaves it, the same least-squares problem is solved in
+the box (scipy's bounded-variable method), never merely clipped.
+
+The L-curve plots log |d|_Wt over log |z - S d|_W as a varies; its corner balances fit and size
+and is taken as a where the campaign asks for it (Hansen 1992).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
+
+StepForm = Literal[
+    "pseudo_inverse",
+    "weighted_least_squares",
+    "minimum_norm",
+    "regularised",
+    "pulled_to_initial",
+]
+
+#: Singular values below this share of the largest count as zero.
+RANK_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class StepProblem:
+    """All that a step depends on.
+
+    sensitivity: (n_residuals, n_parameters); residual, weights: (n_residuals,);
+    parameter_weights: (n_parameters,), reciprocals of the parameters' variances;
+    offset: (n_parameters,), theta - theta_0; lower, upper: (n_parameters,), box of the step.
+    """
+
+    sensitivity: Floats
+    residual: Floats
+    weights: Floats
+    parameter_weights: Floats
+    offset: Floats
+    lower: Floats
+    upper: Floats
+
+    def __post_init__(self) -> None:
+        n_residuals, n_parameters = self.sensitivity.shape
+        if any(vector.shape != (n_residuals,) for vector in (self.residual, self.weights)):
+            raise CampaignError(f"residual and weights must have {n_residuals} entries")
+        vectors = (self.parameter_weights, self.offset, self.lower, self.upper)
+        if any(vector.shape != (n_parameters,) for vector in vectors):
+            raise CampaignError(f"parameter weights and bounds must have {n_parameters} entries")
+        if not (np.isfinite(self.sensitivity).all() and np.isfinite(self.residual).all()):
+            raise CampaignError("sensitivity and residual must be finite")
+        if (self.lower > self.upper).any():
+            raise CampaignError("a lower bound of the step is above its upper bound")
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A parameter change and what the linear model promises of it.
+
+    change: (n_parameters,); predicted: (n_residuals,), residual that would be left;
+    regularisation: the factor used; rank and condition of the weighted sensitivity.
+    """
+
+    change: Floats
+    predicted: Floats
+    regularisation: float
+    rank: int
+    condition: float
+
+
+def parameter_step(
+    problem: StepProblem, form: StepForm, regularisation: float | Literal["l_curve"] = 1.0
+) -> Step:
+    """The step of one of the five forms, within its box.
+
+    regularisation: the factor a of the last two forms, or "l_curve". Source: thesis (34)-(53).
+    """
+    root_w = np.sqrt(problem.weights)
+    weighted = root_w[:, None] * problem.sensitivity
+    singular = np.linalg.svd(weighted, compute_uv=False)
+    rank = int(np.sum(singular > RANK_TOLERANCE * singular[0])) if singular.size else 0
+    factor = 0.0
+    if form in ("regularised", "pulled_to_initial"):
+        factor = l_curve(problem).corner if regularisation == "l_curve" else float(regularisation)
+    change = _solve(problem, form, factor)
+    smallest = singular[-1] if singular.size == problem.sensitivity.shape[1] else 0.0
+    return Step(
+        change=change,
+        predicted=problem.residual - problem.sensitivity @ change,
+        regularisation=factor,
+        rank=rank,
+        condition=float(singular[0] / smallest) if smallest > 0.0 else float("inf"),
+    )
+
+
+def _solve(problem: StepProblem, form: StepForm, factor: float) -> Floats:
+    root_t = np.sqrt(problem.parameter_weights)
+    used = problem.weights > 0.0
+    plain, plain_target = problem.sensitivity[used], problem.residual[used]
+    if form == "pseudo_inverse":
+        return _in_box(problem, plain, plain_target, np.ones_like(root_t))
+    root_w = np.sqrt(problem.weights)
+    rows, target = root_w[:, None] * problem.sensitivity, root_w * problem.residual
+    if form == "weighted_least_squares":
+        return _in_box(problem, rows, target, np.ones_like(root_t))
+    if form == "minimum_norm":
+        return _in_box(problem, plain, plain_target, root_t)
+    pull = -problem.offset if form == "pulled_to_initial" else np.zeros_like(root_t)
+    penalty = np.sqrt(factor) * root_t
+    stacked = np.vstack([rows, np.diag(penalty)])
+    return _in_box(problem, stacked, np.concatenate([target, penalty * pull]), root_t)
+
+
+def _in_box(problem: StepProblem, rows: Floats, target: Floats, scale: Floats) -> Floats:
+    """Least squares of least norm |scale * d|, in the box of the step.
+
+    Where rows do not determine d, the box problem gets a vanishing penalty on the norm, because
+    the bounded method by itself picks any of the solutions.
+    """
+    free = np.linalg.lstsq(rows / scale, target, rcond=RANK_TOLERANCE)[0] / scale
+    if (free >= problem.lower).all() and (free <= problem.upper).all():
+        return np.asarray(free)
+    tiny = 1e-7 * np.linalg.norm(rows, 2) / scale.max()
+    rows = np.vstack([rows, np.diag(tiny * scale)])
+    target = np.concatenate([target, np.zeros(scale.size)])
+    fixed = problem.lower == problem.upper  # the bounded method requires room in each variable
+    change = problem.lower.copy()
+    if not fixed.all():
+        solution = lsq_linear(
+            rows[:, ~fixed],
+            target - rows[:, fixed] @ change[fixed],
+            (problem.lower[~fixed], problem.upper[~fixed]),
+            method="bvls",
+        )
+        change[~fixed] = solution.x
+    return np.clip(change, problem.lower, problem.upper)
+
+
+@dataclass(frozen=True, slots=True)
+class LCurve:
+    """Fit against size over a range of regularisation factors.
+
+    factors, misfits, sizes: (n,), |z - S d|_W and |d|_Wt; corner: the factor where the curve
+    turns from falling to level most sharply.
+    """
+
+    factors: Floats
+    misfits: Floats
+    sizes: Floats
+    corner: float
+
+
+def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
+    """The L-curve of the free (unbounded) regularised problem. Source: Hansen 1992."""
+    root_t = np.sqrt(problem.parameter_weights)
+    root_w = np.sqrt(problem.weights)
+    u, s, _ = np.linalg.svd(root_w[:, None] * problem.sensitivity / root_t, full_matrices=False)
+    target = root_w * problem.residual
+    beta = u.T @ target
+    outside = float(target @ target - beta @ beta)
+    s = np.maximum(s, s[0] * RANK_TOLERANCE)
+    # Below 10^-12 of the largest information only rounding would be regularised.
+    lowest = max(float(s[-1]) ** 2 * 1e-2, float(s[0]) ** 2 * 1e-12)
+    factors = np.geomspace(lowest, s[0] ** 2 * 1e2, n_factors)
+    damping = factors[:, None] / (s**2 + factors[:, None])
+    misfits = np.sqrt(np.sum((damping * beta) ** 2, axis=1) + max(outside, 0.0))
+    sizes = np.sqrt(np.sum(((1.0 - damping) * beta / s) ** 2, axis=1))
+    x, y, t = np.log(misfits + 1e-300), np.log(sizes + 1e-300), np.log(factors)
+    dx, dy = np.gradient(x, t), np.gradient(y, t)
+    curvature = (dx * np.gradient(dy, t) - dy * np.gradient(dx, t)) / (
+        (dx**2 + dy**2) ** 1.5 + 1e-300
+    )
+    # The ends of a gradient are one-sided and give false curvature.
+    corner = factors[2 + int(np.argmax(curvature[2:-2]))]
+    return LCurve(factors, misfits, sizes, float(corner))
+
+
+def parameter_covariance(
+    sensitivity: Floats, variances: Floats, weights: Floats, prior_weights: Floats | None = None
+) -> Floats:
+    """Covariance of the parameters that measurement variances leave, (n, n), linear.
+
+    variances: (n_residuals,), of the residuals; weights: (n_residuals,), by which the step
+    weighed them; prior_weights: (n_parameters,), reciprocal variances beforehand, where the step
+    was held by them. A parameter that nothing determines has an infinite variance. With
+    A = S^T W S + P it is A^-1 (S^T W V W S + P) A^-1, which is the familiar (S^T V^-1 S)^-1 where
+    the weights are the reciprocal variances. Source: error propagation through thesis (41), (52).
+    """
+    weighted = weights[:, None] * sensitivity
+    information = sensitivity.T @ weighted
+    noise = weighted.T @ (variances[:, None] * weighted)
+    if prior_weights is not None:
+        information = information + np.diag(prior_weights)
+        noise = noise + np.diag(prior_weights)
+    values, vectors = np.linalg.eigh(information)
+    null = values <= RANK_TOLERANCE * max(float(values[-1]), 0.0)
+    inverse = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T
+    covariance = inverse @ noise @ inverse
+    loose = np.any(np.abs(vectors[:, null]) > 1e-6, axis=1)
+    covariance[loose, loose] = np.inf
+    return np.asarray(covariance)

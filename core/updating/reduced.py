@@ -1,0 +1,200 @@
+"""A reduced model of a few dozen vectors that knows the modes for all parameter values.
+
+The modes of K(theta), M(theta) are sought as phi = V x with a fixed basis V of modes at one or
+more values and their derivatives there (Fox and Miura 1971; Balmes 1996). As K and M are sums of
+parts (`core/updating/parameter_matrices`), so are the projected ones, and r x r matrices are all
+that is left:
+
+    K_r(theta) = V^T K_ref V + sum (theta_c^k - ref_c^k) V^T K_ck V,   K_r x = lambda M_r x.
+
+By Rayleigh's principle errors of eigenvalues are the square of those of shapes. At the values
+where the basis was made, modes and the eigenvalues' first derivatives are those of the full model,
+as the modes are in the basis; the shapes' first derivatives are nearly so. Away from there the
+shapes' error grows with the distance times what these lack, some 10^-3, and with its square, the
+eigenvalues' with the square of that. It is solved as M_r x = mu (K_r - s M_r) x,
+lambda = s + 1 / mu, as M_r is singular where a vector moves no mass. Derivatives within the
+reduced space use all of its modes:
+
+    d phi_i = sum_k x_k x_k^T (lambda_i dM - dK) phi_i / (1 - mu_k / mu_i)
+              - 1/2 phi_i phi_i^T dM phi_i
+
+with x_k^T (K_r - s M_r) x_k = 1, the terms of modes of the same eigenvalue left out, as in
+`core/updating/sensitivity`. How the basis comes to be: `core/updating/reduced_basis`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, eigh
+
+from modetune.core.errors import ModesError
+from modetune.core.modes import REPEATED, Floats, Integers
+from modetune.core.updating.parameter_matrices import powers_moved, powers_slopes
+from modetune.core.updating.sensitivity import ModeDerivatives
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedPart:
+    """What a parameter adds to a projected matrix: values (n_powers, r, r), a matrix a power."""
+
+    column: int
+    powers: tuple[int, ...]
+    values: Floats
+
+    def moved(self, value: float, reference: float) -> Floats:
+        """What it adds at a parameter value beyond the reference, (r, r)."""
+        factors = powers_moved(self.powers, value, reference)
+        return np.asarray(np.tensordot(factors, self.values, axes=1))
+
+    def slope(self, value: float) -> Floats:
+        """Its derivative at a parameter value, (r, r)."""
+        return np.asarray(np.tensordot(powers_slopes(self.powers, value), self.values, axes=1))
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedModel:
+    """A model projected on a basis of r vectors.
+
+    reference: (n_parameters,), relative values of the base. shift: (rad/s)^2, below all
+    eigenvalues. base_stiffness, base_mass: (r, r) there. stiffness, mass: parts. rows:
+    (n_rows, r), the basis at the wanted degrees of freedom.
+    """
+
+    reference: Floats
+    shift: float
+    base_stiffness: Floats
+    base_mass: Floats
+    stiffness: tuple[ReducedPart, ...]
+    mass: tuple[ReducedPart, ...]
+    rows: Floats
+
+    def __post_init__(self) -> None:
+        square = (self.rows.shape[1],) * 2
+        whole = {self.base_stiffness.shape, self.base_mass.shape}
+        if whole | {part.values.shape[1:] for part in (*self.stiffness, *self.mass)} != {square}:
+            raise ModesError("the matrices of a reduced model do not fit its basis")
+
+    @property
+    def size(self) -> int:
+        """Number of basis vectors, r."""
+        return self.rows.shape[1]
+
+    def at(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Projected stiffness and mass (r, r) at these values (n_parameters,)."""
+        stiffness, mass = self.base_stiffness, self.base_mass
+        for part in self.stiffness:
+            stiffness = stiffness + part.moved(theta[part.column], self.reference[part.column])
+        for part in self.mass:
+            mass = mass + part.moved(theta[part.column], self.reference[part.column])
+        return stiffness, mass
+
+    def modes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
+        """The lowest modes at these values (n_parameters,).
+
+        Returns eigenvalues (n_modes,) ascending, (rad/s)^2, and mass-normalised shapes
+        (n_rows, n_modes). Raises ModesError where the reduced model has no such modes.
+        """
+        eigenvalues, combined = self.combinations(theta, n_modes)
+        return eigenvalues, self.rows @ combined
+
+    def combinations(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
+        """As `modes`, the shapes by what they have of each vector of the basis, (r, n_modes)."""
+        inverted, vectors = self._solved(theta)
+        with_mass = int(np.sum(inverted > 1e-12 * inverted[0]))
+        if n_modes > with_mass:
+            raise ModesError(
+                f"{n_modes} modes were asked of a reduced model that has {with_mass}; "
+                "make it of more modes"
+            )
+        kept = inverted[:n_modes]
+        return self.shift + 1.0 / kept, vectors[:, :n_modes] / np.sqrt(kept)
+
+    def derivatives(
+        self, theta: Floats, modes: Integers, shapes: Floats | None = None
+    ) -> ModeDerivatives:
+        """Derivatives of modes with respect to all parameters, exact in the reduced space.
+
+        theta: (n_parameters,); modes: positions of the wanted ones. shapes: (n_rows, n_wanted),
+        those of which they shall be the derivatives, as another solver may have turned them the
+        other way round, or a pair of one eigenvalue by any angle; those of `modes` by default.
+        Raises ModesError where the reduced model has no such modes.
+        """
+        inverted, vectors = self._solved(theta)
+        if int(modes.max(initial=-1)) >= self.size:
+            raise ModesError(f"the reduced model of {self.size} vectors has no mode {modes.max()}")
+        if shapes is not None:
+            vectors = _turned(inverted, self.shift, vectors, modes, self.rows, shapes)
+        d_lam = np.zeros((modes.size, self.reference.size))
+        d_phi = np.zeros((self.size, modes.size, self.reference.size))
+        eigenvalues = self.shift + 1.0 / inverted[modes]
+        phi = vectors[:, modes] / np.sqrt(inverted[modes])
+        dividing = _dividing(inverted, modes, self.shift)
+        for column in range(self.reference.size):
+            value = float(theta[column])
+            stiffness, mass = (
+                sum(
+                    (part.slope(value) @ phi for part in parts if part.column == column),
+                    np.zeros_like(phi),
+                )
+                for parts in (self.stiffness, self.mass)
+            )
+            d_lam[:, column] = np.sum(phi * (stiffness - eigenvalues * mass), axis=0)
+            forces = vectors.T @ (eigenvalues * mass - stiffness)
+            own = -0.5 * np.sum(phi * mass, axis=0) * phi
+            d_phi[:, :, column] = vectors @ (forces * dividing) + own
+        return ModeDerivatives(d_lam, np.tensordot(self.rows, d_phi, axes=1))
+
+    def _solved(self, theta: Floats) -> tuple[Floats, Floats]:
+        """mu (r,), descending, and vectors (r, r) with x^T (K - s M) x = 1."""
+        stiffness, mass = self.at(theta)
+        try:
+            inverted, vectors = eigh(mass, stiffness - self.shift * mass)
+        except (LinAlgError, ValueError) as error:
+            raise ModesError(
+                "a reduced model has an eigenvalue below its shift or no modes at all at these "
+                f"parameter values: {np.array2string(theta, precision=4)}"
+            ) from error
+        return inverted[::-1], vectors[:, ::-1]
+
+
+def _same(inverted: Floats, mode: int, shift: float) -> NDArray[np.bool_]:
+    """Which modes have the eigenvalue of one, itself included."""
+    # |lambda_i - lambda_k| = |mu_k - mu_i| / (mu_i mu_k), without dividing by mu_k = 0.
+    own = float(inverted[mode])
+    width = REPEATED * abs(shift + 1.0 / own)
+    return np.asarray(np.abs(inverted - own) <= width * own * np.abs(inverted))
+
+
+def _dividing(inverted: Floats, modes: Integers, shift: float) -> Floats:
+    """1 / (1 - mu_k / mu_i), (r, n_wanted); 0 for modes of the same eigenvalue."""
+    found = np.zeros((inverted.size, modes.size))
+    for place, mode in enumerate(modes.tolist()):
+        apart = ~_same(inverted, mode, shift)
+        found[apart, place] = 1.0 / (1.0 - inverted[apart] / inverted[mode])
+    return found
+
+
+def _turned(
+    inverted: Floats, shift: float, vectors: Floats, modes: Integers, rows: Floats, shapes: Floats
+) -> Floats:
+    """Vectors turned so that the wanted modes are closest to shapes given for them.
+
+    Alone a mode can be turned the other way round; modes of one eigenvalue by the rotation that
+    fits best, if all of them are given (orthogonal Procrustes: Schoenemann 1966).
+    """
+    vectors = vectors.copy()
+    done: set[int] = set()
+    for mode in modes.tolist():
+        alike = np.flatnonzero(_same(inverted, mode, shift))
+        if not np.isin(alike, modes).all():
+            alike = np.array([mode])
+        if mode in done:
+            continue
+        done.update(alike.tolist())
+        wanted = shapes[:, [int(np.flatnonzero(modes == one)[0]) for one in alike]]
+        left, _, right = np.linalg.svd((rows @ vectors[:, alike]).T @ wanted)
+        vectors[:, alike] = vectors[:, alike] @ (left @ right)
+    return vectors

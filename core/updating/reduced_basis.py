@@ -1,0 +1,179 @@
+"""The basis of a reduced model: modes at a parameter set, and what they become beside it.
+
+The vectors Z answer forces F on no known mode, (K - s M) Z = F (`derivative_vectors`), so
+no product with K is needed to make V = [Phi, Z W] orthonormal with respect to K - s M, by W from
+the eigenvectors of
+
+    Z^T (K - s M) Z = Z^T F,   and   V^T K V = diag(lambda - s, 1) + s V^T M V.
+
+Vectors that hardly move (NEGLIGIBLE) and directions that the scaled others hardly have (RANK) are
+left out. In this product unknowns without mass are not an obstacle, and nothing is lost to the
+cancellation in K x of smooth x.
+
+An older basis is kept, as far as it is not in the new one already and there is room; what is
+least outside it goes first. It answers no known forces, so its directions are taken with respect
+to M + e diag(K), e so small that only vectors that move (nearly) no mass feel it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from modetune.core.algebra.matrices import MatrixResult, projected, upper_product
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.derivative_vectors import (
+    NEGLIGIBLE,
+    Answers,
+    Inverse,
+    KnownModes,
+    derivative_answers,
+)
+from modetune.core.updating.parameter_matrices import ParameterMatrices, ParameterMatrix
+from modetune.core.updating.reduced import ReducedModel, ReducedPart
+
+#: Most vectors of a basis.
+MOST_VECTORS = 150
+#: The reduced model's own shift in first elastic eigenvalues, where its maker's is nearer to zero.
+LEAST_SHIFT = -1e-3
+#: Squared length below which a direction of the scaled vectors is not a direction of its own.
+RANK = 1e-8
+#: Squared length below which what an old basis has outside the new one is left out.
+OLD_RANK = 1e-8
+
+
+def reduce(
+    affine: ParameterMatrices,
+    theta: Floats,
+    eigenvalues: Floats,
+    shapes: Floats,
+    inverse: Inverse,
+    used: Integers,
+    observer: sparse.csr_array,
+    previous: Floats | None = None,
+    most: int = MOST_VECTORS,
+) -> tuple[ReducedModel, Floats]:
+    """A reduced model around a parameter set, and its basis (n, r).
+
+    theta: (n_parameters,); eigenvalues (n_modes,), shapes (n, n_modes): the lowest modes there,
+    rigid ones included, mass-normalised; inverse: by the factorisation that they were found with;
+    used: positions of the modes whose derivatives are wanted; observer: (n_rows, n), takes shapes
+    to the wanted degrees of freedom; previous: an older basis (n, r_old). Raises ModesError where
+    no mode strains the structure. Eigenvalues' derivatives are exact, those of shapes good to
+    some 10^-3.
+    """
+    mass = affine.mass_at(theta)
+    modes = KnownModes.of(eigenvalues, shapes, used, mass)
+    answers = derivative_answers(affine, theta, modes, mass, inverse)
+    basis = _basis(modes, answers, most - eigenvalues.size)
+    widened = basis
+    if previous is not None and basis.shape[1] < most:
+        metric = _Metric.of(affine.at(theta))
+        widened = _with_directions(metric, basis, previous, most - basis.shape[1])
+    stiffness_parts = _reduced_parts(affine.base.upper_stiffness, affine.stiffness, widened)
+    mass_parts = _reduced_parts(affine.base.upper_mass, affine.mass, widened)
+    inertia = projected(mass, widened)
+    if widened.shape[1] > basis.shape[1]:
+        stiffness = projected(affine.base.upper_stiffness, widened)
+    else:
+        stiffness = answers.shift * inertia
+        energies = np.ones(basis.shape[1])
+        energies[: eigenvalues.size] = eigenvalues - answers.shift
+        stiffness[np.diag_indices_from(stiffness)] += energies
+        stiffness -= _moved(stiffness_parts, theta, affine.reference, basis.shape[1])
+    model = ReducedModel(
+        reference=affine.reference,
+        shift=min(answers.shift, LEAST_SHIFT * float(eigenvalues[modes.first])),
+        base_stiffness=stiffness,
+        base_mass=inertia - _moved(mass_parts, theta, affine.reference, widened.shape[1]),
+        stiffness=stiffness_parts,
+        mass=mass_parts,
+        rows=np.asarray(observer @ widened),
+    )
+    return model, widened
+
+
+def _basis(modes: KnownModes, answers: Answers, room: int) -> Floats:
+    """The known modes and what answers have outside them, (n, r) in C order, the strongest first.
+
+    room: how many directions it takes beside the modes.
+    """
+    known = modes.eigenvalues.size
+    gram = answers.vectors.T @ answers.forces
+    gram = 0.5 * (gram + gram.T)
+    moves = np.flatnonzero(gram.diagonal() > NEGLIGIBLE * modes.eigenvalues[modes.first])
+    scale = 1.0 / np.sqrt(gram.diagonal()[moves])
+    squares, turned = np.linalg.eigh(scale[:, None] * gram[np.ix_(moves, moves)] * scale)
+    kept = np.flatnonzero(squares > RANK)[::-1][: max(room, 0)]
+    # With columns of zeros for the modes the product is made in its place.
+    mixing = np.zeros((gram.shape[0], known + kept.size))
+    mixing[moves, known:] = scale[:, None] * turned[:, kept] / np.sqrt(squares[kept])
+    found = np.empty((modes.shapes.shape[0], mixing.shape[1]))
+    np.matmul(answers.vectors, mixing, out=found)
+    found[:, :known] = modes.shapes
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Metric:
+    """The product of vectors M + e diag(K)."""
+
+    mass: sparse.csr_array
+    diagonal: Floats
+
+    @classmethod
+    def of(cls, here: MatrixResult) -> _Metric:
+        stiffness, inertia = here.upper_stiffness.diagonal(), here.upper_mass.diagonal()
+        moving = inertia > 0.0
+        largest = float(np.max(stiffness[moving] / inertia[moving], initial=0.0))
+        scale = 1e-3 / largest if largest > 0.0 else 1.0
+        return cls(here.upper_mass, np.abs(stiffness) * scale)
+
+    def weighted(self, block: Floats) -> Floats:
+        found = upper_product(self.mass, block)
+        found += self.diagonal[:, None] * block
+        return found
+
+
+def _with_directions(metric: _Metric, basis: Floats, block: Floats, room: int) -> Floats:
+    """A basis with the directions that a block has outside it, the strongest first.
+
+    basis: (n, r); block: (n, k); room: how many of them the basis takes.
+    """
+    weighted, own = metric.weighted(basis), metric.weighted(block)
+    gram = block.T @ own
+    moves = np.flatnonzero(gram.diagonal() > 0.0)
+    scale = 1.0 / np.sqrt(gram.diagonal()[moves])
+    gram = scale[:, None] * gram[np.ix_(moves, moves)] * scale
+    seen = (weighted.T @ block[:, moves]) * scale
+    inside = np.linalg.solve(basis.T @ weighted, seen)
+    squares, turned = np.linalg.eigh(gram - seen.T @ inside)
+    kept = np.flatnonzero(squares > OLD_RANK)[::-1][: max(room, 0)]
+    turned = turned[:, kept] / np.sqrt(squares[kept])
+    new = block[:, moves] @ (scale[:, None] * turned) - basis @ (inside @ turned)
+    return np.hstack([basis, new])
+
+
+def _reduced_parts(
+    upper: sparse.csr_array, parts: tuple[ParameterMatrix, ...], basis: Floats
+) -> tuple[ReducedPart, ...]:
+    return tuple(
+        ReducedPart(
+            part.column,
+            part.powers,
+            np.stack(
+                [projected(part.upper(upper, unit), basis) for unit in np.eye(len(part.powers))]
+            ),
+        )
+        for part in parts
+    )
+
+
+def _moved(parts: tuple[ReducedPart, ...], theta: Floats, reference: Floats, size: int) -> Floats:
+    """What parts add at these values beyond the reference, (r, r)."""
+    found = np.zeros((size, size))
+    for part in parts:
+        found += part.moved(float(theta[part.column]), float(reference[part.column]))
+    return found

@@ -1,0 +1,199 @@
+"""Choosing parameters: which columns of a sensitivity tell something that the others do not.
+
+All functions take the weighted sensitivity S: rows divided by the standard deviations of the
+measurements, columns multiplied by those of the parameters beforehand, so that an entry is how
+many standard deviations of a measurement one standard deviation of a parameter moves it. A column
+of zeros is a parameter that the measurements do not see.
+
+Three questions, three answers:
+
+* Which columns are most independent of each other? QR with column pivoting, S P = Q R, takes at
+  each turn the column with the longest part outside the span of those before; |R_ii| is the length
+  of that part (Golub and Van Loan 2013, 5.4.2; for parameters of models Velez-Reyes and
+  Verghese 1995).
+* Which few columns explain the residual? Forward selection takes at each turn the column that
+  lowers the sum of squares most, together with those before (Lallement and Piranda 1990; Friswell,
+  Mottershead and Ahmadian 1998), by changes that the parameters' bounds allow.
+* Which columns say the same? Those whose angle is small: |cos| of at least a threshold, directly
+  or through others. In a group of like columns at most one parameter can be found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg, optimize
+from scipy.sparse.csgraph import connected_components
+
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.estimation import RANK_TOLERANCE
+
+#: Columns whose |cosine| reaches this count as saying the same; an angle of 18 degrees.
+COLLINEAR = 0.95
+#: A column that explains less than this share of the first misfit ends forward selection.
+LEAST_GAIN = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class QrOrder:
+    """Columns, the one that adds most first.
+
+    order: (n_parameters,), positions of columns. added: (n_parameters,), in that order, length of
+    what a column adds to those before it. shares: the same as share of the column's own length:
+    1 is orthogonal to all before, 0 adds nothing. rank: how many columns add anything.
+    """
+
+    order: Integers
+    added: Floats
+    shares: Floats
+    rank: int
+
+
+@dataclass(frozen=True, slots=True)
+class ForwardSelection:
+    """Columns that explain a residual, the one that explains most first.
+
+    order: (n_chosen,), positions of columns. misfits: (n_chosen + 1,), sum of squares that is left
+    before the first and after each. cosines: (n_chosen,), of the angle between what was left of
+    the residual and what the column added. n_parameters: of how many columns.
+    """
+
+    order: Integers
+    misfits: Floats
+    cosines: Floats
+    n_parameters: int
+
+    @property
+    def explained(self) -> float:
+        """The share of the residual's square that the chosen columns explain together."""
+        return float(1.0 - self.misfits[-1] / self.misfits[0]) if self.misfits[0] > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CollinearGroup:
+    """Columns that say the same.
+
+    members: positions, ascending. cosines: (n_members,), of each with the longest of them, signed:
+    parameters of one sign can be told only by their sum, of opposite signs by their difference.
+    """
+
+    members: tuple[int, ...]
+    cosines: Floats
+
+
+def qr_order(sensitivity: Floats) -> QrOrder:
+    """Columns in the order of QR with pivoting. Raises CampaignError.
+
+    sensitivity: (n_residuals, n_parameters), weighted.
+    """
+    _check(sensitivity)
+    lengths = np.linalg.norm(sensitivity, axis=0)
+    triangle, order = linalg.qr(sensitivity, mode="r", pivoting=True)
+    added = np.zeros(lengths.size)
+    diagonal = np.abs(np.diag(triangle))
+    added[: diagonal.size] = diagonal
+    # Rounding leaves parts of columns that add nothing.
+    added[added <= RANK_TOLERANCE * added.max(initial=0.0)] = 0.0
+    own = lengths[order]
+    shares = np.divide(added, own, out=np.zeros_like(own), where=own > 0.0)
+    return QrOrder(np.asarray(order, dtype=np.int64), added, shares, int(np.sum(added > 0.0)))
+
+
+def forward_selection(
+    sensitivity: Floats,
+    residual: Floats,
+    least_gain: float = LEAST_GAIN,
+    most: int | None = None,
+    lower: ArrayLike = -np.inf,
+    upper: ArrayLike = np.inf,
+) -> ForwardSelection:
+    """Columns that explain the residual, until the next would explain too little.
+
+    sensitivity: (n_residuals, n_parameters), residual: (n_residuals,), both weighted; least_gain:
+    share of the first misfit that a column must explain; most: how many are chosen at most;
+    lower, upper: (n_parameters,), how far each may move, in the columns' units, 0 between them: a
+    weak column explains only what a change that is allowed explains.
+    Raises CampaignError.
+    """
+    _check(sensitivity)
+    if residual.shape != sensitivity.shape[:1] or not np.isfinite(residual).all():
+        raise CampaignError(f"the residual must have {sensitivity.shape[0]} finite entries")
+    n = sensitivity.shape[1]
+    bounds = np.broadcast_to(lower, n), np.broadcast_to(upper, n)
+    # Q of [S, z] leaves all lengths and angles as they are, in at most n + 1 rows.
+    small = np.asarray(np.linalg.qr(np.column_stack([sensitivity, residual]), mode="r"))
+    columns, target = small[:, :n], small[:, n]
+    chosen: list[int] = []
+    misfits, cosines = [float(target @ target)], []
+    limit = min(most if most is not None else n, n, sensitivity.shape[0])
+    while len(chosen) < limit and misfits[-1] > 0.0:
+        others = [place for place in range(n) if place not in chosen]
+        left = [_misfit(columns, target, [*chosen, other], bounds) for other in others]
+        best = int(np.argmin(left))
+        gain = misfits[-1] - left[best]
+        if gain < least_gain * misfits[0] or gain <= 1e-14 * misfits[0]:
+            break
+        cosines.append(float(np.sqrt(gain / misfits[-1])))
+        misfits.append(left[best])
+        chosen.append(others[best])
+    return ForwardSelection(
+        np.array(chosen, dtype=np.int64), np.array(misfits), np.array(cosines), n
+    )
+
+
+def _misfit(
+    columns: Floats, target: Floats, chosen: list[int], bounds: tuple[Floats, Floats]
+) -> float:
+    """Sum of squares that the best allowed combination of these columns leaves."""
+    low, high = (bound[chosen] for bound in bounds)
+    picked = columns[:, chosen]
+    left = target - picked @ np.linalg.lstsq(picked, target, rcond=RANK_TOLERANCE)[0]
+    if np.isfinite([*low, *high]).any():
+        found = optimize.lsq_linear(picked, target, (low, high), method="bvls")
+        left = target - picked @ found.x
+    return float(left @ left)
+
+
+def column_cosines(sensitivity: Floats) -> Floats:
+    """Cosines between columns, (n_parameters, n_parameters); of a column of zeros they are 0.
+
+    sensitivity: (n_residuals, n_parameters), weighted.
+    """
+    lengths = np.linalg.norm(sensitivity, axis=0)
+    units = sensitivity / np.where(lengths > 0.0, lengths, 1.0)
+    return np.asarray(np.clip(units.T @ units, -1.0, 1.0))
+
+
+def collinear_groups(
+    sensitivity: Floats, threshold: float = COLLINEAR
+) -> tuple[CollinearGroup, ...]:
+    """Groups of columns that say the same, by their first member; columns by themselves are none.
+
+    sensitivity: (n_residuals, n_parameters), weighted; threshold: least |cosine| of two like
+    columns. Raises CampaignError.
+    """
+    _check(sensitivity)
+    if not 0.0 < threshold <= 1.0:
+        raise CampaignError(f"the threshold of collinear columns is in (0, 1], not {threshold:g}")
+    cosines = column_cosines(sensitivity)
+    # 1e-12: the cosine of two equal columns misses 1 by rounding.
+    alike = np.abs(cosines) >= threshold - 1e-12
+    _, labels = connected_components(alike, directed=False)
+    lengths = np.linalg.norm(sensitivity, axis=0)
+    groups = []
+    for label in dict.fromkeys(labels.tolist()):
+        members = np.flatnonzero(labels == label)
+        if members.size > 1:
+            longest = members[np.argmax(lengths[members])]
+            groups.append(CollinearGroup(tuple(members.tolist()), cosines[members, longest]))
+    return tuple(groups)
+
+
+def _check(sensitivity: Floats) -> None:
+    if sensitivity.ndim != 2 or 0 in sensitivity.shape:
+        raise CampaignError(f"a sensitivity has rows and columns, not shape {sensitivity.shape}")
+    if not np.isfinite(sensitivity).all():
+        raise CampaignError("the sensitivity must be finite")

@@ -1,0 +1,239 @@
+"""Flags, sentences and verdicts, each by the rule that `core/updating/trust` states."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from modetune.core.modes import Floats
+from modetune.core.parameters import Parameter, ParameterSet
+from modetune.core.storage.codec import read_value, write_value
+from modetune.core.updating.estimation import LCurve
+from modetune.core.updating.identifiability import identifiability
+from modetune.core.updating.judgement import (
+    combination_sentences,
+    judge_parameters,
+    short_sentences,
+    trust_sentences,
+)
+from modetune.core.updating.trust import StartSpread, Trust, with_concerns, with_spread
+
+
+def trust(
+    sensitivity: Floats,
+    updated: list[float],
+    errors: list[float] | None = None,
+    missing: tuple[int, ...] = (),
+    agrees: bool = True,
+) -> Trust:
+    """Of parameters a, b, ... with deviations 0.2 and bounds 0.5 to 2, measured to deviation 1."""
+    n = sensitivity.shape[1]
+    names = "abcdefghijkl"[:n]
+    parameters = ParameterSet(
+        tuple(Parameter(name, "mass", "elset", (name,), 0.5, 2.0, 0.2) for name in names)
+    )
+    values = np.array(updated)
+    found = identifiability(sensitivity, np.ones(len(sensitivity)), np.full(n, 0.2), values)
+    standard = np.array(errors) if errors else np.full(n, 0.001)
+    judged = judge_parameters(parameters, values, np.ones(n), standard, found, missing)
+    return Trust(judged, found, agrees, combination_sentences(parameters.names, found))
+
+
+def flags(found: Trust) -> list[tuple[str, ...]]:
+    return [item.flags for item in found.parameters]
+
+
+def spread(n: int, rivals: tuple[int, ...], differ: tuple[str, ...]) -> StartSpread:
+    return StartSpread(
+        np.ones((3, n)),
+        np.ones((3, n)),
+        np.array([1.0, 1.0, np.nan]),
+        ("converged", "converged", "failed: lost"),
+        np.array([0, 1 if rivals else 0, -1]),
+        rivals,
+        differ,
+        0,
+        4,
+    )
+
+
+WELL_POSED = 500.0 * np.eye(4)
+
+
+def test_nothing_is_flagged_where_everything_is_told() -> None:
+    found = trust(WELL_POSED, [1.1, 0.9, 1.2, 0.8])
+    assert found.flagged == ()
+    assert found.verdict == "trusted"
+    # (500 x 0.2)^2 = 10^4 to 1 of the prior: 99.99 % of each.
+    assert trust_sentences(found) == (
+        "The parameters are trusted: none in doubt. The test tells 4.0 of 4 parameters, the prior "
+        "the rest.",
+    )
+    assert found.parameters[0].sentence == "a is told by the test (100%), to ±0.1 %."
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.5, "lower bound (0.5)"), (2.0, "upper bound (2)")])
+def test_a_parameter_on_a_bound_is_flagged_with_the_bound(value: float, said: str) -> None:
+    found = trust(WELL_POSED, [value, 1.1, 1.1, 1.1])
+    assert "on_bound" in found.parameters[0].flags
+    assert said in found.parameters[0].sentence
+    assert found.verdict == "trusted with reservations"
+
+
+def test_what_the_test_does_not_see_is_flagged_by_its_share() -> None:
+    # Shares s^2 / (s^2 + 1) of s = sensitivity x 0.2: 0, 0.2, 0.8, 0.9999.
+    found = trust(np.diag([0.0, 2.5, 10.0, 500.0]), [1.0, 1.05, 1.1, 1.1])
+    assert flags(found) == [("unseen",), ("prior",), (), ()]
+    assert "(20% of its value is the test's)" in found.parameters[1].sentence
+    assert found.verdict == "trusted with reservations"
+
+
+def test_a_modulus_and_a_density_are_called_a_ratio() -> None:
+    found = trust(np.outer(np.ones(3), [400.0, -400.0]), [1.1, 1.1])
+    assert flags(found) == [("collinear",), ("collinear",)]
+    assert found.parameters[0].collinear_with == ("b",)
+    assert found.unseen == (
+        "a and b can only be told as a ratio: raising both by the same share is hardly noticed by "
+        "the test.",
+    )
+    assert found.verdict == "not to be trusted"  # two of two
+
+
+def test_springs_in_series_are_told_together_in_the_share_each_gives() -> None:
+    # 1 / (1/k1 + 1/k2) with k2 = 2 k1: d ln k = (2/3) d ln k1 + (1/3) d ln k2.
+    s = np.zeros((4, 4))
+    s[0, :2], s[1, 2], s[2, 3] = (600.0, 300.0), 500.0, 500.0
+    found = trust(s, [1.0, 1.0, 1.1, 1.1])
+    (said,) = found.unseen
+    assert said.startswith("b and a can only be told together: raising b by 1 % and lowering a by ")
+    assert "by 0.5 %" in said
+    assert flags(found) == [("collinear",), ("collinear",), (), ()]
+    assert found.verdict == "trusted with reservations"  # two of four are not a majority
+
+
+def test_three_in_one_combination_are_named_with_their_changes() -> None:
+    found = trust(np.array([[500.0, 500.0, 0.0], [0.0, 500.0, 500.0]]), [1.0, 1.0, 1.0])
+    # What leaves a + b and b + c alone is (1, -1, 1).
+    (said,) = found.unseen
+    assert said.startswith("a, b and c cannot be told apart: changing a by +1 % together with ")
+    assert "b by -1 %" in said
+    assert "c by +1 %" in said
+
+
+def test_a_scale_of_all_parameters_is_one_sentence_and_flags_none_of_many() -> None:
+    n = 12
+    # Columns sum to nothing: all of them together are unseen, each by itself to one twelfth.
+    s = 500.0 * (np.eye(n) - 1.0 / n)
+    found = trust(s, [1.1] * n)
+    assert flags(found) == [()] * n
+    assert "told relative to each other only" in found.unseen[0]
+    assert found.verdict == "trusted with reservations"
+
+
+def test_almost_alike_is_flagged_although_it_is_told() -> None:
+    # At an angle of 2 degrees the index is 1 / sqrt(1 - cos 2) = 40.5.
+    turned = np.deg2rad(2.0)
+    s = 1e5 * np.array([[1.0, np.cos(turned)], [0.0, np.sin(turned)]])
+    found = trust(s, [1.1, 1.1])
+    assert flags(found) == [("alike",), ("alike",)]
+    assert found.verdict == "trusted with reservations"  # told, and yet
+    assert "collinearity index 41" in found.unseen[0]
+    assert "acts almost like b" in found.parameters[0].sentence
+
+
+def test_a_value_far_from_the_deck_is_flagged_by_its_own_deviation() -> None:
+    found = trust(WELL_POSED, [1.59, 1.61, 1.0, 1.0])  # three deviations are 0.6
+    assert flags(found)[:2] == [(), ("far",)]
+    assert "+61 % from the deck" in found.parameters[1].sentence
+
+
+def test_a_change_within_its_error_is_said_and_doubts_nothing() -> None:
+    found = trust(WELL_POSED, [1.02, 1.02, 1.001, 1.2], [0.03, 0.01, 0.009, np.inf])
+    # The third is within its error too, but both are below one percent.
+    assert flags(found) == [("uncertain",), (), (), ()]
+    assert "+2 %, less than its standard error (±3 %)" in found.parameters[0].sentence
+    assert found.verdict == "trusted"
+
+
+def test_a_column_that_could_not_be_computed_is_not_called_unseen() -> None:
+    s = WELL_POSED.copy()
+    s[:, 1] = 0.0
+    assert flags(trust(s, [1.1, 1.0, 1.1, 1.1], missing=(1,)))[1] == ("missing",)
+
+
+def test_more_than_half_in_doubt_is_not_to_be_trusted() -> None:
+    # The footbridge of the literature: 13 of 17 on a bound; here 3 of 4, and 2 of 4.
+    assert trust(WELL_POSED, [0.5, 2.0, 0.5, 1.1]).verdict == "not to be trusted"
+    assert trust(WELL_POSED, [0.5, 1.1, 0.5, 1.1]).verdict == "trusted with reservations"
+
+
+def test_without_agreement_or_with_a_concern_there_are_reservations() -> None:
+    assert trust(WELL_POSED, [1.1] * 4, agrees=False).verdict == "trusted with reservations"
+    found = with_concerns(trust(WELL_POSED, [1.1] * 4), "No parameter can remove the residual.")
+    assert found.verdict == "trusted with reservations"
+    assert trust_sentences(found)[-1] == "No parameter can remove the residual."
+
+
+def test_what_no_noise_explains_takes_the_trust_away() -> None:
+    for times, verdict in ((2.9, "trusted with reservations"), (3.1, "not to be trusted")):
+        found = replace(with_concerns(trust(WELL_POSED, [1.1] * 4), "One."), times_noise=times)
+        assert found.verdict == verdict
+    assert (
+        "3.1 times what noise explains, so standard errors mean nothing"
+        in (trust_sentences(found)[0])
+    )
+    assert "none in doubt" not in trust_sentences(found)[0]
+
+
+def test_an_answer_short_of_the_least_misfit_is_a_reservation_and_names_all() -> None:
+    names = ("a", "b", "c")
+    errors = np.array([0.01, 0.001, np.inf])
+    (said,) = short_sentences(names, np.array([0.025, 0.005, 0.3]), errors)
+    # a by 2.5 of its errors; b by five, but below one percent; nothing is known of c's.
+    assert "(a by +2.5 %, 2.5 standard errors)" in said
+    (both,) = short_sentences(names, np.array([0.025, -0.02, 0.3]), errors)
+    assert "(a by +2.5 %, 2.5 standard errors, b by -2 %, 20.0 standard errors)" in both
+    assert short_sentences(names, np.array([0.015, 0.005, 0.3]), errors) == ()
+    found = with_concerns(trust(WELL_POSED, [1.1] * 4), said)
+    assert found.verdict == "trusted with reservations"
+    assert trust_sentences(found)[-1] == said
+
+
+def test_other_starts_that_fit_as_well_take_the_trust_away() -> None:
+    found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (1,), ("b",)))
+    assert flags(found) == [(), ("starts",), (), ()]
+    assert found.verdict == "not to be trusted"
+    assert "2 of 3 starts ended, in 2 places: 1 at the answer" in trust_sentences(found)[1]
+
+
+def test_other_starts_that_end_at_the_same_values_confirm_the_answer() -> None:
+    found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (), ()))
+    assert found.verdict == "trusted"
+    assert trust_sentences(found)[1] == "2 of 3 starts ended at the same values."
+
+
+def test_what_was_flagged_already_is_no_news_from_other_starts() -> None:
+    s = WELL_POSED.copy()
+    s[:, 1] = 0.0
+    found = with_spread(trust(s, [1.1, 1.0, 1.1, 1.1]), spread(4, (1,), ("b",)))
+    assert flags(found)[1] == ("unseen", "starts")
+    assert found.verdict == "trusted with reservations"
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_the_file_gives_back_what_was_written(tmp_path: Path, whole: bool) -> None:
+    s = np.array([[500.0, 500.0, 0.0, 0.0], [0.0, 0.0, 500.0, 0.0]])
+    found = trust(s, [1.0, 1.0, 0.5, 1.0], [np.inf, np.inf, 0.01, np.nan])
+    if whole:
+        curve = LCurve(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]), 1.5)
+        found = with_spread(with_concerns(found, "One.", "Two."), spread(4, (1,), ("a", "b")))
+        found = replace(
+            found, curve=curve, regularisation=0.5, age=2, notes=("Three.",), times_noise=1.7
+        )
+    with h5py.File(tmp_path / "trust.h5", "w") as file:
+        write_value(file, found)
+        assert repr(read_value(file, Trust)) == repr(found)
