@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modetune.core.errors import ModelError
-from modetune.core.store import writing
+from modetune.core.storage.files import writing
 
 #: Where an updated deck keeps the includes whose own place the solver would not find from beside
 #: it.
@@ -52,7 +52,7 @@ Renamed = Callable[[Sequence[Line], Path, Path], list[str]]
 
 
 def read_text(path: Path) -> str:
-    """The text of a deck file, bytes that are no UTF-8 kept. Raises ModelError."""
+    """The text of a deck file, bytes that are not UTF-8 kept. Raises ModelError."""
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from modetune.core.errors import CampaignError
-from modetune.core.frf import Complexes
+from modetune.core.measurement.frf import Complexes
 from modetune.core.modes import Floats
 
 
@@ -46,9 +46,13 @@ def lscf_poles(frequencies_hz: Floats, values: Complexes, order: int) -> tuple[C
     # The model cuts its last line off.
     lines = np.append(frequencies_hz, frequencies_hz[-1] + spacing.mean()) - start
     model = EMA.Model(
-        frf=np.vstack([scaled, scaled[-1:]]).T, freq=lines, lower=0.0, upper=float(lines[-1]),
-        pol_order_high=order, frf_form="receptance",
-    )  # fmt: skip
+        frf=np.vstack([scaled, scaled[-1:]]).T,
+        freq=lines,
+        lower=0.0,
+        upper=float(lines[-1]),
+        pol_order_high=order,
+        frf_form="receptance",
+    )
     model.get_poles(method="lscf", show_progress=False)
     moved = [np.asarray(poles, dtype=np.complex128) for poles in model.all_poles]
     return tuple(poles[poles.imag > 0.0] + 2j * np.pi * start for poles in moved)

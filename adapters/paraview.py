@@ -20,7 +20,7 @@ import numpy as np
 from modetune.core.errors import StorageUnavailable
 from modetune.core.mesh import CellKind, Mesh, global_shapes
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.store import storage_errors
+from modetune.core.storage.files import storage_errors
 
 if TYPE_CHECKING:
     import pyvista
@@ -118,14 +118,14 @@ def _refuse_strangers(folder: Path) -> None:
         return
     if folder.is_symlink() or not folder.is_dir():
         raise StorageUnavailable(
-            f"{folder} is no folder of mode shapes, and one is written there; move it, or name "
+            f"{folder} is not a folder of mode shapes, and one is written there; move it, or name "
             "another place"
         )
     strange = sorted(file.name for file in folder.iterdir() if not OWN_FILE.fullmatch(file.name))
     if strange:
         raise StorageUnavailable(
-            f"{folder} holds {strange[0]}, which is no mode_*.vtu file of a series, so it is not "
-            "replaced; move it, or name another place"
+            f"{folder} holds {strange[0]}, which is not a mode_*.vtu file of a series, so it is "
+            "not replaced; move it, or name another place"
         )
 
 

@@ -138,8 +138,12 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finishe
         said = str(told["error"])
         cost = (0, 0.0, 0.0, 0)
         if not said:
-            cost = (int(told["return_code"]), wall_s, float(told["cpu_s"]),
-                    int(told["peak_memory_bytes"]))  # fmt: skip
+            cost = (
+                int(told["return_code"]),
+                wall_s,
+                float(told["cpu_s"]),
+                int(told["peak_memory_bytes"]),
+            )
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise SolverCrashed(
             f"{where}: its supervisor's report cannot be read: {report[:80]!r}"

@@ -1,23 +1,29 @@
 """The seam between modetune and a finite element solver.
 
-An adapter says how an analysis of a model is written, which command runs it and how its output
-is read. It never starts a process (`process.py` does) and never decides what to run (the flows
-do). To add a solver, write a folder with a class that meets `Solver` and name it in
-`flows/solvers.py`.
+An adapter has a `Deck`, which says what stands in a model's file and edits it, and a `Program`,
+which says how a job of an edited deck is written, which command runs it and how its output is read.
+It never starts a process (`process.py` does) and never decides what to run (the flows do). To add a
+solver, write a folder with the two and name it in `flows/campaign/solvers`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from modetune.core.keys import Json
+import numpy as np
+
+from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
-from modetune.core.observation import Observation
 from modetune.core.parameters import Parameter, Values
-from modetune.core.results import MatrixResult, Result
+from modetune.core.storage.keys import Json
+from modetune.core.updating.observation import Observation, nothing_known
+from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.results import MatrixResult, Result
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +75,29 @@ class Capabilities:
 
 
 @dataclass(frozen=True, slots=True)
+class Rendered:
+    """A job as its program gets it: the deck edited once, for the key and for the run.
+
+    content: everything of the model and the analysis that can change the numbers; the job's key
+    is made of it. write: writes the input files into an empty folder. size: bytes that it holds.
+    """
+
+    content: Json
+    write: Callable[[Path], None]
+    size: int = 0
+
+    @classmethod
+    def of_texts(cls, content: Json, texts: Mapping[str, bytes]) -> Rendered:
+        """A job whose input files are these, by their names."""
+        return cls(content, partial(_write_texts, texts), sum(map(len, texts.values())))
+
+
+def _write_texts(texts: Mapping[str, bytes], folder: Path) -> None:
+    for name, text in texts.items():
+        (folder / name).write_bytes(text)
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """How a job is started: an argument list, and what the environment needs on top."""
 
@@ -83,8 +112,9 @@ class ModelSummary:
     node_ids: every node that carries results; components: which of 1..6 it has there.
     solid_shapes: whether each unknown of a node is one equation of the stored matrices (solids
     without dependent nodes), so that they are matrices of the nodes. matrix_shapes: whether shapes
-    at nodes follow from the stored matrices (`Solver.observation`), as those of shells do too.
-    file: what the model was read from, None where it is from no file.
+    at nodes follow from the stored matrices (`Deck.observation`), as those of shells do too.
+    file: what the model was read from, None where it is from no file. matrices: of a model that is
+    matrices those for all values of some of its parameters, in their order.
     """
 
     name: str
@@ -94,17 +124,19 @@ class ModelSummary:
     solid_shapes: bool
     matrix_shapes: bool = False
     file: Path | None = None
+    matrices: Callable[[tuple[Parameter, ...]], ParameterMatrices] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Footprint:
+class AffectedElements:
     """What of the matrices a parameter moves, and in which powers of its relative value.
 
     elements: those of the solver's deck whose matrices it scales (parts of a model of matrices
     have numbers by their order). nodes: those of the model whose equations its part may touch,
     besides the unknowns inside of elements and knots there. stiffness, mass: which matrices it
     moves. powers: with theta the relative value, K = K_0 + sum over powers of theta^k K_k, and M
-    alike, K_0 being what does not depend on it.
+    alike, K_0 being what does not depend on it. proportional: whether it moves the stiffness alone
+    and all of that of its elements is proportional to it.
     """
 
     elements: frozenset[int]
@@ -112,66 +144,102 @@ class Footprint:
     stiffness: bool
     mass: bool
     powers: tuple[int, ...]
+    proportional: bool
 
 
-class Solver(Protocol):
-    """A solver bound to one model."""
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number of a deck that a parameter scales.
+
+    place: tells it from all others of the deck; where: says so in a message.
+    """
+
+    place: Any
+    value: float
+    where: str
+
+
+#: A deck at some parameter values: what an adapter's deck makes for its program.
+Edited = Any
+
+
+class Deck(Protocol):
+    """A model in its file, and the parameters that edit it.
+
+    What an adapter cannot tell it leaves out: the methods with a body below say so for it.
+    """
 
     @property
-    def name(self) -> str: ...
+    def summary(self) -> ModelSummary: ...
 
-    @property
-    def capabilities(self) -> Capabilities: ...
-
-    @property
-    def model(self) -> ModelSummary: ...
-
-    def mesh(self) -> Mesh:
-        """Where the nodes that carry results lie, and the elements between them.
-
-        Built when first asked for and kept. It holds every node of `model.node_ids`, but is empty
-        for a model that has no geometry (matrices). Shapes stand in global axes except at nodes
-        of `Mesh.frames`. Raises ModelError.
-        """
+    def numbers(self, parameter: Parameter) -> list[Number]:
+        """What the parameter scales, at least one. Raises ModelError for why it can be nothing."""
         ...
 
-    def version(self) -> str:
-        """The program's version. Raises SolverMissing."""
+    def edited(self, values: Values) -> Edited:
+        """The deck at these relative values, as its program takes it. Raises ModelError."""
+        ...
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        """Write the user's deck with updated values, includes kept; returns the main file."""
         ...
 
     def problems(self, parameters: tuple[Parameter, ...]) -> list[str]:
         """Why these parameters cannot be applied to the model, a sentence each; empty if fine."""
-        ...
+        found = []
+        owners: dict[Any, str] = {}
+        for parameter in parameters:
+            try:
+                numbers = self.numbers(parameter)
+            except ModelError as error:
+                found.append(f"parameter {parameter.name}: {error}")
+                continue
+            for number in numbers:
+                first = owners.setdefault(number.place, parameter.name)
+                if first != parameter.name:
+                    found.append(
+                        f"{number.where}: both {first} and {parameter.name} change this number"
+                    )
+        return found
 
     def deck_value(self, parameter: Parameter) -> float:
         """The value the deck gives the parameter's quantity (the first one if several)."""
-        ...
+        return self.numbers(parameter)[0].value
+
+    def mesh(self) -> Mesh:
+        """Where the nodes that carry results lie, and the elements between them.
+
+        Built when first asked for and kept. It holds every node of `summary.node_ids`, but is empty
+        for a model that has no geometry (matrices). Shapes stand in global axes except at nodes
+        of `Mesh.frames`. Raises ModelError.
+        """
+        return Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), ())
 
     def written(self, parameter: Parameter, value: float) -> float:
         """The relative value that an edited deck really holds; fields may have few digits."""
-        ...
+        return value
 
     def wave_speeds(self) -> dict[str, float]:
         """Root of E over density of each material that has both, in the deck's units."""
-        ...
+        return {}
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """Element sets whose strain energy is proportional to the parameter; empty if none."""
-        ...
+        return ()
 
     def is_linear(self, parameter: Parameter) -> bool:
         """Whether the stiffness and mass matrices are linear in the parameter."""
-        ...
+        return False
 
-    def footprint(self, parameter: Parameter) -> Footprint | None:
+    def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         """What of the matrices the parameter moves.
 
-        None where they are no sum of powers of its value (Poisson's ratio), where the number of
+        None where they are not a sum of powers of its value (Poisson's ratio), where the number of
         equations depends on it, or where the solver has no matrices. Of two parameters that scale
         the same thing (the material and the thickness of one shell) the matrices have products,
         of which this does not tell.
         """
-        ...
+        return None
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers
@@ -181,24 +249,46 @@ class Solver(Protocol):
         They are those of a modal result: in the frames of `mesh`. All are unknown where the
         solver has no matrices.
         """
+        return nothing_known(nodes.size, matrices.nodes.size)
+
+
+class Program(Protocol):
+    """A finite element program: how a job is written for it, started and read."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def capabilities(self) -> Capabilities: ...
+
+    def version(self) -> str:
+        """Raises SolverMissing."""
         ...
 
-    def content(self, values: Values, analysis: Analysis) -> Json:
-        """Everything of the model and the analysis that can change the numbers."""
-        ...
-
-    def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
-        """Write the job's input files into an empty folder."""
+    def render(self, deck: Edited, analysis: Analysis) -> Rendered:
+        """The job of an edited deck. Raises ModelError, SolverMissing (its key has the version)."""
         ...
 
     def command(self, threads: int) -> Command:
         """The command that runs the job written into the folder it is started in."""
         ...
 
-    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
+    def read(self, deck: Edited, analysis: Analysis, folder: Path, return_code: int) -> Result:
         """Read a finished job. Raises SolverRejected or SolverCrashed where there is no result."""
         ...
 
-    def write_updated(self, values: Values, folder: Path) -> Path:
-        """Write the user's deck with updated values, includes kept; returns the main file."""
-        ...
+
+@dataclass(frozen=True, slots=True)
+class Solver:
+    """A program bound to a model."""
+
+    deck: Deck
+    program: Program
+
+    def render(self, values: Values, analysis: Analysis) -> Rendered:
+        """The job at these values. Raises ModelError, SolverMissing."""
+        return self.program.render(self.deck.edited(values), analysis)
+
+    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
+        """Read a finished job. Raises SolverError where there is no result."""
+        return self.program.read(self.deck.edited(values), analysis, folder, return_code)

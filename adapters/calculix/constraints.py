@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from modetune.adapters.calculix.deck import Card, canonical_name
+from modetune.adapters.calculix.deck import KeywordCard, canonical_name
 from modetune.adapters.calculix.model import NOT_FOLLOWED, CalculixModel, read_number
 from modetune.core.errors import ModelError
 
@@ -50,10 +50,13 @@ def read_constraints(model: CalculixModel) -> Constraints:
         dependent=dependent,
         terms=frozenset(dependent).union(*dependent.values()) if dependent else frozenset(),
         bodies=bodies,
-        turned=frozenset(node for card in model.deck.named("*TRANSFORM")
-                         for node in sets.get(card.option("NSET"), ())),
+        turned=frozenset(
+            node
+            for card in model.deck.named("*TRANSFORM")
+            for node in sets.get(card.option("NSET"), ())
+        ),
         followed=followed,
-    )  # fmt: skip
+    )
 
 
 def _node_sets(model: CalculixModel) -> dict[str, set[int]]:
@@ -107,7 +110,7 @@ def _equations(model: CalculixModel) -> dict[Dof, dict[Dof, float]] | None:
     return found
 
 
-def _card_equations(model: CalculixModel, card: Card) -> dict[Dof, dict[Dof, float]]:
+def _card_equations(model: CalculixModel, card: KeywordCard) -> dict[Dof, dict[Dof, float]]:
     found: dict[Dof, dict[Dof, float]] = {}
     words: list[str] = []
     count = 0

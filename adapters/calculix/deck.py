@@ -25,7 +25,7 @@ INCLUDED = re.compile(r"INPUT\s*=\s*(\"[^\"]*\"|[^,]+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
-class Card:
+class KeywordCard:
     """A keyword with its options and the positions of its lines in the deck.
 
     keyword: upper case without blanks; `is_one_of` compares it with names as manuals write them.
@@ -45,20 +45,20 @@ class Card:
 
 
 @dataclass(frozen=True, slots=True)
-class Deck:
+class KeywordDeck:
     """A deck with its includes in place: lines as they stand, and the cards they form."""
 
     file: Path
     lines: tuple[Line, ...]
-    cards: tuple[Card, ...]
+    cards: tuple[KeywordCard, ...]
     includes: tuple[Include, ...]
 
-    def named(self, *keywords: str) -> list[Card]:
+    def named(self, *keywords: str) -> list[KeywordCard]:
         """All cards of these keywords, in order."""
         wanted = {canonical_name(keyword) for keyword in keywords}
         return [card for card in self.cards if card.keyword in wanted]
 
-    def where(self, card: Card) -> str:
+    def where(self, card: KeywordCard) -> str:
         return self.lines[card.lines.start].where
 
     def fields(self, position: int) -> list[str]:
@@ -66,7 +66,7 @@ class Deck:
         return [field.strip() for field in self.lines[position].text.split(",")]
 
 
-def read_deck(path: Path) -> Deck:
+def read_deck(path: Path) -> KeywordDeck:
     """Read a deck and its includes. Raises ModelError naming file and line."""
     lines: list[Line] = []
     includes: list[Include] = []
@@ -78,13 +78,13 @@ def read_deck(path: Path) -> Deck:
         raise ModelError(
             f"{path}, line 1: the file holds no CalculiX keyword (a line that starts with one `*`)"
         )
-    return Deck(path, tuple(lines), cards, tuple(includes))
+    return KeywordDeck(path, tuple(lines), cards, tuple(includes))
 
 
-def parse_deck(file: Path, text: str) -> Deck:
+def parse_deck(file: Path, text: str) -> KeywordDeck:
     """A deck from its text, which includes nothing; `file` is what messages call it."""
     lines = tuple(Line(line, file, number) for number, line in enumerate(text.split("\n"), start=1))
-    return Deck(file, lines, tuple(_cards(lines)), ())
+    return KeywordDeck(file, lines, tuple(_cards(lines)), ())
 
 
 def _read_file(
@@ -122,7 +122,7 @@ def _include(line: Line, main: Path) -> Include:
     raise ModelError(f"{line.where}: the included file {main / written} is not there")
 
 
-def _cards(lines: Sequence[Line]) -> Iterable[Card]:
+def _cards(lines: Sequence[Line]) -> Iterable[KeywordCard]:
     start, header, data = 0, "", list[int]()
     open_header = False
     for position, line in enumerate(lines):
@@ -147,12 +147,12 @@ def _cards(lines: Sequence[Line]) -> Iterable[Card]:
         yield _card(header, range(start, len(lines)), data)
 
 
-def _card(header: str, lines: range, data: list[int]) -> Card:
+def _card(header: str, lines: range, data: list[int]) -> KeywordCard:
     keyword, *options = header.split(",")
     pairs = (option.partition("=") for option in options)
     settings = {canonical_name(name): canonical_name(value) for name, _, value in pairs}
     settings.pop("", None)
-    return Card(canonical_name(keyword), settings, lines, tuple(data))
+    return KeywordCard(canonical_name(keyword), settings, lines, tuple(data))
 
 
 def canonical_name(text: str) -> str:
@@ -176,7 +176,7 @@ def replace_field(text: str, place: int, value: str) -> str:
     return ",".join(fields)
 
 
-def write_edited(deck: Deck, changed: Mapping[int, str], folder: Path) -> Path:
+def write_edited(deck: KeywordDeck, changed: Mapping[int, str], folder: Path) -> Path:
     """Write the deck and its includes with some lines changed; all else stays byte for byte.
 
     changed: position of a line in the deck to its new text. Returns the main file's path in

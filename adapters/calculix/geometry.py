@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from modetune.adapters.calculix.deck import Deck
+from modetune.adapters.calculix.deck import KeywordDeck
 from modetune.adapters.calculix.mesh import element_rows
 from modetune.adapters.calculix.model import read_number
 from modetune.core.errors import ModelError
@@ -51,7 +51,7 @@ def cell_kind(element_type: str) -> CellKind | None:
     return None
 
 
-def read_geometry(deck: Deck, result_nodes: frozenset[int]) -> Mesh:
+def read_geometry(deck: KeywordDeck, result_nodes: frozenset[int]) -> Mesh:
     """Nodes that belong to elements or carry results, and the elements between them.
 
     Elements of types without a shape (fluid networks, user elements) are left out, their nodes
@@ -87,7 +87,7 @@ def _cells(kind: CellKind, rows: list[list[int]]) -> Cells:
     return Cells(kind, table[:, 0], nodes)
 
 
-def read_places(deck: Deck) -> dict[int, tuple[float, float, float]]:
+def read_places(deck: KeywordDeck) -> dict[int, tuple[float, float, float]]:
     """Coordinates of all nodes.
 
     ccx knows one way to give them, x, y, z in global axes: other programs' SYSTEM option it skips

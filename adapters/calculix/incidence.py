@@ -12,8 +12,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from modetune.adapters.calculix.deck import Deck
-from modetune.adapters.calculix.mesh import Mesh, element_rows
+from modetune.adapters.calculix.deck import KeywordDeck
+from modetune.adapters.calculix.mesh import CalculixMesh, element_rows
 
 #: solid and point (springs, masses, dashpots): the node's own three translations. Of shells and
 #: beams linear, and quadratic with their corners or ends and their middle nodes.
@@ -42,7 +42,7 @@ class Incidence:
     """Nodes of each element by its number, in the deck's order, and the elements' types."""
 
     nodes_of: dict[int, tuple[int, ...]]
-    mesh: Mesh
+    mesh: CalculixMesh
 
     def nodes(self, elements: Iterable[int]) -> frozenset[int]:
         """All nodes of these elements."""
@@ -68,7 +68,7 @@ def roles_of(kind: str) -> tuple[Role, ...]:
     return next((roles for pattern, roles in ROLES if pattern.fullmatch(kind)), ("other",))
 
 
-def read_incidence(deck: Deck, mesh: Mesh) -> Incidence:
+def read_incidence(deck: KeywordDeck, mesh: CalculixMesh) -> Incidence:
     """Nodes of all elements. Raises ModelError with file and line."""
     nodes_of: dict[int, tuple[int, ...]] = {}
     for card in deck.named("*ELEMENT"):

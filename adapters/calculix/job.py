@@ -61,7 +61,7 @@ def _requests(analysis: ModalAnalysis) -> list[str]:
 
 
 def _wrapped(words: Iterable[str]) -> list[str]:
-    """Comma-separated words in lines of at most sixteen entries, as ccx wants them."""
+    """Comma-separated words in lines of at most sixteen entries, as ccx requires them."""
     entries = list(words)
     return [", ".join(entries[i : i + 16]) for i in range(0, len(entries), 16)]
 

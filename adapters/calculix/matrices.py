@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.errors import NoResult
-from modetune.core.results import MatrixResult
+from modetune.core.updating.results import MatrixResult
 
 #: Bytes parsed at once; polars is no faster with more.
 PIECE = 16 << 20

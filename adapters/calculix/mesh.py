@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from modetune.adapters.calculix.deck import Card, Deck, canonical_name
+from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, canonical_name
 from modetune.core.errors import ModelError
 
 #: Number of nodes of the element types whose name does not end with it.
@@ -22,7 +22,7 @@ class Element:
 
 
 @dataclass(frozen=True, slots=True)
-class Mesh:
+class CalculixMesh:
     """nodes: all of the deck; element_nodes: those that belong to elements, and so carry results.
 
     elements: by number; element_sets: name to element numbers.
@@ -34,7 +34,7 @@ class Mesh:
     element_sets: dict[str, frozenset[int]]
 
 
-def read_mesh(deck: Deck) -> Mesh:
+def read_mesh(deck: KeywordDeck) -> CalculixMesh:
     """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
     nodes = {
         number
@@ -62,16 +62,16 @@ def read_mesh(deck: Deck) -> Mesh:
     if not nodes or not elements:
         raise ModelError(f"{deck.file} has {len(nodes)} nodes and {len(elements)} elements")
     frozen = {name: frozenset(members) for name, members in sets.items()}
-    return Mesh(frozenset(nodes), frozenset(used & nodes), elements, frozen)
+    return CalculixMesh(frozenset(nodes), frozenset(used & nodes), elements, frozen)
 
 
-def _set_name(deck: Deck, card: Card) -> str:
+def _set_name(deck: KeywordDeck, card: KeywordCard) -> str:
     if re.search(r"ELSET\s*=\s*\"[^\"]*\s", deck.lines[card.lines.start].text, re.IGNORECASE):
         raise ModelError(f"{deck.where(card)}: element set names with blanks are not supported")
     return card.option("ELSET")
 
 
-def _nodes_of(card: Card) -> int:
+def _nodes_of(card: KeywordCard) -> int:
     """How many nodes an element of the card has, 0 where its type is not known here."""
     kind = card.option("TYPE")
     if kind in NODES_OF:
@@ -82,7 +82,7 @@ def _nodes_of(card: Card) -> int:
     return int(family.group(1)) if family else 0
 
 
-def element_rows(deck: Deck, card: Card) -> Iterable[tuple[int, list[int]]]:
+def element_rows(deck: KeywordDeck, card: KeywordCard) -> Iterable[tuple[int, list[int]]]:
     """Position of the first line, and number and nodes of each element of a card.
 
     As ccx does, lines are read on until an element has its nodes, trailing comma or not. Only
@@ -107,7 +107,7 @@ def element_rows(deck: Deck, card: Card) -> Iterable[tuple[int, list[int]]]:
         yield start, row
 
 
-def _set_members(deck: Deck, card: Card, sets: dict[str, set[int]]) -> set[int]:
+def _set_members(deck: KeywordDeck, card: KeywordCard, sets: dict[str, set[int]]) -> set[int]:
     members: set[int] = set()
     for position in card.data:
         fields = [field for field in deck.fields(position) if field]
@@ -123,16 +123,16 @@ def _set_members(deck: Deck, card: Card, sets: dict[str, set[int]]) -> set[int]:
     return members
 
 
-def _generated(deck: Deck, position: int, fields: list[str]) -> tuple[int, int, int]:
+def _generated(deck: KeywordDeck, position: int, fields: list[str]) -> tuple[int, int, int]:
     numbers = _whole(deck, position, fields)
     if len(numbers) not in (2, 3) or (len(numbers) == 3 and numbers[2] < 1):
         raise ModelError(
-            f"{deck.lines[position].where}: GENERATE wants first, last and a step above zero"
+            f"{deck.lines[position].where}: GENERATE requires first, last and a step above zero"
         )
     return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 1
 
 
-def _whole(deck: Deck, position: int, fields: list[str]) -> list[int]:
+def _whole(deck: KeywordDeck, position: int, fields: list[str]) -> list[int]:
     try:
         return [int(field) for field in fields if field]
     except ValueError:

@@ -9,30 +9,40 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from modetune.adapters.calculix.deck import (
-    Card,
-    Deck,
+    KeywordCard,
+    KeywordDeck,
     canonical_name,
     format_number,
     replace_field,
 )
 from modetune.adapters.calculix.incidence import roles_of
-from modetune.adapters.calculix.mesh import Mesh, read_mesh
+from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh
 from modetune.adapters.solver import ModelSummary
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity
 
 SECTIONS = (
-    "*SOLID SECTION", "*SHELL SECTION", "*BEAM SECTION", "*MEMBRANE SECTION",
-    "*SPRING", "*MASS", "*DASHPOT", "*GAP",
-)  # fmt: skip
+    "*SOLID SECTION",
+    "*SHELL SECTION",
+    "*BEAM SECTION",
+    "*MEMBRANE SECTION",
+    "*SPRING",
+    "*MASS",
+    "*DASHPOT",
+    "*GAP",
+)
 #: Cards that tie nodes to others: their unknowns are not in the stored matrices.
 DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING")
 
 #: Those of them that are not followed to the unknowns they depend on.
 NOT_FOLLOWED = (
-    "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING", "*CYCLIC SYMMETRY MODEL",
+    "*MPC",
+    "*TIE",
+    "*COUPLING",
+    "*DISTRIBUTING COUPLING",
+    "*CYCLIC SYMMETRY MODEL",
     "*PRE-TENSION SECTION",
-)  # fmt: skip
+)
 
 #: Elements whose printed strain energy is zero (SPRINGA) or lacks the hourglass part.
 WITHOUT_ENERGY = re.compile(r"SPRINGA|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
@@ -41,7 +51,7 @@ UNEXPANDED = re.compile(r"C3D.*|SPRING[12A]")
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class KeywordField:
     """One number of the deck that a parameter scales: a field of a data line."""
 
     line: int
@@ -53,8 +63,8 @@ class Field:
 class CalculixModel:
     """A deck understood: its mesh, and where its numbers stand."""
 
-    deck: Deck
-    mesh: Mesh
+    deck: KeywordDeck
+    mesh: CalculixMesh
 
     @property
     def summary(self) -> ModelSummary:
@@ -80,7 +90,7 @@ class CalculixModel:
         )
 
     @property
-    def sections(self) -> list[Card]:
+    def sections(self) -> list[KeywordCard]:
         return self.deck.named(*SECTIONS)
 
     def section_sets(self) -> tuple[str, ...]:
@@ -110,13 +120,13 @@ class CalculixModel:
                 speeds[name] = (modulus.value / density.value) ** 0.5
         return speeds
 
-    def fields(self, parameter: Parameter) -> list[Field]:
+    def fields(self, parameter: Parameter) -> list[KeywordField]:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
         if parameter.quantity not in _FINDERS or parameter.by not in ("material", "elset"):
             raise ModelError(
                 f"a CalculiX deck has no {parameter.quantity} by {parameter.by} to update"
             )
-        found: list[Field] = []
+        found: list[KeywordField] = []
         for target in parameter.targets:
             found += _FINDERS[parameter.quantity](self, canonical_name(target))
         return found
@@ -165,7 +175,7 @@ class CalculixModel:
                 )
         return changed
 
-    def users(self, materials: set[str]) -> list[Card]:
+    def users(self, materials: set[str]) -> list[KeywordCard]:
         """Sections that use one of these materials."""
         return [
             card
@@ -173,7 +183,7 @@ class CalculixModel:
             if card.option("MATERIAL") in materials or materials & self._layers(card)
         ]
 
-    def _layers(self, card: Card) -> set[str]:
+    def _layers(self, card: KeywordCard) -> set[str]:
         """Materials of a laminate: the third field of each layer."""
         if "COMPOSITE" not in card.options:
             return set()
@@ -191,7 +201,7 @@ class CalculixModel:
             raise ModelError(f"{where}: {text!r} is not a number") from None
 
 
-def understand(deck: Deck) -> CalculixModel:
+def understand(deck: KeywordDeck) -> CalculixModel:
     """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
     return CalculixModel(deck, read_mesh(deck))
 
@@ -205,7 +215,7 @@ def read_number(text: str) -> float:
     return value
 
 
-def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[Card]:
+def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[KeywordCard]:
     """The cards of one keyword that belong to a material. Raises ModelError."""
     names = [card.option("NAME") for card in model.deck.named("*MATERIAL")]
     if material not in names:
@@ -232,7 +242,7 @@ def _suggest(name: str, known: Iterable[str]) -> str:
     return f" (it has {', '.join(names) or 'none'})"
 
 
-def _elastic(model: CalculixModel, material: str, place: int) -> list[Field]:
+def _elastic(model: CalculixModel, material: str, place: int) -> list[KeywordField]:
     found = []
     for card in _material_cards(model, material, "*ELASTIC"):
         if card.option("TYPE") not in ("", "ISO", "ISOTROPIC"):
@@ -240,24 +250,24 @@ def _elastic(model: CalculixModel, material: str, place: int) -> list[Field]:
                 f"{model.deck.where(card)}: material {material} is not isotropic; only isotropic "
                 "*ELASTIC cards can be updated"
             )
-        found += [Field(line, place, model.number(line, place)) for line in card.data]
+        found += [KeywordField(line, place, model.number(line, place)) for line in card.data]
     return found
 
 
-def _youngs_modulus(model: CalculixModel, material: str) -> list[Field]:
+def _youngs_modulus(model: CalculixModel, material: str) -> list[KeywordField]:
     return _elastic(model, material, 0)
 
 
-def _poissons_ratio(model: CalculixModel, material: str) -> list[Field]:
+def _poissons_ratio(model: CalculixModel, material: str) -> list[KeywordField]:
     return _elastic(model, material, 1)
 
 
-def _density(model: CalculixModel, material: str) -> list[Field]:
+def _density(model: CalculixModel, material: str) -> list[KeywordField]:
     cards = _material_cards(model, material, "*DENSITY")
-    return [Field(line, 0, model.number(line, 0)) for card in cards for line in card.data]
+    return [KeywordField(line, 0, model.number(line, 0)) for card in cards for line in card.data]
 
 
-def _section_cards(model: CalculixModel, elset: str, keyword: str) -> list[Card]:
+def _section_cards(model: CalculixModel, elset: str, keyword: str) -> list[KeywordCard]:
     """The cards of one keyword for an element set that has elements. Raises ModelError."""
     cards = [card for card in model.deck.named(keyword) if card.option("ELSET") == elset]
     if not cards:
@@ -268,14 +278,14 @@ def _section_cards(model: CalculixModel, elset: str, keyword: str) -> list[Card]
     return cards
 
 
-def _value(model: CalculixModel, card: Card, row: int) -> Field:
+def _value(model: CalculixModel, card: KeywordCard, row: int) -> KeywordField:
     """The first number of one of a card's data lines. Raises ModelError."""
     if len(card.data) <= row:
         raise ModelError(f"{model.deck.where(card)}: the card has no value")
-    return Field(card.data[row], 0, model.number(card.data[row], 0))
+    return KeywordField(card.data[row], 0, model.number(card.data[row], 0))
 
 
-def _thickness(model: CalculixModel, elset: str) -> list[Field]:
+def _thickness(model: CalculixModel, elset: str) -> list[KeywordField]:
     cards = _section_cards(model, elset, "*SHELL SECTION")
     for card in cards:
         for option in {"COMPOSITE", "NODALTHICKNESS"} & set(card.options):
@@ -286,7 +296,7 @@ def _thickness(model: CalculixModel, elset: str) -> list[Field]:
     return [_value(model, card, 0) for card in cards]
 
 
-def _spring_stiffness(model: CalculixModel, elset: str) -> list[Field]:
+def _spring_stiffness(model: CalculixModel, elset: str) -> list[KeywordField]:
     """Constants stand one a line (one a temperature), after the line of directions.
 
     SPRINGA has no directions, but ccx skips the line after the keyword all the same.
@@ -300,24 +310,24 @@ def _spring_stiffness(model: CalculixModel, elset: str) -> list[Field]:
         if kinds != {"SPRINGA"}:
             first = 1
         elif card.data and not _blank_after(model, card):
-            raise ModelError(f"{where}: ccx wants a blank line before the constant of a SPRINGA")
+            raise ModelError(f"{where}: ccx requires a blank line before the constant of a SPRINGA")
         else:
             first = 0
         found += [_value(model, card, row) for row in range(first, max(len(card.data), first + 1))]
     return found
 
 
-def _blank_after(model: CalculixModel, card: Card) -> bool:
-    """Whether the first line after the keyword that is no comment is blank."""
+def _blank_after(model: CalculixModel, card: KeywordCard) -> bool:
+    """Whether the first line after the keyword that is not a comment is blank."""
     texts = (model.deck.lines[position].text.strip() for position in card.lines[1:])
     return next((not text for text in texts if not text.startswith("**")), True)
 
 
-def _mass(model: CalculixModel, elset: str) -> list[Field]:
+def _mass(model: CalculixModel, elset: str) -> list[KeywordField]:
     return [_value(model, card, 0) for card in _section_cards(model, elset, "*MASS")]
 
 
-_FINDERS: dict[Quantity, Callable[[CalculixModel, str], list[Field]]] = {
+_FINDERS: dict[Quantity, Callable[[CalculixModel, str], list[KeywordField]]] = {
     "youngs_modulus": _youngs_modulus,
     "poissons_ratio": _poissons_ratio,
     "density": _density,

@@ -26,7 +26,7 @@ from modetune.adapters.calculix.geometry import read_places
 from modetune.adapters.calculix.incidence import EXPANDED, Incidence, Role
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.core.modes import Floats, Integers
-from modetune.core.observation import Observation, Weights, from_rows, named_rows
+from modetune.core.updating.observation import Observation, Weights, from_rows, named_rows
 
 #: Weights of the equations of a name, by role: of the node that is expanded alone, and of one
 #: that has own unknowns too (bottom = 2 own - top).
@@ -64,8 +64,9 @@ def observe(
     constraints = read_constraints(model)
     told = set(wanted_nodes.tolist())
     told |= {node for node, _ in constraints.terms}
-    told |= {number for body in constraints.bodies.values()
-             for number in (body.reference, body.rotation)}  # fmt: skip
+    told |= {
+        number for body in constraints.bodies.values() for number in (body.reference, body.rotation)
+    }
     numbers = np.array(sorted(told), dtype=np.int64)
     rows = named_rows(nodes, components, numbers)
     bodies = bool(constraints.bodies)

@@ -17,8 +17,11 @@ from modetune.adapters.calculix.job import ALL
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModesError, NoResult
 from modetune.core.modes import Floats, Integers, mode_set
-from modetune.core.results import ModalResult
+from modetune.core.updating.results import ModalResult
 
+#: Columns are printed to seven digits, so each is off by 5e-7 of its value at most; an eigenvalue
+#: and the square of its frequency by three times that.
+COLUMN_ROUNDING = 1.6e-6
 MODE_HEADING = "E I G E N V A L U E    N U M B E R"
 
 
@@ -68,7 +71,10 @@ def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalRe
     except (OSError, UnicodeDecodeError) as error:
         raise NoResult(f"{dat} cannot be read: {error}") from error
     head, *modes = text.split(MODE_HEADING)
-    eigenvalues = _eigenvalues(head)
+    try:
+        eigenvalues = _eigenvalues(head)
+    except ValueError as error:
+        raise NoResult(f"{dat} is not a result: {error}") from error
     if not text.endswith("\n"):
         raise NoResult(f"{dat} ends within a line: the run broke off")
     if eigenvalues.size < analysis.n_modes or len(modes) < analysis.n_modes:
@@ -107,8 +113,10 @@ def _modal_result(
             f"mode {worst + 1} (eigenvalue {eigenvalues[worst]:g}) has the impossible strain "
             f"energy {energies[ALL][worst]:g}: ccx found no true modes of this model"
         )
-    groups = [sum((energies[name] for name in sets), np.zeros(eigenvalues.size))
-              for _, sets in analysis.groups]  # fmt: skip
+    groups = [
+        sum((energies[name] for name in sets), np.zeros(eigenvalues.size))
+        for _, sets in analysis.groups
+    ]
     return ModalResult(
         eigenvalues=eigenvalues,
         modes=mode_set(
@@ -126,9 +134,23 @@ def _modal_result(
 
 
 def _eigenvalues(head: str) -> Floats:
+    """The table's eigenvalues. Raises ValueError where a row's columns contradict each other."""
     table = head.split("P A R T I C I P A T I O N")[0]
-    rows = re.findall(r"^\s+\d+\s+([-+]?[\d.]+E[-+]\d+)(?:\s+[-+]?[\d.]+E[-+]\d+){3}", table, re.M)
-    return np.array([float(value) for value in rows])
+    number = r"([-+]?[\d.]+E[-+]\d+)"
+    rows = re.findall(rf"^\s+\d+\s+{number}\s+{number}\s+{number}\s+{number}", table, re.M)
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    eigenvalues, real, cycles, imaginary = values.T
+    squared = np.where(eigenvalues < 0.0, -(imaginary**2), real**2)
+    idle = np.where(eigenvalues < 0.0, real, imaginary)
+    apart = np.abs(squared - eigenvalues) > COLUMN_ROUNDING * np.abs(eigenvalues)
+    apart |= np.abs(2.0 * np.pi * cycles - real) > COLUMN_ROUNDING * real
+    wrong = np.flatnonzero(apart | (idle != 0.0))
+    if wrong.size:
+        raise ValueError(
+            f"eigenvalue {wrong[0] + 1} is {eigenvalues[wrong[0]]:g}, which its frequency columns "
+            f"({real[wrong[0]]:g}, {cycles[wrong[0]]:g}, {imaginary[wrong[0]]:g}) contradict"
+        )
+    return np.asarray(eigenvalues)
 
 
 def _displacements(mode: str) -> tuple[Integers, Floats]:

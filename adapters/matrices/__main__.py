@@ -5,4 +5,4 @@ from pathlib import Path
 
 from modetune.adapters.matrices.job import run_job
 
-sys.exit(run_job(Path.cwd()))
+sys.exit(run_job(Path.cwd(), sys.stdout))

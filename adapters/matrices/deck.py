@@ -30,17 +30,30 @@ from pathlib import Path
 from modetune.adapters.matrices.index import read_index, write_index
 from modetune.adapters.matrices.model import Factors, MatrixModel
 from modetune.adapters.matrices.spring_mass import read_spring_mass
+from modetune.adapters.solver import Deck, ModelSummary, Number
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
 from modetune.core.errors import CampaignError, ModelError
-from modetune.core.store import storage_errors, writing
+from modetune.core.modes import Integers
+from modetune.core.parameters import Parameter, Values
+from modetune.core.storage.files import storage_errors, writing
+from modetune.core.updating.observation import Observation, observe
+from modetune.core.updating.results import MatrixResult
 
 SYSTEM_KEYS = {"masses", "springs"}
 MATRIX_KEYS = {"stiffness", "mass", "dofs", "parts"}
 
 
 @dataclass(frozen=True, slots=True)
-class MatrixDeck:
-    """A model's file and what it says.
+class EditedMatrices:
+    """A model with its parts scaled."""
+
+    model: MatrixModel
+    factors: Factors
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixDeck(Deck):
+    """A model's file, what it says, and the parameters that scale its parts. It has no mesh.
 
     values: where each part's number stands in a spring-mass system; empty for matrix files.
     """
@@ -48,9 +61,54 @@ class MatrixDeck:
     file: YamlFile
     model: MatrixModel
     values: Mapping[str, Place]
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def summary(self) -> ModelSummary:
+        model = self.model
+        return ModelSummary(
+            name=model.name,
+            node_ids=frozenset(model.nodes.tolist()),
+            components=frozenset(model.components.tolist()),
+            n_elements=len(model.parts),
+            matrix_shapes=True,
+            solid_shapes=True,  # every unknown is one of a node, under one name
+            file=self.file.path,
+            matrices=model.matrices,
+        )
+
+    def numbers(self, parameter: Parameter) -> list[Number]:
+        parts = zip(parameter.targets, self.model.targets(parameter), strict=True)
+        return [Number(target, part.value, f"part {target}") for target, part in parts]
+
+    def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
+        parts = self.model.targets(parameter)
+        return parameter.targets if all(part.mass is None for part in parts) else ()
+
+    def is_linear(self, parameter: Parameter) -> bool:
+        return True
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return observe(matrices.nodes, matrices.components, nodes, components)
+
+    def edited(self, values: Values) -> EditedMatrices:
+        return EditedMatrices(self.model, self._factors(values))
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        return write_updated(self, self._factors(values), folder)
+
+    def _factors(self, values: Values) -> dict[str, float]:
+        return {
+            target: values[parameter.name]
+            for parameter in self.parameters
+            if parameter.name in values
+            for target in parameter.targets
+        }
 
 
-def read_deck(path: Path) -> MatrixDeck:
+def read_deck(path: Path, parameters: tuple[Parameter, ...] = ()) -> MatrixDeck:
     """Read a model file and its matrices. Raises ModelError with every problem, each with line."""
     try:
         file = read_yaml(path, "a model of matrices")
@@ -68,8 +126,8 @@ def read_deck(path: Path) -> MatrixDeck:
     if problems:
         raise ModelError("\n".join(problems))
     if system:
-        return MatrixDeck(file, *read_spring_mass(file))
-    return MatrixDeck(file, read_index(file), {})
+        return MatrixDeck(file, *read_spring_mass(file), parameters)
+    return MatrixDeck(file, read_index(file), {}, parameters)
 
 
 def write_updated(deck: MatrixDeck, factors: Factors, folder: Path) -> Path:

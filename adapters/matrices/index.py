@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.matrices.matrix_files import read_matrix, split_reference, write_matrix
-from modetune.adapters.matrices.model import Factors, MatrixModel, Part
+from modetune.adapters.matrices.model import Factors, MatrixModel, MatrixPart
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
 from modetune.core.modes import COMPONENTS, Integers
@@ -33,12 +33,14 @@ def read_index(file: YamlFile) -> MatrixModel:
     if problems:
         raise ModelError("\n".join(problems))
     parts = {
-        name: Part(
-            "matrix_factor", 1.0,
-            matrices.get(("parts", name, "stiffness")), matrices.get(("parts", name, "mass")),
+        name: MatrixPart(
+            "matrix_factor",
+            1.0,
+            matrices.get(("parts", name, "stiffness")),
+            matrices.get(("parts", name, "mass")),
         )
         for name in names
-    }  # fmt: skip
+    }
     return MatrixModel(file.path.stem, stiffness, mass, nodes, components, parts)
 
 
@@ -80,7 +82,9 @@ def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Int
         node, _, component = line.strip().partition(".")
         axis = COMPONENTS.index(component) + 1 if component in COMPONENTS else component
         if not node.isdecimal() or str(axis) not in "123456" or axis == "":
-            problems.append(f"{path}, line {number}: {line.strip()!r} is no unknown such as 101.x")
+            problems.append(
+                f"{path}, line {number}: {line.strip()!r} is not an unknown such as 101.x"
+            )
             break
         if (int(node), int(axis)) in found:
             problems.append(f"{path}, line {number}: {line.strip()} stands twice")
@@ -95,8 +99,8 @@ def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Int
 
 def write_index(file: YamlFile, model: MatrixModel, factors: Factors, folder: Path) -> str:
     """Write all matrices of an updated model below a folder; returns the main file's text."""
-    stiffness, mass = model.assembled(factors)
-    new: dict[Place, sparse.csr_array] = {("stiffness",): stiffness, ("mass",): mass}
+    scaled = model.assembled(factors)
+    new: dict[Place, sparse.csr_array] = {("stiffness",): scaled.stiffness, ("mass",): scaled.mass}
     for name, part in model.parts.items():
         for kind, matrix in (("stiffness", part.stiffness), ("mass", part.mass)):
             if matrix is not None:

@@ -13,23 +13,30 @@ that starts with `*ERROR`.
 from __future__ import annotations
 
 import json
-import sys
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from scipy import sparse
 
 from modetune.adapters.matrices.model import Factors, MatrixModel
+from modetune.adapters.process import LOG, log_tail
 from modetune.adapters.solver import Analysis, ModalAnalysis
-from modetune.core.eigen import solve_modes
-from modetune.core.errors import ModelError
-from modetune.core.modes import Floats, count_rigid_modes
+from modetune.core.algebra.eigen import solve_modes
+from modetune.core.errors import ModelError, ModesError, NoResult, SolverCrashed, SolverRejected
+from modetune.core.modes import Floats, count_rigid_modes, mode_set
+from modetune.core.updating.results import MatrixResult, ModalResult, Result
 
 JOB, RESULT = "job.json", "result.npz"
 FAULT = "*ERROR"
 CLOSING_MARK = "modetune matrices: job finished"
-#: An eigenvalue below this share of the largest one found, with its sign changed, is no rounding.
+MODAL = ("eigenvalues", "mode_shapes", "strain_energies", "total_strain_energy")
+MATRICES = tuple(
+    f"{name}_{part}" for name in ("stiffness", "mass") for part in ("data", "indices", "indptr")
+)
+#: An eigenvalue below this share of the largest one found, with its sign changed, is not rounding.
 NEGATIVE = 1e-6
 
 
@@ -44,9 +51,9 @@ class MatrixJob:
 
 def write_job(model: MatrixModel, factors: Factors, analysis: Analysis, folder: Path) -> None:
     """Write a job's input files into an empty folder."""
-    stiffness, mass = model.assembled(factors)
-    sparse.save_npz(folder / "stiffness.npz", stiffness, compressed=False)
-    sparse.save_npz(folder / "mass.npz", mass, compressed=False)
+    scaled = model.assembled(factors)
+    sparse.save_npz(folder / "stiffness.npz", scaled.stiffness, compressed=False)
+    sparse.save_npz(folder / "mass.npz", scaled.mass, compressed=False)
     job = MatrixJob(0, (), 0)
     if isinstance(analysis, ModalAnalysis):
         rows = np.flatnonzero(np.isin(model.nodes, analysis.nodes))
@@ -58,27 +65,96 @@ def write_job(model: MatrixModel, factors: Factors, analysis: Analysis, folder: 
     (folder / JOB).write_text(json.dumps(told))
 
 
-def run_job(folder: Path) -> int:
+def read_result(
+    model: MatrixModel, factors: Factors, analysis: Analysis, folder: Path, return_code: int
+) -> Result:
+    """The result of a finished job. Raises SolverRejected or SolverCrashed where there is none."""
+    lines = (folder / LOG).read_text(errors="replace").splitlines()
+    faults = [line.removeprefix(FAULT).strip() for line in lines if line.startswith(FAULT)]
+    if faults:
+        raise SolverRejected(f"the model {model.name} has no modes (job in {folder}): {faults[0]}")
+    if return_code != 0 or not lines or lines[-1] != CLOSING_MARK:
+        raise SolverCrashed(
+            f"the matrices solver ended in {folder} with code {return_code} and without its "
+            f"closing line\n{log_tail(folder)}"
+        )
+    modal = isinstance(analysis, ModalAnalysis)
+    arrays = _read_arrays(folder / RESULT, MODAL if modal else MATRICES)
+    try:
+        if isinstance(analysis, ModalAnalysis):
+            return _modal(model, factors, analysis, arrays)
+        return _matrices(model, arrays)
+    except (ModesError, ValueError) as error:
+        raise NoResult(f"{folder / RESULT} is not a result of this job: {error}") from error
+
+
+def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Floats]:
+    """All arrays whole; an entry's checksum stands in the file."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: file[name] for name in names}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise NoResult(f"the result {path} is missing, cut or damaged: {error}") from error
+
+
+def _modal(
+    model: MatrixModel, factors: Factors, analysis: ModalAnalysis, arrays: dict[str, Floats]
+) -> ModalResult:
+    eigenvalues = arrays["eigenvalues"]
+    seen = np.isin(model.nodes, analysis.nodes)
+    return ModalResult(
+        eigenvalues=eigenvalues,
+        modes=mode_set(
+            np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
+            arrays["mode_shapes"],
+            model.nodes[seen],
+            model.components[seen],
+            normalisation="mass",
+        ),
+        groups=tuple(name for name, _ in analysis.groups),
+        strain_energies=arrays["strain_energies"],
+        total_strain_energy=arrays["total_strain_energy"],
+        mass=model.total_mass(model.assembled(factors).mass),
+    )
+
+
+def _matrices(model: MatrixModel, arrays: dict[str, Floats]) -> MatrixResult:
+    stiffness, mass = (
+        sparse.csr_array(
+            tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")),
+            shape=model.stiffness.shape,
+        )
+        for name in ("stiffness", "mass")
+    )
+    return MatrixResult.of_full(stiffness, mass, model.nodes, model.components)
+
+
+def run_job(folder: Path, log: TextIO) -> int:
     """Solve the job in a folder: the embedded solver's program. Returns its exit code."""
     told = json.loads((folder / JOB).read_text())
     job = MatrixJob(int(told["n_modes"]), tuple(told["rows"]), int(told["n_groups"]))
     stiffness = _load(folder, "stiffness")
     mass = _load(folder, "mass")
-    _say(f"{stiffness.shape[0]} unknowns, {stiffness.nnz} entries of stiffness")
+    _say(log, f"{stiffness.shape[0]} unknowns, {stiffness.nnz} entries of stiffness")
     try:
-        arrays = _modes(job, stiffness, mass, folder) if job.n_modes else _matrices(stiffness, mass)
+        if job.n_modes:
+            arrays = _solved(job, stiffness, mass, folder)
+            found = arrays["eigenvalues"]
+            _say(log, f"{found.size} modes, eigenvalues {found[0]:.6e} to {found[-1]:.6e}")
+        else:
+            arrays = _given(stiffness, mass)
     except ModelError as error:
-        _say(f"{FAULT} {error}")
+        _say(log, f"{FAULT} {error}")
         return 1
     part = folder / f"{RESULT}.part"
     with part.open("wb") as out:
         np.savez(out, allow_pickle=False, **arrays)
     part.replace(folder / RESULT)
-    _say(CLOSING_MARK)
+    _say(log, CLOSING_MARK)
     return 0
 
 
-def _modes(
+def _solved(
     job: MatrixJob, stiffness: sparse.csr_array, mass: sparse.csr_array, folder: Path
 ) -> dict[str, Floats]:
     # A small system has no more modes than unknowns, and a campaign asks for some to spare.
@@ -90,7 +166,6 @@ def _modes(
             f"the stiffness matrix has a negative eigenvalue ({elastic.min():.3e}): no structure "
             "is like that; look at the parts' matrices and the parameters' bounds"
         )
-    _say(f"{n_modes} modes, eigenvalues {eigenvalues[0]:.6e} to {eigenvalues[-1]:.6e}")
     groups = [_load(folder, f"group{number}") for number in range(job.n_groups)]
     energies = [0.5 * np.sum(shapes * (group @ shapes), axis=0) for group in groups]
     return {
@@ -101,7 +176,7 @@ def _modes(
     }
 
 
-def _matrices(stiffness: sparse.csr_array, mass: sparse.csr_array) -> dict[str, Floats]:
+def _given(stiffness: sparse.csr_array, mass: sparse.csr_array) -> dict[str, Floats]:
     return {
         f"{name}_{part}": getattr(matrix, part)
         for name, matrix in (("stiffness", stiffness), ("mass", mass))
@@ -113,6 +188,6 @@ def _load(folder: Path, name: str) -> sparse.csr_array:
     return sparse.csr_array(sparse.load_npz(folder / f"{name}.npz"))
 
 
-def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
+def _say(log: TextIO, line: str) -> None:
+    log.write(f"{line}\n")
+    log.flush()

@@ -18,8 +18,8 @@ import h5py
 import numpy as np
 from scipy import io, sparse
 
+from modetune.core.algebra.factorisation import symmetric_matrix
 from modetune.core.errors import ModelError
-from modetune.core.factorisation import symmetric_matrix
 
 HDF5 = (".h5", ".hdf5")
 #: What SciPy and h5py raise on files that are cut, damaged or something else.

@@ -12,24 +12,30 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
+from modetune.core.algebra.matrices import MatrixResult, upper_triangle
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, Quantity
+from modetune.core.updating.parameter_matrices import (
+    ParameterMatrices,
+    Powers,
+    parameter_matrices,
+)
 
 #: Values of parts relative to the model's own; a part that is not named stays as it is.
 Factors = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """What one parameter may scale: its share of stiffness and mass, (n, n) each, or none.
+class MatrixPart:
+    """What one parameter may scale: its matrices of stiffness and mass, (n, n), or none.
 
     quantity: how parameters call it; value: in the model's units, 1 for matrices.
     """
@@ -49,9 +55,9 @@ class MatrixModel:
     mass: sparse.csr_array
     nodes: Integers
     components: Integers
-    parts: Mapping[str, Part]
+    parts: Mapping[str, MatrixPart]
 
-    def part(self, name: str) -> Part:
+    def part(self, name: str) -> MatrixPart:
         """A part by its name. Raises ModelError with the nearest names."""
         if name not in self.parts:
             near = get_close_matches(name, self.parts, n=3)
@@ -59,7 +65,7 @@ class MatrixModel:
             raise ModelError(f"the model has no part {name}; {hint}")
         return self.parts[name]
 
-    def targets(self, parameter: Parameter) -> list[Part]:
+    def targets(self, parameter: Parameter) -> list[MatrixPart]:
         """The parts of a parameter. Raises ModelError with the first reason why it has none."""
         found = []
         for name in parameter.targets:
@@ -71,16 +77,44 @@ class MatrixModel:
             found.append(part)
         return found
 
-    def assembled(self, factors: Factors) -> tuple[sparse.csr_array, sparse.csr_array]:
+    @cached_property
+    def by_parts(self) -> ParameterMatrices:
+        """K and M for all relative values of the parts, in their order."""
+        stiffness, mass = (
+            [
+                Powers(column, (1,), (upper_triangle(matrix),))
+                for column, matrix in enumerate(matrices)
+                if matrix is not None
+            ]
+            for matrices in (
+                [part.stiffness for part in self.parts.values()],
+                [part.mass for part in self.parts.values()],
+            )
+        )
+        base = MatrixResult.of_full(self.stiffness, self.mass, self.nodes, self.components)
+        return parameter_matrices(base, np.ones(len(self.parts)), stiffness, mass)
+
+    def matrices(self, parameters: tuple[Parameter, ...]) -> ParameterMatrices:
+        """K and M for all values of these parameters."""
+        names = list(self.parts)
+        columns = {
+            names.index(target): column
+            for column, parameter in enumerate(parameters)
+            for target in parameter.targets
+        }
+        stiffness, mass = (
+            tuple(
+                replace(part, column=columns[part.column])
+                for part in parts
+                if part.column in columns
+            )
+            for parts in (self.by_parts.stiffness, self.by_parts.mass)
+        )
+        return ParameterMatrices(np.ones(len(parameters)), self.by_parts.base, stiffness, mass)
+
+    def assembled(self, factors: Factors) -> MatrixResult:
         """K and M with these parts scaled."""
-        stiffness, mass = self.stiffness, self.mass
-        for name, factor in sorted(factors.items()):
-            part = self.parts[name]
-            if part.stiffness is not None:
-                stiffness = stiffness + (factor - 1.0) * part.stiffness
-            if part.mass is not None:
-                mass = mass + (factor - 1.0) * part.mass
-        return sparse.csr_array(stiffness), sparse.csr_array(mass)
+        return self.by_parts.at(np.array([factors.get(name, 1.0) for name in self.parts]))
 
     def group_stiffness(self, names: tuple[str, ...], factors: Factors) -> sparse.csr_array:
         """The scaled stiffness of several parts together."""
@@ -115,7 +149,7 @@ class MatrixModel:
         return digest.hexdigest()
 
 
-def _some(names: Mapping[str, Part]) -> str:
+def _some(names: Mapping[str, MatrixPart]) -> str:
     shown = ", ".join(list(names)[:10]) or "none"
     return f"{shown}, ..." if len(names) > 10 else shown
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.matrices.model import MatrixModel, Part
+from modetune.adapters.matrices.model import MatrixModel, MatrixPart
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
 
@@ -23,20 +23,20 @@ def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
     problems: list[str] = []
     masses = file.entries(("masses",), problems)
     springs = file.entries(("springs",), problems)
-    parts: dict[str, Part] = {}
+    parts: dict[str, MatrixPart] = {}
     row_of = {name: row for row, name in enumerate(masses)}
     size = len(masses)
     if not masses or GROUND in masses:
         problems.append(f"{file.where(('masses',))}: a mass is needed, and none called {GROUND}")
     for name in masses:
         value = _number(file, ("masses", name), problems)
-        parts[name] = Part("mass", value, None, _element(size, [row_of[name]], value))
+        parts[name] = MatrixPart("mass", value, None, _element(size, [row_of[name]], value))
     places: dict[str, Place] = {name: ("masses", name) for name in masses}
     for name in springs:
         if name in parts:
             problems.append(f"{file.where(('springs', name))}: {name} is a mass already")
         rows, value = _spring(file, name, row_of, problems)
-        parts[name] = Part("spring_stiffness", value, _element(size, rows, value), None)
+        parts[name] = MatrixPart("spring_stiffness", value, _element(size, rows, value), None)
         places[name] = ("springs", name, "stiffness")
     if problems:
         raise ModelError("\n".join(problems))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pyNastran.bdf.bdf import BDF
 
-from modetune.adapters.nastran.deck import Card, Deck
+from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.number import read_number
 from modetune.core.errors import ModelError
 
@@ -23,10 +23,18 @@ Bulk = Any
 #: What pyNastran raises on cards it cannot take: it has no one class for them, and warns of some,
 #: which is an exception where warnings are errors.
 OBJECTIONS = (
-    SyntaxError, ValueError, TypeError, KeyError, IndexError, RuntimeError, AssertionError,
-    AttributeError, ArithmeticError, UserWarning,
-)  # fmt: skip
-#: Cards whose columns are no plain fields: pyNastran splits their lines itself.
+    SyntaxError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    RuntimeError,
+    AssertionError,
+    AttributeError,
+    ArithmeticError,
+    UserWarning,
+)
+#: Cards whose columns are not plain fields: pyNastran splits their lines itself.
 BY_LINES = frozenset((
     "DEQATN", "PBRSECT", "PBMSECT", "GMCURV", "GMSURF", "OUTPUT", "ADAPT", "MONDSP1", "MONPNT1",
     "MONPNT3", "MONSUMT", "AMLREG", "MICPNT",
@@ -41,7 +49,7 @@ BY_POINTS = ("CORD2R", "CORD2C", "CORD2S")
 #: A deck in another language has an objection to each card; the first ones tell what is wrong.
 MOST_PROBLEMS = 20
 
-Cards = Mapping[int, tuple[Card, ...]]
+Cards = Mapping[int, tuple[NastranCard, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +67,7 @@ class Owners:
     coords: Cards
 
 
-def read_bulk(deck: Deck) -> tuple[Bulk, Owners, tuple[Card, ...]]:
+def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[NastranCard, ...]]:
     """pyNastran's model of a deck, cross-referenced; cards by number; cards it does not know.
 
     Raises ModelError with the file and line of each card that it does not accept.
@@ -87,15 +95,18 @@ def read_bulk(deck: Deck) -> tuple[Bulk, Owners, tuple[Card, ...]]:
     _refuse(_missing(deck, bulk, owners))
     try:
         bulk.cross_reference(
-            xref_loads=False, xref_constraints=False, xref_aero=False, xref_sets=False,
+            xref_loads=False,
+            xref_constraints=False,
+            xref_aero=False,
+            xref_sets=False,
             xref_optimization=False,
-        )  # fmt: skip
+        )
     except OBJECTIONS as error:
         raise ModelError(f"{deck.file}: {_sentence(error)}") from error
     return bulk, owners, tuple(unknown)
 
 
-def _add(bulk: Bulk, deck: Deck, card: Card) -> None:
+def _add(bulk: Bulk, deck: NastranDeck, card: NastranCard) -> None:
     if card.name in BY_POINTS:
         _check_axes(deck, card)
     # The lax way differs from the other in that it raises at once and prints nothing.
@@ -112,7 +123,7 @@ def _add(bulk: Bulk, deck: Deck, card: Card) -> None:
         material.g2z = material.g2z if card.text(7) else 0.0
 
 
-def _check_axes(deck: Deck, card: Card) -> None:
+def _check_axes(deck: NastranDeck, card: NastranCard) -> None:
     """Refuse a coordinate system whose points lie in a line: pyNastran would print its axes."""
     try:
         numbers = [read_number(card.text(field) or "0") for field in range(3, 12)]
@@ -140,8 +151,8 @@ def _refuse(problems: Iterable[str]) -> None:
     raise ModelError("\n".join(found[:MOST_PROBLEMS] + tail))
 
 
-def _owners(deck: Deck, bulk: Bulk) -> Owners:
-    families: dict[str, dict[int, tuple[Card, ...]]] = {
+def _owners(deck: NastranDeck, bulk: Bulk) -> Owners:
+    families: dict[str, dict[int, tuple[NastranCard, ...]]] = {
         family.name: {} for family in fields(Owners)
     }
     slots = bulk.get_rslot_map()
@@ -156,7 +167,7 @@ def _owners(deck: Deck, bulk: Bulk) -> Owners:
     return Owners(**families)
 
 
-def _repeated(deck: Deck, owners: Owners) -> Iterator[str]:
+def _repeated(deck: NastranDeck, owners: Owners) -> Iterator[str]:
     """Numbers given twice to different nodes or elements; equal cards may stand twice."""
     for family in (getattr(owners, field.name) for field in fields(Owners)):
         for number, cards in family.items():
@@ -166,7 +177,7 @@ def _repeated(deck: Deck, owners: Owners) -> Iterator[str]:
                 yield f"{places}: {cards[1].name} {number} is there more than once"
 
 
-def _missing(deck: Deck, bulk: Bulk, owners: Owners) -> Iterator[str]:
+def _missing(deck: NastranDeck, bulk: Bulk, owners: Owners) -> Iterator[str]:
     """Cards that refer to a card which is not there."""
     families = (
         (bulk.elements, owners.elements),

@@ -28,7 +28,7 @@ TAG = 72
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class CardField:
     """One field of a card as it stands in the deck.
 
     line: position in the deck's lines. start, stop: the columns of the line's text, blanks of the
@@ -43,7 +43,7 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True)
-class Card:
+class NastranCard:
     """A card: its name in upper case, positions of its lines, and its fields.
 
     fields: the name first, then the data fields numbered over all lines (1-8, 9-16, ...), as the
@@ -52,7 +52,7 @@ class Card:
 
     name: str
     lines: tuple[int, ...]
-    fields: tuple[Field | None, ...]
+    fields: tuple[CardField | None, ...]
 
     def text(self, field: int) -> str:
         """A field's text in upper case, empty where it is blank."""
@@ -61,18 +61,18 @@ class Card:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CardRow:
     """One line of bulk data: a name or the tag it continues, its data, and the tag it leaves."""
 
     line: int
-    head: Field | None
+    head: CardField | None
     name: str
     tag: str
-    data: tuple[Field | None, ...]
+    data: tuple[CardField | None, ...]
     next_tag: str
 
 
-def read_cards(lines: Sequence[Line], positions: Iterable[int]) -> tuple[Card, ...]:
+def read_cards(lines: Sequence[Line], positions: Iterable[int]) -> tuple[NastranCard, ...]:
     """The cards that these lines of a deck form. Raises ModelError with file and line."""
     rows = [
         _row(lines[position], position)
@@ -97,14 +97,14 @@ def read_cards(lines: Sequence[Line], positions: Iterable[int]) -> tuple[Card, .
     return tuple(cards)
 
 
-def _card(chain: Sequence[Row]) -> Card:
+def _card(chain: Sequence[CardRow]) -> NastranCard:
     fields = [chain[0].head, *(field for row in chain for field in row.data)]
     while fields[-1] is None:
         fields.pop()
-    return Card(chain[0].name, tuple(row.line for row in chain), tuple(fields))
+    return NastranCard(chain[0].name, tuple(row.line for row in chain), tuple(fields))
 
 
-def _following(rows: Sequence[Row], lines: Sequence[Line]) -> dict[int, int]:
+def _following(rows: Sequence[CardRow], lines: Sequence[Line]) -> dict[int, int]:
     """Which row continues which, by index."""
     tags = {row.next_tag: place for place, row in enumerate(rows) if row.next_tag}
     following: dict[int, int] = {}
@@ -124,7 +124,7 @@ def _following(rows: Sequence[Row], lines: Sequence[Line]) -> dict[int, int]:
     return following
 
 
-def _row(line: Line, position: int) -> Row:
+def _row(line: Line, position: int) -> CardRow:
     """Split one line into its fields. Raises ModelError."""
     data = line.text.partition("$")[0].rstrip()
     free = "," in data
@@ -136,7 +136,7 @@ def _row(line: Line, position: int) -> Row:
     if any(texts[count + 1 :]):
         raise ModelError(f"{line.where}: more than {count} data fields in one line")
     fields = tuple(
-        Field(position, start, stop, 0 if free else width, text) if text else None
+        CardField(position, start, stop, 0 if free else width, text) if text else None
         for (start, stop), text in zip(spans[:count], texts, strict=False)
     )
     fields += (None,) * (count - len(fields))
@@ -144,9 +144,9 @@ def _row(line: Line, position: int) -> Row:
     name = "" if head[:1] in ("", "+", "*") else head.rstrip("*").rstrip()
     if name and not NAME.fullmatch(name):
         raise ModelError(f"{line.where}: {name[:40]!r} is not the name of a card")
-    return Row(
+    return CardRow(
         position,
-        Field(position, *first, 0 if free else SMALL, head) if name else None,
+        CardField(position, *first, 0 if free else SMALL, head) if name else None,
         name,
         "" if name else _tag(head),
         fields,
@@ -181,7 +181,7 @@ def _fixed_spans(data: str) -> list[tuple[int, int]]:
     return list(pairwise(stops))
 
 
-def changed_texts(lines: Sequence[Line], values: Mapping[Field, float]) -> dict[int, str]:
+def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float]) -> dict[int, str]:
     """New texts of the lines in which these fields get new numbers; nothing else changes.
 
     A number keeps its field's format and place: 8 or 16 columns, at the left or the right as it
@@ -205,14 +205,14 @@ def changed_texts(lines: Sequence[Line], values: Mapping[Field, float]) -> dict[
     return changed
 
 
-def _free(line: Line, field: Field, old: str, value: float) -> str:
+def _free(line: Line, field: CardField, old: str, value: float) -> str:
     large = "*" in line.text.partition(",")[0]
     width = LARGE if large else min(max(SMALL, len(field.text)), LARGE)
     blanks = len(old) - len(old.lstrip())
     return f"{old[:blanks]}{format_number(value, width)}{old[len(old.rstrip()) :]}"
 
 
-def _fixed(field: Field, old: str, value: float) -> str:
+def _fixed(field: CardField, old: str, value: float) -> str:
     """The field's columns with another number; a field cut short by the line's end stays so."""
     number = format_number(value, field.width)
     columns = old.expandtabs(SMALL)

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from modetune.adapters.nastran.deck import Deck
+from modetune.adapters.nastran.deck import NastranDeck
 from modetune.core.errors import ModelError
 
 #: Case control commands that select parts of the model.
@@ -19,7 +19,7 @@ SELECTIONS = frozenset({
     "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "NSM", "MFLUID", "RIGID", "AUTOSPC",
     "BC", "K2GG", "M2GG", "K42GG", "A2GG", "BGSET", "BOUTPUT", "ADAPT",
 })  # fmt: skip
-#: Commands whose meaning a plain modal job would lose, and why it is no modal job then.
+#: Commands whose meaning a plain modal job would lose, and why it is not a modal job then.
 REFUSED = {
     "STATSUB": "modes of a preloaded structure",
     "SUPER": "superelements",
@@ -90,7 +90,7 @@ class CaseControl:
         return 0
 
 
-def read_statements(deck: Deck, positions: Iterable[int]) -> Iterator[Statement]:
+def read_statements(deck: NastranDeck, positions: Iterable[int]) -> Iterator[Statement]:
     """Commands of the executive or case control; a comma at a line's end continues it."""
     text, where = "", ""
     for position in positions:
@@ -112,7 +112,7 @@ def _statement(text: str, where: str) -> Statement:
     return Statement(name.group().upper() if name else "", text, where)
 
 
-def system_statements(deck: Deck) -> list[str]:
+def system_statements(deck: NastranDeck) -> list[str]:
     """NASTRAN statements and their like. Raises ModelError for what a job cannot carry."""
     kept, problems = [], []
     for statement in read_statements(deck, deck.executive):
@@ -138,7 +138,7 @@ def _brings_in(text: str) -> bool:
     return len(words) > 1 and words[1].startswith(INPUT_FILES)
 
 
-def read_case_control(deck: Deck) -> CaseControl:
+def read_case_control(deck: NastranDeck) -> CaseControl:
     """Selections of the one subcase that counts, below those above all subcases.
 
     Raises ModelError where several subcases select different things, or for preloads and
@@ -161,13 +161,15 @@ def read_case_control(deck: Deck) -> CaseControl:
         if _selects(statement):
             latest[statement.name, statement.parameter or _describers(statement)] = statement
     parameters = tuple(
-        (name, statement.parameter_value) for (_, name), statement in latest.items()
+        (name, statement.parameter_value)
+        for (_, name), statement in latest.items()
         if statement.parameter
-    )  # fmt: skip
+    )
     selections = tuple(
         re.sub(r"^(\w+)\s*=?\s*(\d+)$", r"\1 = \2", statement.text)
-        for statement in latest.values() if not statement.parameter
-    )  # fmt: skip
+        for statement in latest.values()
+        if not statement.parameter
+    )
     methods = [statement for statement in kept if statement.name == "METHOD"]
     bulk_only = not deck.case_control and not deck.executive
     return CaseControl(
@@ -177,7 +179,7 @@ def read_case_control(deck: Deck) -> CaseControl:
     )
 
 
-def _only_sets(deck: Deck) -> tuple[str, ...]:
+def _only_sets(deck: NastranDeck) -> tuple[str, ...]:
     """Selections for a file of bulk data alone: its one SPC and its one MPC set.
 
     Raises ModelError where there are several and nothing says which one holds.
@@ -198,7 +200,7 @@ def _only_sets(deck: Deck) -> tuple[str, ...]:
     return tuple(chosen)
 
 
-def _split(deck: Deck) -> tuple[list[Statement], list[list[Statement]]]:
+def _split(deck: NastranDeck) -> tuple[list[Statement], list[list[Statement]]]:
     above: list[Statement] = []
     subcases: list[list[Statement]] = []
     for statement in read_statements(deck, deck.case_control):
@@ -250,5 +252,5 @@ def _number(statement: Statement) -> int:
         return int(statement.value)
     except ValueError:
         raise ModelError(
-            f"{statement.where}: METHOD wants the number of an EIGRL card: `{statement.text}`"
+            f"{statement.where}: METHOD requires the number of an EIGRL card: `{statement.text}`"
         ) from None

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, read_text
-from modetune.adapters.nastran.cards import Card as Card
-from modetune.adapters.nastran.cards import Field as Field
+from modetune.adapters.nastran.cards import CardField as CardField
+from modetune.adapters.nastran.cards import NastranCard as NastranCard
 from modetune.adapters.nastran.cards import changed_texts, read_cards
 from modetune.core.errors import ModelError
 
@@ -37,7 +37,7 @@ SOLUTIONS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Deck:
+class NastranDeck:
     """A deck with its includes in place: lines as they stand, and the cards of its bulk data.
 
     executive, case_control, bulk: positions in lines; CEND belongs to executive, and begin_bulk
@@ -47,22 +47,22 @@ class Deck:
     file: Path
     lines: tuple[Line, ...]
     includes: tuple[Include, ...]
-    cards: tuple[Card, ...]
+    cards: tuple[NastranCard, ...]
     executive: range
     case_control: range
     begin_bulk: int | None
     bulk: range
     sol: int | None
 
-    def named(self, *names: str) -> list[Card]:
+    def named(self, *names: str) -> list[NastranCard]:
         """All cards of these names, in order."""
         return [card for card in self.cards if card.name in names]
 
-    def where(self, card: Card) -> str:
+    def where(self, card: NastranCard) -> str:
         return self.lines[card.lines[0]].where
 
 
-def read_deck(path: Path) -> Deck:
+def read_deck(path: Path) -> NastranDeck:
     """Read a deck and its includes. Raises ModelError naming file and line."""
     lines: list[Line] = []
     includes: list[Include] = []
@@ -74,7 +74,7 @@ def read_deck(path: Path) -> Deck:
     return deck
 
 
-def with_lines(deck: Deck, changed: Mapping[int, str]) -> Deck:
+def with_lines(deck: NastranDeck, changed: Mapping[int, str]) -> NastranDeck:
     """The deck as it reads with some lines changed. Raises ModelError."""
     lines = list(deck.lines)
     for position, text in changed.items():
@@ -82,12 +82,12 @@ def with_lines(deck: Deck, changed: Mapping[int, str]) -> Deck:
     return replace(deck, lines=tuple(lines), cards=read_cards(lines, deck.bulk))
 
 
-def changed_lines(deck: Deck, values: Mapping[Field, float]) -> dict[int, str]:
+def changed_lines(deck: NastranDeck, values: Mapping[CardField, float]) -> dict[int, str]:
     """New texts of the lines in which these fields get new numbers. Raises ModelError."""
     return changed_texts(deck.lines, values)
 
 
-def write_edited(deck: Deck, changed: Mapping[int, str], folder: Path) -> Path:
+def write_edited(deck: NastranDeck, changed: Mapping[int, str], folder: Path) -> Path:
     """Write the deck and its includes with some lines changed; all else stays byte for byte.
 
     changed: position of a line in the deck to its new text. Returns the main file's path in
@@ -171,7 +171,7 @@ def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
     return [f"INCLUDE '{name}'", *("$" for _ in lines[1:])]
 
 
-def _divide(path: Path, lines: tuple[Line, ...], includes: tuple[Include, ...]) -> Deck:
+def _divide(path: Path, lines: tuple[Line, ...], includes: tuple[Include, ...]) -> NastranDeck:
     """Find the sections of a deck. Raises ModelError where one has no end."""
     cend, begin, sol = None, None, None
     controls = ((position, CONTROL.match(line.text)) for position, line in enumerate(lines))
@@ -198,7 +198,7 @@ def _divide(path: Path, lines: tuple[Line, ...], includes: tuple[Include, ...]) 
     first_bulk = 0 if begin is None else begin + 1
     last = len(lines) - 1 if lines and END.match(lines[-1].text) else len(lines)
     sections = range(first_case), range(first_case, first_bulk - 1), range(first_bulk, last)
-    return Deck(path, lines, includes, (), sections[0], sections[1], begin, sections[2], sol)
+    return NastranDeck(path, lines, includes, (), sections[0], sections[1], begin, sections[2], sol)
 
 
 def _solution(text: str) -> int | None:

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from modetune.adapters.nastran.deck import Deck, with_lines
-from modetune.adapters.nastran.model import NastranModel, Place
+from modetune.adapters.nastran.deck import NastranDeck, with_lines
+from modetune.adapters.nastran.model import NastranModel, ValuePlace
 from modetune.adapters.nastran.number import format_number, read_number
 from modetune.adapters.solver import SensitivityAnalysis
 from modetune.core.errors import ModelError
@@ -68,13 +68,10 @@ def n_rows(analysis: SensitivityAnalysis) -> int:
 
 
 def design_cards(
-    model: NastranModel,
-    changed: Mapping[int, str],
-    analysis: SensitivityAnalysis,
-    parameters: Sequence[Parameter],
+    model: NastranModel, changed: Mapping[int, str], analysis: SensitivityAnalysis
 ) -> list[str]:
     """Bulk data of the design model. Raises ModelError for a parameter it cannot hold."""
-    named = {parameter.name: parameter for parameter in parameters}
+    named = {parameter.name: parameter for parameter in model.parameters}
     chosen = [named[name] for name in analysis.parameters]
     lines = [
         f"DESVAR,{number},P{number},1.,{LOWER},{UPPER}" for number in range(1, len(chosen) + 1)
@@ -85,7 +82,9 @@ def design_cards(
     return [*lines, *(f"DSCREEN,{kind},{THRESHOLD},{KEPT}" for kind in kinds)]
 
 
-def _relations(model: NastranModel, edited: Deck, parameters: Sequence[Parameter]) -> list[str]:
+def _relations(
+    model: NastranModel, edited: NastranDeck, parameters: Sequence[Parameter]
+) -> list[str]:
     cards = {card.lines[0]: card for card in edited.cards}
     lines: list[str] = []
     number = 0
@@ -107,7 +106,7 @@ def _coefficient(text: str) -> str:
     return text if len(text) <= WIDTH else format_number(read_number(text), WIDTH)
 
 
-def _relation(number: int, variable: int, place: Place, coefficient: str) -> list[str]:
+def _relation(number: int, variable: int, place: ValuePlace, coefficient: str) -> list[str]:
     """The card that ties one number of the model to a design variable."""
     owner = place.card.name
     kind = "DVPREL1"

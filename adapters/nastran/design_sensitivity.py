@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.nastran.op2_records import Record, Table, read_tables
+from modetune.adapters.nastran.op2_records import Op2Table, Record, read_tables
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats, Integers
 
@@ -88,7 +88,7 @@ def read_dscm2(path: Path) -> DesignSensitivities:
     return DesignSensitivities(variables, responses, values)
 
 
-def _matrix(table: Table) -> Floats:
+def _matrix(table: Op2Table) -> Floats:
     """A real matrix, column by column; a column is strings of (row, values)."""
     if table.trailer.size < 5:
         raise ValueError(f"the trailer of {table.name} has {table.trailer.size} words")
@@ -114,7 +114,7 @@ def _matrix(table: Table) -> Floats:
     return matrix
 
 
-def _design_variables(edom: Table, n_rows: int) -> Integers:
+def _design_variables(edom: Op2Table, n_rows: int) -> Integers:
     """DESVAR numbers; a card takes nine words in newer files and eight in older ones."""
     words = _cards(edom, DESVAR)
     width = next((width for width in (9, 8) if words.size == n_rows * width), 0)
@@ -126,7 +126,7 @@ def _design_variables(edom: Table, n_rows: int) -> Integers:
     return np.sort(numbers)
 
 
-def _dresp1_types(edom: Table) -> dict[int, int]:
+def _dresp1_types(edom: Op2Table) -> dict[int, int]:
     """Type of each DRESP1 card; a card is number, label (2), type and more, and ends with -1."""
     words = _cards(edom, DRESP1).tolist()
     types: dict[int, int] = {}
@@ -138,7 +138,7 @@ def _dresp1_types(edom: Table) -> dict[int, int]:
     return types
 
 
-def _cards(edom: Table, mark: tuple[int, int]) -> Integers:
+def _cards(edom: Op2Table, mark: tuple[int, int]) -> Integers:
     for record in edom.records:
         if len(record.content) % record.word == 0:
             words = record.integers()
@@ -147,7 +147,7 @@ def _cards(edom: Table, mark: tuple[int, int]) -> Integers:
     return np.zeros(0, dtype=np.int64)
 
 
-def _responses(table: Table, types: dict[int, int]) -> tuple[Response, ...]:
+def _responses(table: Op2Table, types: dict[int, int]) -> tuple[Response, ...]:
     words = table.records[0].integers()
     if words.size % WORDS or not words.size:
         raise ValueError(f"DSCMCOL has {words.size} words, {WORDS} belong to a response")

@@ -1,6 +1,6 @@
 """Shapes and element energies as the files of Nastran list them, put together into arrays.
 
-OP2, F06 and punch files give one mode after the other. Every mode must list the same points; a
+OP2 and F06 files give one mode after the other. Every mode must list the same points; a
 scalar point has its first component only.
 """
 
@@ -15,7 +15,7 @@ from modetune.core.modes import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class GridShape:
     """One mode as listed: nodes and scalar (n_nodes,), values (n_nodes, 6)."""
 
     mode: int
@@ -39,7 +39,7 @@ class ElementEnergies:
     energies: Floats
 
 
-def shape_matrix(shapes: Sequence[Shape], n_modes: int) -> tuple[Integers, Integers, Floats]:
+def shape_matrix(shapes: Sequence[GridShape], n_modes: int) -> tuple[Integers, Integers, Floats]:
     """Nodes (n_dof,), components (n_dof,) and mode shapes (n_dof, n_modes), sorted by node.
 
     Raises ValueError where modes list different points, a point twice, or no finite number.

@@ -33,7 +33,7 @@ NUMBER = re.compile(
     r"\b(?:ID|EID|PID|MID|GID|SID|POINT|GRID|ELEMENT|PROPERTY|MATERIAL"
     rf"|{NAMES})(?:\s*ID)?\s*[=:#\s]\s*(\d+)\b"
 )
-#: Words that follow "entry" or "card" in sentences and are no names of cards.
+#: Words that follow "entry" or "card" in sentences and are not names of cards.
 NO_CARD = frozenset(
     "FOR WITH WAS WERE NOT AND THE HAS HAVE FIELD FIELDS IMAGE IS ARE THAT WHICH NAME IN ON OF "
     "MUST NUMBER COUNT DECK ENTRY CARD SECTION POSSIBLY REQUIRED MISSING".split()
@@ -80,7 +80,7 @@ class FatalMessage:
 def fatal_message(lines: list[str]) -> FatalMessage:
     """What the lines of one message say."""
     texts = [line[1:].strip() if line[:1] in "01+" else line.strip() for line in lines]
-    # The message's own number and subroutine are no card.
+    # The message's own number and subroutine are not a card.
     body = [re.sub(r"MESSAGE\s+\d+\s*(?:\(\w+\))?|^\*ERROR\s+\d+\s*:", "", texts[0]), *texts[1:]]
     sentence = " ".join(body)
     names = [name for name in CARD.findall(sentence) if name not in NO_CARD]

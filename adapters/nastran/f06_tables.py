@@ -10,7 +10,7 @@ import re
 
 import numpy as np
 
-from modetune.adapters.nastran.eigenvectors import ElementEnergies, Shape
+from modetune.adapters.nastran.eigenvectors import ElementEnergies, GridShape
 from modetune.core.modes import Floats
 
 #: A heading has spaced letters; any of them closes the table before it.
@@ -123,7 +123,7 @@ class EigenvectorTables:
     def _row(self, line: str) -> None:
         self._pages[self._mode].take(line, self._mystran)
 
-    def shapes(self) -> list[Shape]:
+    def shapes(self) -> list[GridShape]:
         return [
             points.shape(mode) for mode, points in sorted(self._pages.items()) if points.numbers
         ]
@@ -161,10 +161,10 @@ class _Points:
         self._scalar.append(scalar)
         self._values.append(values)
 
-    def shape(self, mode: int) -> Shape:
+    def shape(self, mode: int) -> GridShape:
         if self._problem:
             raise ValueError(self._problem)
-        return Shape(
+        return GridShape(
             mode,
             self.eigenvalue,
             np.array(self.numbers, dtype=np.int64),

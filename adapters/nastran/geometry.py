@@ -1,4 +1,4 @@
-"""Where the grid points of a Nastran model lie, and what its elements look like.
+"""Where the grid points of a Nastran model lie, in what axes, and what its elements look like.
 
 Nastran numbers the nodes of plane elements, tetrahedra and pyramids as VTK does. In CHEXA and
 CPENTA it has the midside nodes between the two faces before those round the second face; VTK has
@@ -14,9 +14,44 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.nastran.bulk import Bulk
-from modetune.adapters.translation.frames import output_frames
 from modetune.core.mesh import NODES, CellKind, Cells, Mesh
 from modetune.core.modes import Floats
+
+
+def local_axes(frame: Any, place: Floats) -> Floats:
+    """Axes of a coordinate system at a place, as rows in basic coordinates (3, 3).
+
+    frame: a cross-referenced CORD card, or None for the basic system. In a cylindrical or
+    spherical one the axes are those of the place's own radius and angles; on its z axis, where
+    the radius has no direction, the system's x axis stands for it.
+    """
+    if frame is None:
+        return np.eye(3)
+    axes = np.asarray(frame.beta(), dtype=np.float64)
+    if frame.type.endswith("R"):
+        return axes
+    x, y, z = axes @ (place - np.asarray(frame.origin, dtype=np.float64))
+    radius = float(np.hypot(x, y))
+    on_axis = radius <= 1e-12 * (1.0 + abs(float(z)))
+    cos, sin = (1.0, 0.0) if on_axis else (float(x) / radius, float(y) / radius)
+    if frame.type.endswith("C"):
+        return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ axes
+    polar = float(np.arctan2(radius, z))
+    up, out = float(np.cos(polar)), float(np.sin(polar))
+    turn = [[out * cos, out * sin, up], [up * cos, up * sin, -out], [-sin, cos, 0.0]]
+    return np.asarray(np.array(turn) @ axes)
+
+
+def output_frames(bulk: Any) -> dict[int, Floats]:
+    """Basic-to-CD rotation (3, 3) of each grid point whose output frame is not the basic one."""
+    frames = {}
+    for number, grid in bulk.nodes.items():
+        if grid.cd_ref is not None and grid.Cd() != 0:
+            axes = local_axes(grid.cd_ref, np.asarray(grid.get_position(), dtype=np.float64))
+            if not np.allclose(axes, np.eye(3), rtol=0.0, atol=1e-12):
+                frames[number] = axes
+    return frames
+
 
 #: What an element is drawn as with its corner nodes alone, and with all its nodes.
 SHAPES: dict[str, tuple[CellKind, CellKind]] = {
@@ -45,7 +80,7 @@ def read_geometry(bulk: Bulk) -> Mesh:
     """All grid points in basic coordinates, the elements between them, and output frames (CD).
 
     bulk: pyNastran's model, cross-referenced. Elements with some of their midside nodes are drawn
-    by their corners; scalar points have no place and are no part of it.
+    by their corners; scalar points have no place and are not part of it.
     """
     numbers = np.array(sorted(bulk.nodes), dtype=np.int64)
     blocks: dict[CellKind, list[list[int]]] = {}

@@ -17,14 +17,13 @@ from modetune.adapters.nastran.case_control import (
     read_case_control,
     system_statements,
 )
-from modetune.adapters.nastran.deck import Deck
+from modetune.adapters.nastran.deck import NastranDeck
 from modetune.adapters.nastran.design import design_cards, design_commands
 from modetune.adapters.nastran.dialect import Dialect
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.mystran import adapted_cards, first_shift
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Parameter
 
 #: SET numbers of the nodes and of the elements asked for; no user's SET stays beside them.
 NODES, ELEMENTS = 1, 2
@@ -44,12 +43,11 @@ def job_text(
     changed: Mapping[int, str],
     analysis: Analysis,
     dialect: Dialect,
-    parameters: tuple[Parameter, ...] = (),
 ) -> str:
     """The text of a job's deck.
 
-    changed: position of a line of the deck to its edited text. parameters: those that a
-    SensitivityAnalysis names. Raises ModelError with file and line for what no job can carry.
+    changed: position of a line of the deck to its edited text. Raises ModelError with file and line
+    for what no job can carry.
     """
     if isinstance(analysis, MatrixAnalysis):
         raise ModelError("matrices are not read from Nastran runs")
@@ -70,7 +68,7 @@ def job_text(
         _eigrl(model, case, analysis.n_modes, dialect),
     ]
     if isinstance(analysis, SensitivityAnalysis):
-        lines += design_cards(model, changed, analysis, parameters)
+        lines += design_cards(model, changed, analysis)
     given = {name for name, _ in case.parameters}
     return "\n".join([*lines, *_bulk(model, changed, dialect, given), "ENDDATA"]) + "\n"
 
@@ -145,5 +143,5 @@ def _bulk(
     return [text for _, text in sorted(lines.items())]
 
 
-def _text(deck: Deck, changed: Mapping[int, str], position: int) -> str:
+def _text(deck: NastranDeck, changed: Mapping[int, str], position: int) -> str:
     return changed.get(position, deck.lines[position].text).split("$", 1)[0].rstrip()

@@ -5,16 +5,27 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 from modetune.adapters.nastran.bulk import Bulk, read_bulk
-from modetune.adapters.nastran.deck import Card, Deck, Field, changed_lines, with_lines
+from modetune.adapters.nastran.deck import (
+    CardField,
+    NastranCard,
+    NastranDeck,
+    changed_lines,
+    with_lines,
+    write_edited,
+)
+from modetune.adapters.nastran.geometry import read_geometry
 from modetune.adapters.nastran.number import read_number
-from modetune.adapters.nastran.places import Place as Place
+from modetune.adapters.nastran.places import ValuePlace as ValuePlace
 from modetune.adapters.nastran.places import find_places
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.solver import ModelSummary
+from modetune.adapters.solver import Deck, ModelSummary, Number
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Parameter
+from modetune.core.mesh import Mesh
+from modetune.core.parameters import Parameter, Values
 
 #: Quantities in which stiffness and mass matrices are linear whatever the card.
 LINEAR = ("density", "mass", "spring_stiffness", "torsion_constant")
@@ -24,15 +35,25 @@ WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
 SHEAR_FACTORS = (17, 18)
 
 
+@dataclass(frozen=True, slots=True)
+class EditedNastran:
+    """A model with some lines of its deck changed, and the values that changed them."""
+
+    model: NastranModel
+    changed: dict[int, str]
+    values: Values
+
+
 @dataclass(frozen=True)
-class NastranModel:
-    """A deck, its cards' meaning, and the cards pyNastran does not know."""
+class NastranModel(Deck):
+    """A deck, its cards' meaning, the cards pyNastran does not know, and what edits it."""
 
     structure: Structure
-    unknown: tuple[Card, ...]
+    unknown: tuple[NastranCard, ...]
+    parameters: tuple[Parameter, ...]
 
     @property
-    def deck(self) -> Deck:
+    def deck(self) -> NastranDeck:
         return self.structure.deck
 
     @property
@@ -40,7 +61,7 @@ class NastranModel:
         """pyNastran's model of the deck, cross-referenced. It is shared: not to be changed."""
         return self.structure.bulk
 
-    @property
+    @cached_property
     def summary(self) -> ModelSummary:
         return ModelSummary(
             name=self.deck.file.stem,
@@ -50,6 +71,13 @@ class NastranModel:
             solid_shapes=False,
             file=self.deck.file,
         )
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return read_geometry(self.bulk)
+
+    def mesh(self) -> Mesh:
+        return self._mesh
 
     @property
     def wtmass(self) -> float:
@@ -77,48 +105,38 @@ class NastranModel:
                     speeds[f"MAT1 {number}"] = float(ratio**0.5)
         return speeds
 
-    def places(self, parameter: Parameter) -> list[Place]:
+    def places(self, parameter: Parameter) -> list[ValuePlace]:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
         return find_places(self.structure, parameter)
 
-    def written(self, parameter: Parameter, factor: float) -> float:
-        """The factor that the edited deck holds: eight columns cannot hold every number."""
-        if factor == 1.0:
-            return factor
+    def numbers(self, parameter: Parameter) -> list[Number]:
+        found = []
+        for place in self.places(parameter):
+            field = place.card.fields[place.field]
+            assert field is not None  # a place holds a number
+            where = self.deck.lines[field.line].where
+            found.append(Number((field.line, field.start), place.value, where))
+        return found
+
+    def written(self, parameter: Parameter, value: float) -> float:
+        """The relative value in the edited deck: eight columns cannot hold every number."""
+        if value == 1.0:
+            return value
         ratios = []
         for place in self.places(parameter):
             field = place.card.fields[place.field]
             assert field is not None  # a place holds a number
-            (text,) = changed_lines(self.deck, {field: place.value * factor}).values()
+            (text,) = changed_lines(self.deck, {field: place.value * value}).values()
             behind = len(self.deck.lines[field.line].text) - field.stop
             ratios.append(read_number(text[field.start : len(text) - behind]) / place.value)
         return sum(ratios) / len(ratios)
-
-    def problems(self, parameters: Iterable[Parameter]) -> list[str]:
-        """Why these parameters cannot be applied to the deck, a sentence each; empty if fine."""
-        found = []
-        owners: dict[tuple[int, int], str] = {}
-        for parameter in parameters:
-            try:
-                places = self.places(parameter)
-            except ModelError as error:
-                found.append(f"parameter {parameter.name}: {error}")
-                continue
-            for place in places:
-                field = place.card.fields[place.field]
-                assert field is not None  # a place holds a number
-                first = owners.setdefault((field.line, field.start), parameter.name)
-                if first != parameter.name:
-                    where = self.deck.lines[field.line].where
-                    found.append(f"{where}: both {first} and {parameter.name} change this number")
-        return found
 
     def edit(self, pairs: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
         """New texts of the lines that these relative values change, by position in the deck.
 
         A value of exactly 1 changes nothing. Raises ModelError.
         """
-        values: dict[Field, float] = {}
+        values: dict[CardField, float] = {}
         for parameter, factor in pairs:
             if factor == 1.0:
                 continue
@@ -127,6 +145,16 @@ class NastranModel:
                 assert field is not None  # a place holds a number
                 values[field] = place.value * factor
         return changed_lines(self.deck, values)
+
+    def edited(self, values: Values) -> EditedNastran:
+        return EditedNastran(self, self.changed(values), values)
+
+    def changed(self, values: Values) -> dict[int, str]:
+        """New texts of the lines that the values of the parameters change."""
+        return self.edit((p, values[p.name]) for p in self.parameters if p.name in values)
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        return write_edited(self.deck, self.changed(values), folder)
 
     def bulk_at(self, changed: dict[int, str]) -> Bulk:
         """pyNastran's model of the deck with some lines changed. Raises ModelError."""
@@ -168,7 +196,7 @@ class NastranModel:
             names += [f"E{number}" for number in sorted(rods)]
         return tuple(names)
 
-    def _whole_bush(self, place: Place, places: Iterable[Place]) -> bool:
+    def _whole_bush(self, place: ValuePlace, places: Iterable[ValuePlace]) -> bool:
         """Whether all stiffness of a PBUSH scales: every K of it that is given and not zero."""
         scaled = {other.field for other in places if other.card == place.card}
         rows = (row for row in range(2, len(place.card.fields), 8) if place.card.text(row) == "K")
@@ -197,7 +225,7 @@ class NastranModel:
         except ModelError:
             return False
 
-    def _without_shear(self, card: Card) -> bool:
+    def _without_shear(self, card: NastranCard) -> bool:
         """Whether a bar bends without shear, so that its stiffness is linear in A and I.
 
         Shear acts in series with bending: K = 12 EI / (L^3 (1 + phi)), phi = 12 EI / (K1 A G L^2).
@@ -208,7 +236,7 @@ class NastranModel:
         return card.name in ("PROD", "CONROD")
 
 
-def understand(deck: Deck) -> NastranModel:
+def understand(deck: NastranDeck, parameters: tuple[Parameter, ...] = ()) -> NastranModel:
     """What a deck's cards mean. Raises ModelError with file and line of those that mean nothing."""
     bulk, owners, unknown = read_bulk(deck)
-    return NastranModel(Structure(deck, bulk, owners), unknown)
+    return NastranModel(Structure(deck, bulk, owners), unknown, parameters)

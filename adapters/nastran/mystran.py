@@ -1,10 +1,10 @@
-"""What MYSTRAN wants otherwise than Nastran, and what it cannot do at all."""
+"""What MYSTRAN requires otherwise than Nastran, and what it cannot do at all."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from modetune.adapters.nastran.deck import Card, Deck
+from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.core.errors import ModelError
 
@@ -37,7 +37,7 @@ EIGRL_ID, EIGRL_SHIFT = 1, 7
 SHIFT = "-1000."
 
 
-def first_shift(deck: Deck, method: int) -> str:
+def first_shift(deck: NastranDeck, method: int) -> str:
     """The shift of the user's own EIGRL where it is negative, else a usual one."""
     for card in deck.named("EIGRL"):
         shift = card.text(EIGRL_SHIFT)
@@ -46,7 +46,7 @@ def first_shift(deck: Deck, method: int) -> str:
     return SHIFT
 
 
-def adapted_cards(deck: Deck) -> dict[int, str]:
+def adapted_cards(deck: NastranDeck) -> dict[int, str]:
     """Cards that MYSTRAN needs in another form: position of the first line to the card's text.
 
     Its solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two points
@@ -69,14 +69,17 @@ def adapted_cards(deck: Deck) -> dict[int, str]:
             texts[INTEGRATION - 1] = "2"
             adapted[card.lines[0]] = ",".join(["PSOLID", *texts])
     if problems:
-        raise ModelError("\n".join(
-            f"{places[0]}: {reason}" + (f" ({len(places)} such cards)" if len(places) > 1 else "")
-            for reason, places in problems.items()
-        ))  # fmt: skip
+        raise ModelError(
+            "\n".join(
+                f"{places[0]}: {reason}"
+                + (f" ({len(places)} such cards)" if len(places) > 1 else "")
+                for reason, places in problems.items()
+            )
+        )
     return adapted
 
 
-def _obstacle(card: Card, frames: Mapping[str, str], densities: Mapping[str, str]) -> str:
+def _obstacle(card: NastranCard, frames: Mapping[str, str], densities: Mapping[str, str]) -> str:
     """Why MYSTRAN cannot take a card, or takes it for another one; empty if it can.
 
     frames: CD of the grid points; densities of materials, both as the deck writes them.

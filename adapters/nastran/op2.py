@@ -31,11 +31,11 @@ import numpy as np
 
 from modetune.adapters.nastran.eigenvectors import (
     ElementEnergies,
-    Shape,
+    GridShape,
     energy_table,
     shape_matrix,
 )
-from modetune.adapters.nastran.op2_records import Record, Table, read_tables
+from modetune.adapters.nastran.op2_records import Op2Table, Record, read_tables
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats, Integers
 
@@ -45,7 +45,7 @@ EIGENVALUES = ("LAMA", "LAMAS")
 STRAIN_ENERGIES = ("ONRGY1", "ONRGY")
 MASS_PROPERTIES = ("OGPWG", "OGPWGM")
 REAL_MODES = 2
-GRID_TYPES = (1, 2)  # grid points and scalar points; harmonic and extra points are no nodes
+GRID_TYPES = (1, 2)  # grid points and scalar points; harmonic and extra points are not nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ def read_op2(path: Path) -> Op2Modes:
         raise SolverCrashed(f"{path} holds no modes that can be used: {error}") from error
 
 
-def _modes(tables: list[Table]) -> Op2Modes:
+def _modes(tables: list[Op2Table]) -> Op2Modes:
     shapes = _shapes([table for table in tables if table.name in EIGENVECTORS])
     lama = next((table for table in tables if table.name in EIGENVALUES), None)
     rows = np.zeros((0, 7)) if lama is None else _lama(lama)
@@ -137,7 +137,7 @@ def _agree(own: dict[int, float], listed: dict[int, Floats]) -> None:
             )
 
 
-def _lama(table: Table) -> Floats:
+def _lama(table: Op2Table) -> Floats:
     """Rows of the table of real eigenvalues, (n_modes, 7)."""
     if len(table.records) != 2:
         raise ValueError(f"its table {table.name} has {len(table.records)} records, not 2")
@@ -152,7 +152,7 @@ def _lama(table: Table) -> Floats:
     return rows
 
 
-def _results(tables: list[Table]) -> Iterator[tuple[Table, Record, Record]]:
+def _results(tables: list[Op2Table]) -> Iterator[tuple[Op2Table, Record, Record]]:
     """Identification and data records in pairs."""
     for table in tables:
         if len(table.records) % 2:
@@ -163,9 +163,9 @@ def _results(tables: list[Table]) -> Iterator[tuple[Table, Record, Record]]:
             yield table, table.records[first], table.records[first + 1]
 
 
-def _shapes(tables: list[Table]) -> list[Shape]:
+def _shapes(tables: list[Op2Table]) -> list[GridShape]:
     """One shape for each mode of the first subcase that has modes."""
-    found: dict[int, Shape] = {}
+    found: dict[int, GridShape] = {}
     wanted: tuple[str, int] | None = None
     for table, head, data in _results(tables):
         words = head.integers()
@@ -197,13 +197,13 @@ def _check_layout(name: str, words: Integers) -> None:
         )
 
 
-def _shape(name: str, head: Record, data: Record) -> Shape:
+def _shape(name: str, head: Record, data: Record) -> GridShape:
     numbers, values = data.integers(), data.floats()
     if numbers.size % 8 or not numbers.size:
         raise ValueError(f"its table {name} has {numbers.size} words, 8 belong to a point")
     numbers, values = numbers.reshape(-1, 8), values.reshape(-1, 8)
     points = np.isin(numbers[:, 1], GRID_TYPES)
-    return Shape(
+    return GridShape(
         mode=int(head.integers()[4]),
         eigenvalue=float(head.floats()[5]),
         nodes=numbers[points, 0] // 10,
@@ -212,7 +212,7 @@ def _shape(name: str, head: Record, data: Record) -> Shape:
     )
 
 
-def _energies(tables: list[Table]) -> list[ElementEnergies]:
+def _energies(tables: list[Op2Table]) -> list[ElementEnergies]:
     """Tables of element strain energies; kinetic energies (ONRGY2) look the same, by name only."""
     found = []
     subcase: int | None = None
@@ -240,7 +240,7 @@ def _energies(tables: list[Table]) -> list[ElementEnergies]:
     return found
 
 
-def _mass_properties(tables: list[Table]) -> tuple[float, Floats, Floats]:
+def _mass_properties(tables: list[Op2Table]) -> tuple[float, Floats, Floats]:
     table = next((table for table in tables if table.name in MASS_PROPERTIES), None)
     if table is None or len(table.records) < 2:
         return np.nan, np.full(3, np.nan), np.full((3, 3), np.nan)
@@ -248,7 +248,7 @@ def _mass_properties(tables: list[Table]) -> tuple[float, Floats, Floats]:
     if numbers.size < 78:
         raise ValueError(f"its table {table.name} has {numbers.size} words, not 78")
     # Each row is the mass along one axis of S and the centre of it; on its own axis the centre of
-    # a row is no centre of gravity but what couples to rotations, zero for a proper model.
+    # a row is not a centre of gravity but what couples to rotations, zero for a proper model.
     axes = numbers[45:57].reshape(3, 4)
     center = np.array([axes[1, 1], axes[0, 2], axes[0, 3]])
     return float(axes[0, 0]), center, numbers[57:66].reshape(3, 3)

@@ -52,7 +52,7 @@ class Record:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class Op2Table:
     """A data block: its name, its seven trailer words, its records after the header."""
 
     name: str
@@ -60,10 +60,10 @@ class Table:
     records: tuple[Record, ...]
 
 
-def read_tables(path: Path, wanted: Callable[[str], bool]) -> list[Table]:
+def read_tables(path: Path, wanted: Callable[[str], bool]) -> list[Op2Table]:
     """The tables whose names are wanted, in the file's order, the file walked to its end.
 
-    Raises SolverCrashed, with what was found, for a file that is no whole OP2 file of this
+    Raises SolverCrashed, with what was found, for a file that is not a whole OP2 file of this
     machine's byte order.
     """
     try:
@@ -86,7 +86,7 @@ class _Reader:
         self._at = 0
         self._word = self._word_width()
 
-    def tables(self, wanted: Callable[[str], bool]) -> list[Table]:
+    def tables(self, wanted: Callable[[str], bool]) -> list[Op2Table]:
         self._skip_label()
         found = []
         while (mark := self._next_table()) != 0:
@@ -96,7 +96,7 @@ class _Reader:
             keep = wanted(name)
             trailer, records = self._table(keep)
             if keep:
-                found.append(Table(name, trailer, records))
+                found.append(Op2Table(name, trailer, records))
         return found
 
     def _next_table(self) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from modetune.adapters.nastran.deck import Card
+from modetune.adapters.nastran.deck import NastranCard
 from modetune.adapters.nastran.sections import Entry, section_entries
 from modetune.adapters.nastran.structure import Structure
 from modetune.core.errors import ModelError
@@ -18,14 +18,14 @@ from modetune.core.parameters import Parameter
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ValuePlace:
     """One number of the deck that a parameter scales.
 
     field: index in card.fields. ident: number of the material, property or element. symbol: its
     name in DVMREL1, DVPREL1 or DVCREL1 cards.
     """
 
-    card: Card
+    card: NastranCard
     field: int
     value: float
     ident: int
@@ -88,11 +88,11 @@ REMEDY = {
 }
 
 
-def find_places(structure: Structure, parameter: Parameter) -> list[Place]:
+def find_places(structure: Structure, parameter: Parameter) -> list[ValuePlace]:
     """Where a parameter stands. Raises ModelError with the first reason why it does not."""
     if parameter.by in REMEDY:
         raise ModelError(REMEDY[parameter.by])
-    found: list[Place] = []
+    found: list[ValuePlace] = []
     if parameter.by == "material":
         for target in parameter.targets:
             found += _of_material(structure, parameter, structure.material(target))
@@ -107,7 +107,7 @@ def find_places(structure: Structure, parameter: Parameter) -> list[Place]:
     return found
 
 
-def _of_material(structure: Structure, parameter: Parameter, card: Card) -> list[Place]:
+def _of_material(structure: Structure, parameter: Parameter, card: NastranCard) -> list[ValuePlace]:
     where, quantity = structure.deck.where(card), parameter.quantity
     ident = int(card.text(1))
     entries = MATERIAL_ENTRIES.get((quantity, card.name))
@@ -118,7 +118,7 @@ def _of_material(structure: Structure, parameter: Parameter, card: Card) -> list
     return select(structure, parameter, card, ident, entries)
 
 
-def _check_isotropic(structure: Structure, card: Card, where: str, quantity: str) -> None:
+def _check_isotropic(structure: Structure, card: NastranCard, where: str, quantity: str) -> None:
     """Of E, G and NU two are free; the third follows, or is half ignored."""
     young, shear, poisson = (structure.number(card, field) for field in (2, 3, 4))
     number = card.text(1)
@@ -139,7 +139,9 @@ def _check_isotropic(structure: Structure, card: Card, where: str, quantity: str
         )
 
 
-def _of_property(structure: Structure, parameter: Parameter, card: Card, ident: int) -> list[Place]:
+def _of_property(
+    structure: Structure, parameter: Parameter, card: NastranCard, ident: int
+) -> list[ValuePlace]:
     entries = section_entries(structure, parameter.quantity, card, ident)
     if parameter.quantity == "dimension" and parameter.item == 0:
         raise ModelError(
@@ -151,7 +153,7 @@ def _of_property(structure: Structure, parameter: Parameter, card: Card, ident: 
     return select(structure, parameter, card, ident, entries)
 
 
-def _check_own_thickness(structure: Structure, card: Card, ident: int) -> None:
+def _check_own_thickness(structure: Structure, card: NastranCard, ident: int) -> None:
     for number in sorted(structure.elements_of[ident]):
         element = structure.owners.elements[number][0]
         first, last, flag = OWN_THICKNESS.get(element.name, (0, -1, 0))
@@ -163,12 +165,12 @@ def _check_own_thickness(structure: Structure, card: Card, ident: int) -> None:
             )
 
 
-def _of_elements(structure: Structure, parameter: Parameter) -> list[Place]:
+def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]:
     quantity = parameter.quantity
     owners = structure.owners
     family = owners.masses if quantity == "mass" else owners.elements
     numbers = structure.element_numbers(family, parameter.targets)
-    found: list[Place] = []
+    found: list[ValuePlace] = []
     by_property: list[int] = []
     for number in numbers:
         card = structure.element(family, number)
@@ -189,8 +191,12 @@ def _of_elements(structure: Structure, parameter: Parameter) -> list[Place]:
 
 
 def select(
-    structure: Structure, parameter: Parameter, card: Card, ident: int, entries: Iterable[Entry]
-) -> list[Place]:
+    structure: Structure,
+    parameter: Parameter,
+    card: NastranCard,
+    ident: int,
+    entries: Iterable[Entry],
+) -> list[ValuePlace]:
     """The entries that a parameter's item picks and that hold a number. Raises ModelError."""
     where = f"{structure.deck.where(card)}: {card.name} {ident}"
     known = list(entries)
@@ -209,7 +215,9 @@ def select(
         raise ModelError(f"{where}: {symbols} is blank, so there is no {parameter.quantity}")
     # A factor does not change a zero.
     places = [
-        Place(card, field, value, ident, symbol) for (_, field, symbol), value in numbers if value
+        ValuePlace(card, field, value, ident, symbol)
+        for (_, field, symbol), value in numbers
+        if value
     ]
     if not places:
         raise ModelError(f"{where}: {symbols} is zero, which no factor changes")

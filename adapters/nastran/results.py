@@ -17,7 +17,7 @@ from modetune.adapters.nastran.f06 import F06
 from modetune.adapters.nastran.op2 import Op2Modes
 from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
 from modetune.core.modes import Floats, Integers, count_rigid_modes, mode_set
-from modetune.core.results import ModalResult, ModeDerivatives
+from modetune.core.updating.results import ModalResult, ModeDerivatives
 
 #: Generalised masses are printed with seven digits; what is this near to 1 is 1.
 UNIT_MASS = 1e-5
@@ -77,12 +77,14 @@ def modal_result(
         ),
         groups=tuple(name for name, _ in analysis.groups),
         strain_energies=np.array(
-            [_group_energy(modes, name, elements, n_modes) * scale**2
-             for (name, _), elements in zip(analysis.groups, group_elements, strict=True)]
+            [
+                _group_energy(modes, name, elements, n_modes) * scale**2
+                for (name, _), elements in zip(analysis.groups, group_elements, strict=True)
+            ]
         ).reshape(len(analysis.groups), n_modes),
         total_strain_energy=total,
         mass=modes.mass * wtmass,
-    )  # fmt: skip
+    )
 
 
 def shape_rows(nodes: Integers, components: Integers, wanted: Sequence[int]) -> Integers:

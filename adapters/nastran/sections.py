@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from modetune.adapters.nastran.deck import Card
+from modetune.adapters.nastran.deck import NastranCard
 from modetune.adapters.nastran.structure import Structure
 from modetune.core.errors import ModelError
 
@@ -34,7 +34,9 @@ STATION_MARKS = ("YES", "YESA", "NO")
 BY_DIMENSIONS = ("PBARL", "PBEAML")
 
 
-def section_entries(structure: Structure, quantity: str, card: Card, ident: int) -> list[Entry]:
+def section_entries(
+    structure: Structure, quantity: str, card: NastranCard, ident: int
+) -> list[Entry]:
     """Where a property card holds a quantity. Raises ModelError with the reason why it does not."""
     if (quantity, card.name) in FIELDS:
         return list(FIELDS[quantity, card.name])
@@ -49,7 +51,7 @@ def section_entries(structure: Structure, quantity: str, card: Card, ident: int)
     raise ModelError(f"{where}: {card.name} {ident} has no {quantity} that can be updated")
 
 
-def _plies(structure: Structure, card: Card, ident: int) -> Iterator[Entry]:
+def _plies(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
     """Thicknesses of PCOMP and PCOMPG plies; a blank one is that of the ply before."""
     stride, first = (4, 10) if card.name == "PCOMP" else (8, 11)
     count = -(-(len(card.fields) - 9) // stride)
@@ -66,14 +68,14 @@ def _plies(structure: Structure, card: Card, ident: int) -> Iterator[Entry]:
             yield ply + 1, first + stride * ply, f"T{ply + 1}"
 
 
-def _beam(quantity: str) -> Callable[[Structure, Card, int], Iterator[Entry]]:
+def _beam(quantity: str) -> Callable[[Structure, NastranCard, int], Iterator[Entry]]:
     """Numbers of all stations of a PBEAM: end A, then each row that starts with a mark.
 
     Blank ones follow end A, or the ends between which they lie, and scale with those.
     """
     offset, symbol = STATION[quantity]
 
-    def entries(structure: Structure, card: Card, ident: int) -> Iterator[Entry]:
+    def entries(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
         yield 0, 1 + offset, f"{symbol}(A)"
         if not card.text(1 + offset):
             raise ModelError(
@@ -88,7 +90,7 @@ def _beam(quantity: str) -> Callable[[Structure, Card, int], Iterator[Entry]]:
     return entries
 
 
-def _dimensions(structure: Structure, card: Card, ident: int) -> Iterator[Entry]:
+def _dimensions(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
     """Dimensions of a PBARL, or of all stations of a PBEAML (blank ones follow end A)."""
     kinds = structure.bulk.properties[ident].valid_types
     count = int(kinds[card.text(4) or "TUBE"])
@@ -107,12 +109,12 @@ def _dimensions(structure: Structure, card: Card, ident: int) -> Iterator[Entry]
         row, station = row + count + 3, station + 1
 
 
-def _spring(structure: Structure, card: Card, ident: int) -> Iterator[Entry]:
+def _spring(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
     """PELAS: a card may hold two of them."""
     yield (0, 2, "K1") if card.text(1) == str(ident) else (0, 6, "K1")
 
 
-def _bush(structure: Structure, card: Card, ident: int) -> Iterator[Entry]:
+def _bush(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
     for row in range(2, len(card.fields), 8):
         if card.text(row) != "K":
             continue
@@ -121,7 +123,7 @@ def _bush(structure: Structure, card: Card, ident: int) -> Iterator[Entry]:
                 yield item, row + item, f"K{item}"
 
 
-_FINDERS: dict[tuple[str, str], Callable[[Structure, Card, int], Iterator[Entry]]] = {
+_FINDERS: dict[tuple[str, str], Callable[[Structure, NastranCard, int], Iterator[Entry]]] = {
     ("thickness", "PCOMP"): _plies,
     ("thickness", "PCOMPG"): _plies,
     **{(quantity, "PBEAM"): _beam(quantity) for quantity in STATION},

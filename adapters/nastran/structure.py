@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from functools import cached_property
 
 from modetune.adapters.nastran.bulk import Bulk, Cards, Owners
-from modetune.adapters.nastran.deck import Card, Deck
+from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.number import read_number
 from modetune.core.errors import ModelError
 
@@ -25,7 +25,7 @@ MATERIALS = ("mid", "mid1", "mid2", "mid3", "mid4")
 class Structure:
     """A deck, what its cards mean, and the cards by number."""
 
-    deck: Deck
+    deck: NastranDeck
     bulk: Bulk
     owners: Owners
 
@@ -61,7 +61,7 @@ class Structure:
         # PSHELL's MID2 = -1 means plane strain, 0 and None mean no material.
         return frozenset(mid for mid in [*named, *layers] if isinstance(mid, int) and mid > 0)
 
-    def number(self, card: Card, field: int) -> float | None:
+    def number(self, card: NastranCard, field: int) -> float | None:
         """A number of a card, None where the field is blank. Raises ModelError."""
         found = card.fields[field] if field < len(card.fields) else None
         if found is None:
@@ -71,7 +71,7 @@ class Structure:
         except ValueError as error:
             raise ModelError(f"{self.deck.lines[found.line].where}: {error}") from None
 
-    def material(self, target: str) -> Card:
+    def material(self, target: str) -> NastranCard:
         """The card of a material that elements use. Raises ModelError."""
         number, card = self._card("material", self.owners.materials, target)
         if number not in self.rods_of and not any(
@@ -80,14 +80,14 @@ class Structure:
             raise ModelError(f"{self.deck.where(card)}: no element uses material {number}")
         return card
 
-    def property_card(self, target: str) -> Card:
+    def property_card(self, target: str) -> NastranCard:
         """The card of a property that elements use. Raises ModelError."""
         number, card = self._card("property", self.owners.properties, target)
         if number not in self.elements_of:
             raise ModelError(f"{self.deck.where(card)}: no element uses {card.name} {number}")
         return card
 
-    def element(self, family: Cards, number: int) -> Card:
+    def element(self, family: Cards, number: int) -> NastranCard:
         """The card of an element. Raises ModelError."""
         return self._card("element", family, str(number))[1]
 
@@ -133,7 +133,7 @@ class Structure:
             return int(text)
         raise ModelError(f"the deck has no such {what} {text}{_known(family, text)}")
 
-    def _card(self, what: str, family: Cards, target: str) -> tuple[int, Card]:
+    def _card(self, what: str, family: Cards, target: str) -> tuple[int, NastranCard]:
         number = self._number(what, family, target)
         cards = family[number]
         if len(cards) > 1:

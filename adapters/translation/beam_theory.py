@@ -47,13 +47,17 @@ class Beam:
         """phi of planes 1 and 2."""
         section = self.section
         first, second = (
-            12.0 * section.youngs_modulus * inertia
+            12.0
+            * section.youngs_modulus
+            * inertia
             / (factor * section.area * section.shear_modulus * self.length**2)
-            if factor and section.shear_modulus else 0.0
+            if factor and section.shear_modulus
+            else 0.0
             for inertia, factor in (
-                (section.inertia_1, section.shear_1), (section.inertia_2, section.shear_2)
+                (section.inertia_1, section.shear_1),
+                (section.inertia_2, section.shear_2),
             )
-        )  # fmt: skip
+        )
         return first, second
 
 

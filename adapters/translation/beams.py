@@ -28,8 +28,8 @@ from modetune.adapters.translation.beam_theory import (
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
 from modetune.adapters.translation.cross_sections import CrossSection, cross_section
 from modetune.adapters.translation.freedoms import Form, Freedoms, difference, trimmed
-from modetune.adapters.translation.grounded_springs import GroundedSprings
 from modetune.adapters.translation.shells import SetsOf
+from modetune.adapters.translation.springs import GroundedSprings
 from modetune.core.modes import Floats
 
 BEAMS = ("CBAR", "CBEAM")
@@ -106,10 +106,12 @@ def _offsets(element: Any, freedoms: Freedoms) -> Floats:
     kind = getattr(element, "offt", "GGG")
     if kind != "GGG":
         raise ValueError(f"offsets with OFFT={kind}, only GGG is translated")
-    return np.array([
-        np.asarray(offset) @ freedoms.frames.get(node, np.eye(3))
-        for offset, node in zip(given, element.node_ids, strict=True)
-    ])  # fmt: skip
+    return np.array(
+        [
+            np.asarray(offset) @ freedoms.frames.get(node, np.eye(3))
+            for offset, node in zip(given, element.node_ids, strict=True)
+        ]
+    )
 
 
 def _axes(element: Any, ends: Floats, place: Floats, is_rod: bool, freedoms: Freedoms) -> Floats:
@@ -234,9 +236,11 @@ def _add_mass(
 def _mass_material(builder: CalculixText, density: float, youngs_modulus: float) -> str:
     """The material and section (of one name) of mass carriers of this density."""
     lines = [
-        "*ELASTIC", number_list((NO_STIFFNESS * youngs_modulus, 0.0)),
-        "*DENSITY", number_list((density,)),
-    ]  # fmt: skip
+        "*ELASTIC",
+        number_list((NO_STIFFNESS * youngs_modulus, 0.0)),
+        "*DENSITY",
+        number_list((density,)),
+    ]
     count = 1
     while not builder.can_be_material(f"MASS_{count}", lines):
         count += 1

@@ -93,7 +93,7 @@ class CalculixText:
         self._equations += ["*EQUATION", str(len(words)), *_lines(words, LINE_TERMS)]
 
     def knot(self, node: int) -> None:
-        """See that a node of shells or beams has rotations for equations; again is no harm."""
+        """See that a node of shells or beams has rotations for equations; again does no harm."""
         if node not in self.knots:
             self.knots.add(node)
             step = np.array([0.0, 0.0, KNOT_LENGTH * self.size])
@@ -109,7 +109,7 @@ class CalculixText:
         return self._size
 
     def fixed(self, node: int, component: int) -> None:
-        """Fix one component of a node; again is no harm."""
+        """Fix one component of a node; again does no harm."""
         self._fixed[(node, component)] = None
 
     def is_fixed(self, node: int, component: int) -> bool:
@@ -138,11 +138,15 @@ class CalculixText:
     def _knot_section(self) -> list[str]:
         side = 0.5 * KNOT_LENGTH * self.size
         return [
-            f"*MATERIAL, NAME={KNOTS}", "*ELASTIC", number_list((self._stub[0], 0.0)),
-            "*DENSITY", number_list((self._stub[1],)),
+            f"*MATERIAL, NAME={KNOTS}",
+            "*ELASTIC",
+            number_list((self._stub[0], 0.0)),
+            "*DENSITY",
+            number_list((self._stub[1],)),
             f"*BEAM SECTION, ELSET={KNOTS}, MATERIAL={KNOTS}, SECTION=RECT",
-            number_list((side, side)), "1., 0., 0.",
-        ]  # fmt: skip
+            number_list((side, side)),
+            "1., 0., 0.",
+        ]
 
     def _element_lines(self) -> list[str]:
         lines: list[str] = []

@@ -47,8 +47,9 @@ def refused_commands(case: CaseControl) -> list[str]:
     found = [f"case control {name}: not translated" for name in names if name not in COMMANDS]
     return found + [
         f"case control PARAM,{name}: not known to be without effect on normal modes"
-        for name, _ in case.parameters if name not in PARAMETERS
-    ]  # fmt: skip
+        for name, _ in case.parameters
+        if name not in PARAMETERS
+    ]
 
 
 def refused_cards(bulk: Any) -> list[str]:

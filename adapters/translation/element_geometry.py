@@ -23,7 +23,7 @@ Point = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class ElementShape:
     """nodes: (n_nodes, n_dim) natural coordinates; exponents: (n_nodes, n_dim) of the monomials.
 
     simplex: how many of the leading coordinates span a triangle or tetrahedron from 0 to 1; the
@@ -35,8 +35,10 @@ class Shape:
     simplex: int
 
 
-def _shape(nodes: Sequence[Point], exponents: Sequence[Point], simplex: int) -> Shape:
-    return Shape(np.array(nodes, dtype=np.float64), np.array(exponents, dtype=np.float64), simplex)
+def _shape(nodes: Sequence[Point], exponents: Sequence[Point], simplex: int) -> ElementShape:
+    return ElementShape(
+        np.array(nodes, dtype=np.float64), np.array(exponents, dtype=np.float64), simplex
+    )
 
 
 def _with_middles(corners: Sequence[Point], edges: Sequence[tuple[int, int]]) -> list[Point]:
@@ -105,7 +107,7 @@ class Points:
     normals: Floats
 
 
-def integration_points(shape: Shape, corners: Floats) -> Points:
+def integration_points(shape: ElementShape, corners: Floats) -> Points:
     """Where Gauss integration looks at elements of one shape; corners: (n_elements, n_nodes, 3)."""
     at, weights = _rule(shape)
     inverse = np.linalg.inv(_monomials(shape.exponents, shape.nodes))
@@ -117,8 +119,9 @@ def integration_points(shape: Shape, corners: Floats) -> Points:
     ]
     cross = np.cross(slopes[0], slopes[1])
     if len(slopes) == 3:
-        return Points(places, np.einsum("epk,epk->ep", cross, slopes[2]) * weights,
-                      np.zeros_like(places))  # fmt: skip
+        return Points(
+            places, np.einsum("epk,epk->ep", cross, slopes[2]) * weights, np.zeros_like(places)
+        )
     area = np.linalg.norm(cross, axis=2)
     return Points(places, area * weights, cross / area[..., None])
 
@@ -135,7 +138,7 @@ def _slopes(exponents: Floats, at: Floats, axis: int) -> Floats:
     return np.asarray(_monomials(lowered, at) * exponents[:, axis])
 
 
-def _rule(shape: Shape) -> tuple[Floats, Floats]:
+def _rule(shape: ElementShape) -> tuple[Floats, Floats]:
     """Points (n, n_dim) and weights (n,); a simplex is a cube with a side drawn together."""
     places, weights = special.roots_legendre(GAUSS_POINTS)
     n_dim = shape.nodes.shape[1]

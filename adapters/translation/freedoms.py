@@ -7,7 +7,7 @@ they are left out here.
 
 Equations are gathered first and written at the end. Of each block (the equations of one grid
 point's translations, or rotations) Gauss elimination with pivots makes every equation depend on a
-degree of freedom of its own, as ccx wants it, whatever the output frame.
+degree of freedom of its own, as ccx requires it, whatever the output frame.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.geometry import output_frames
 from modetune.adapters.translation.calculix_text import CalculixText
-from modetune.adapters.translation.frames import output_frames
 from modetune.core.modes import Floats
 
 #: Degree of freedom of ccx: node and component.
@@ -152,7 +152,7 @@ class Freedoms:
                 self.builder.equation([(*freedom, row[freedom]), *others])
 
     def fix(self, node: int, components: Iterable[int], what: str) -> None:
-        """Fix components of a grid point in its output frame; a missing rotation is no matter."""
+        """Fix components of a grid point in its output frame; a missing rotation is left."""
         wanted = sorted(set(components))
         axes = self.frames.get(node, np.eye(3))
         for component in wanted:

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.frames import local_axes
 from modetune.adapters.translation.freedoms import Freedoms
 from modetune.adapters.translation.shells import SetsOf
 from modetune.core.modes import Floats

@@ -58,7 +58,7 @@ def solid_material(
         return MaterialUse("", False)
     if not card.e or not is_isotropic(card.e, card.g, card.nu):
         problems.append(
-            f"MAT1 {card.mid}: E={card.e}, G={card.g} and NU={card.nu} are no isotropic solid; "
+            f"MAT1 {card.mid}: E={card.e}, G={card.g} and NU={card.nu} are not an isotropic solid; "
             "leave one of them blank"
         )
         return MaterialUse("", False)

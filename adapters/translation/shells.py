@@ -6,6 +6,12 @@ of a finer element, which is the nearer to Nastran's.
 
 Nastran measures a material angle from side G1-G2 (THETA) or projects the x axis of a coordinate
 system (MCID); here each direction becomes an *ORIENTATION of its own, in basic coordinates.
+
+A shell has no stiffness against rotation about its normal; Nastran gives it a little (K6ROT) or
+takes it out (AUTOSPC). A mass, a beam or a rigid element on a shell node would turn freely. Here
+that rotation is the mean rotation of the shell's surroundings: theta n = sum (n x r_i) u_i / sum |n
+x r_i|^2 over the nodes of the adjacent elements, which is exact for rigid motion and stiffens
+nothing.
 """
 
 from __future__ import annotations
@@ -17,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
+from modetune.adapters.translation.freedoms import Form, Freedoms, difference
 from modetune.adapters.translation.materials import shell_material
 from modetune.adapters.translation.plies import Laminate, laminate_of
 from modetune.core.modes import Floats
@@ -48,7 +55,7 @@ class Edges:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class ShellSection:
     """What elements of one *SHELL SECTION have in common.
 
     axis: material x direction in basic coordinates and normal, rounded; empty where none matters.
@@ -67,7 +74,7 @@ def translate_shells(
     shells = [element for element in bulk.elements.values() if element.type in KINDS]
     laminates = _laminates(shells, builder, wtmass, problems)
     edges = Edges(_given_middles(shells), {}, set(), set())
-    names: dict[Section, str] = {}
+    names: dict[ShellSection, str] = {}
     for element in shells:
         laminate = laminates[element.pid]
         nodes = _nodes(element, builder, edges, problems)
@@ -146,7 +153,7 @@ def _nodes(
     return (*corners, *middles)
 
 
-def _section(element: Any, laminate: Laminate, problems: list[str]) -> Section:
+def _section(element: Any, laminate: Laminate, problems: list[str]) -> ShellSection:
     where = f"{element.type} {element.eid}"
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
     given = [getattr(element, f"T{corner}", None) for corner in range(1, count + 1)]
@@ -164,7 +171,7 @@ def _section(element: Any, laminate: Laminate, problems: list[str]) -> Section:
     if laminate.oriented:
         first, normal = material_axes(element, problems)
         axes = tuple(round(float(value), 6) + 0.0 for value in (*first, *normal))
-    return Section(element.pid, thickness, offset, axes)
+    return ShellSection(element.pid, thickness, offset, axes)
 
 
 def material_axes(element: Any, problems: list[str]) -> tuple[Floats, Floats]:
@@ -181,7 +188,8 @@ def material_axes(element: Any, problems: list[str]) -> tuple[Floats, Floats]:
     elif isinstance(element.theta_mcid, int):
         if element.theta_mcid_ref is not None and element.theta_mcid_ref.type[-1] != "R":
             problems.append(
-                f"{element.type} {element.eid}: MCID {element.theta_mcid} is no rectangular system"
+                f"{element.type} {element.eid}: MCID {element.theta_mcid} is not a "
+                "rectangular system"
             )
         frame = element.theta_mcid_ref
         side = np.array([1.0, 0.0, 0.0]) if frame is None else np.asarray(frame.beta()[0])
@@ -197,7 +205,9 @@ def _turned(first: Floats, normal: Floats, angle: float) -> Floats:
     return np.asarray(np.cos(angle) * first + np.sin(angle) * np.cross(normal, first))
 
 
-def _write_section(builder: CalculixText, section: Section, name: str, laminate: Laminate) -> None:
+def _write_section(
+    builder: CalculixText, section: ShellSection, name: str, laminate: Laminate
+) -> None:
     # ccx's OFFSET says where the nodes are seen from the mid-surface, as a fraction of the
     # thickness; ZOFFS says where the mid-surface is seen from the nodes, as a length.
     fraction = -section.offset / section.thickness
@@ -224,3 +234,75 @@ def _write_section(builder: CalculixText, section: Section, name: str, laminate:
         for ply in laminate.plies
     ]
     builder.section([f"*SHELL SECTION, COMPOSITE, ELSET={name}{shift}", *rows])
+
+
+#: Shells whose normals are nearer than this (cosine, 5 degrees) hold no rotation about them.
+FLAT = 0.9962
+#: Lever arms below this share of the model's size hold nothing.
+HELD = 1e-5
+
+
+def hold_drilling(bulk: Any, freedoms: Freedoms, edges: Edges) -> None:
+    """Tie the drilling rotation of all shell nodes that carry rotations; after all else."""
+    around = _shells_around(bulk, freedoms.builder.knots, edges)
+    for node, elements in around.items():
+        normals = [_normal(element) for element in elements]
+        rotations = freedoms.rotations(node)
+        held = all(freedoms.is_dependent(f) or freedoms.builder.is_fixed(*f) for f in rotations)
+        flat = all(abs(float(normal @ normals[0])) > FLAT for normal in normals)
+        if not held and flat and not _is_held(freedoms, node, normals[0]):
+            near = {n for element in elements for n in element.node_ids if n} - {node}
+            form = _mean_rotation(freedoms, node, normals[0], near)
+            own = freedoms.along(rotations, normals[0])
+            freedoms.tie([difference(own, form)], rotations, f"rotation of {node} in its plane")
+
+
+def _shells_around(bulk: Any, knots: set[int], edges: Edges) -> dict[int, list[Any]]:
+    """The shells at each node; those of a midside node have both its corners."""
+    around: dict[int, list[Any]] = {}
+    for element in bulk.elements.values():
+        if element.type in KINDS:
+            # An element that was refused has left no middles.
+            middles = [edges.middles[edge] for edge in edges_of(element) if edge in edges.middles]
+            nodes = [*element.node_ids, *middles]
+            for node in knots.intersection(nodes):
+                around.setdefault(node, []).append(element)
+    return around
+
+
+def _normal(element: Any) -> Floats:
+    return material_axes(element, [])[1]
+
+
+def _is_held(freedoms: Freedoms, node: int, axis: Floats) -> bool:
+    found = np.abs(freedoms.holds(node) @ axis)
+    return bool((found > HELD * freedoms.builder.size).any())
+
+
+def _mean_rotation(freedoms: Freedoms, node: int, normal: Floats, near: set[int]) -> Form:
+    centre = freedoms.builder.coordinates[node]
+    form: Form = {}
+    total = 0.0
+    for other in near:
+        arm = np.cross(normal, freedoms.builder.coordinates[other] - centre)
+        total += float(arm @ arm)
+        places = (*freedoms.translations(other), *freedoms.translations(node))
+        for (at, component), factor in zip(places, (*arm, *-arm), strict=True):
+            form[(at, component)] = form.get((at, component), 0.0) + float(factor)
+    return {freedom: factor / total for freedom, factor in form.items() if factor}
+
+
+def hold_leaders(freedoms: Freedoms, leaders: set[int]) -> None:
+    """Fix what no element hinders of the rotations of rigid elements' independent points.
+
+    As AUTOSPC does; leaders: those without shells and without beams or springs on rotations.
+    """
+    for node in leaders:
+        rotations = freedoms.rotations(node)
+        if all(freedoms.is_dependent(f) or freedoms.builder.is_fixed(*f) for f in rotations):
+            continue
+        holds = freedoms.holds(node)
+        _, sizes, axes = np.linalg.svd(np.vstack([holds, np.zeros((3, 3))]))
+        free = axes[sizes < HELD * freedoms.builder.size]
+        rows = [freedoms.along(rotations, axis) for axis in free]
+        freedoms.tie(rows, rotations, f"rotation of {node}")

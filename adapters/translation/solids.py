@@ -58,6 +58,6 @@ def _material(card: Any, builder: CalculixText, problems: list[str], wtmass: flo
         problems.append(f"{card.type} {card.pid}: solids are translated with PSOLID only")
         return ""
     if card.fctn not in (None, "SMECH"):
-        problems.append(f"PSOLID {card.pid}: FCTN={card.fctn} is no structural solid")
+        problems.append(f"PSOLID {card.pid}: FCTN={card.fctn} is not a structural solid")
         return ""
     return solid_material(builder, card.mid_ref, wtmass, problems).name

@@ -14,18 +14,24 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.translation.beams import translate_beams
-from modetune.adapters.translation.calculix_masses import calculix_mass_properties
 from modetune.adapters.translation.calculix_text import CalculixText
 from modetune.adapters.translation.cards import refused_cards, summarised
-from modetune.adapters.translation.constraints import translate_mpcs, translate_spcs
-from modetune.adapters.translation.drilling import hold_drilling, hold_leaders
 from modetune.adapters.translation.freedoms import Freedoms
-from modetune.adapters.translation.mass_properties import MassProperties, check_masses
+from modetune.adapters.translation.mass_properties import (
+    MassProperties,
+    calculix_mass_properties,
+    check_masses,
+)
 from modetune.adapters.translation.masses import point_masses, translate_masses
 from modetune.adapters.translation.nastran_masses import nastran_mass_properties
-from modetune.adapters.translation.rigid import leaders, translate_rigid_elements
+from modetune.adapters.translation.rigid import (
+    leaders,
+    translate_mpcs,
+    translate_rigid_elements,
+    translate_spcs,
+)
 from modetune.adapters.translation.shells import KINDS as SHELLS
-from modetune.adapters.translation.shells import translate_shells
+from modetune.adapters.translation.shells import hold_drilling, hold_leaders, translate_shells
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.adapters.translation.solids import translate_solids
 from modetune.adapters.translation.springs import translate_springs
@@ -105,8 +111,11 @@ def translate(
 
 def _builder(bulk: Any, wtmass: float) -> CalculixText:
     """A builder with all grid points, told what is stiff and dense in the model."""
-    stiff = [getattr(card, name, 0.0) or 0.0 for card in bulk.materials.values()
-             for name in ("e", "e11", "G11")]  # fmt: skip
+    stiff = [
+        getattr(card, name, 0.0) or 0.0
+        for card in bulk.materials.values()
+        for name in ("e", "e11", "G11")
+    ]
     dense = [getattr(card, "rho", 0.0) or 0.0 for card in bulk.materials.values()]
     stiffness = max(stiff, default=0.0) or 1.0
     builder = CalculixText(stiffness, max(dense, default=0.0) * wtmass or 1e-9 * stiffness)

@@ -34,13 +34,26 @@ def plate(kind: str, thickness: float = 2.0, section: str = "", held: str = PINN
             if kind[1] == "4":
                 elements.append((number, at(0, 0), at(1, 0), at(1, 1), at(0, 1)))
             elif kind[1] == "8":
-                elements.append((number, at(0, 0), at(2, 0), at(2, 2), at(0, 2),
-                                 at(1, 0), at(2, 1), at(1, 2), at(0, 1)))  # fmt: skip
+                elements.append(
+                    (
+                        number,
+                        at(0, 0),
+                        at(2, 0),
+                        at(2, 2),
+                        at(0, 2),
+                        at(1, 0),
+                        at(2, 1),
+                        at(1, 2),
+                        at(0, 1),
+                    )
+                )
             else:
-                elements.append((number, at(0, 0), at(2, 0), at(2, 2), at(1, 0), at(2, 1),
-                                 at(1, 1)))  # fmt: skip
-                elements.append((number + 1, at(0, 0), at(2, 2), at(0, 2), at(1, 1), at(1, 2),
-                                 at(0, 1)))  # fmt: skip
+                elements.append(
+                    (number, at(0, 0), at(2, 0), at(2, 2), at(1, 0), at(2, 1), at(1, 1))
+                )
+                elements.append(
+                    (number + 1, at(0, 0), at(2, 2), at(0, 2), at(1, 1), at(1, 2), at(0, 1))
+                )
     nodes = [(n, 10.0 * i / refined, 10.0 * j / refined, 0.0) for (i, j), n in ids.items()]
     corners = ids[0, 0], ids[3 * refined, 0], ids[0, 2 * refined]
     return (
@@ -59,8 +72,11 @@ def wall(foot: tuple[int, int, int], x: float, thickness: float = 1.5) -> str:
     """2 x 2 shells that stand on three nodes of the plate, across it."""
     rows = [foot, (100, 101, 102), (110, 111, 112)]
     nodes = [(100 + 10 * k + j, x, 10.0 * j, 10.0 * (k + 1)) for k in (0, 1) for j in range(3)]
-    shells = [(101 + 2 * k + j, rows[k][j], rows[k][j + 1], rows[k + 1][j + 1], rows[k + 1][j])
-              for k in (0, 1) for j in (0, 1)]  # fmt: skip
+    shells = [
+        (101 + 2 * k + j, rows[k][j], rows[k][j + 1], rows[k + 1][j + 1], rows[k + 1][j])
+        for k in (0, 1)
+        for j in (0, 1)
+    ]
     return (
         f"*NODE\n{_lines(nodes)}*ELEMENT, TYPE=S4, ELSET=U\n{_lines(shells)}"
         f"*SHELL SECTION, ELSET=U, MATERIAL=A\n{thickness}\n"
@@ -91,8 +107,12 @@ def block(kind: str) -> str:
 
 def bar(kind: str, held: str = ROOT, bricks: int = 3) -> str:
     """Bricks in a row, 10 x 10 x 8 each, or tetrahedra in them; nodes 1..16, four a section."""
-    corners = [(4 * i + 2 * y + z + 1, 10.0 * i, 10.0 * y, 8.0 * z)
-               for i in range(bricks + 1) for y in (0, 1) for z in (0, 1)]  # fmt: skip
+    corners = [
+        (4 * i + 2 * y + z + 1, 10.0 * i, 10.0 * y, 8.0 * z)
+        for i in range(bricks + 1)
+        for y in (0, 1)
+        for z in (0, 1)
+    ]
     boxes: list[tuple[int, ...]] = []
     for i in range(bricks):
         a, b = 4 * i + 1, 4 * i + 5

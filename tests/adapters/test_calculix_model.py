@@ -9,7 +9,7 @@ import pytest
 
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.model import CalculixModel, read_number, understand
-from modetune.adapters.calculix.solver import CalculixSolver
+from modetune.adapters.calculix.solver import CalculixDeck
 from modetune.core.errors import ModelError
 from modetune.core.parameters import TARGETS, Parameter, Quantity
 
@@ -135,14 +135,14 @@ def test_two_parameters_on_one_line_are_both_edited(tmp_path: Path) -> None:
 
 
 def test_two_parameters_on_one_number_are_refused(tmp_path: Path) -> None:
-    solver = CalculixSolver(model_of(tmp_path), (), "ccx")
+    deck = CalculixDeck(model_of(tmp_path), ())
     both = parameter("youngs_modulus", "AL", "SKIN AL", name="E_all")
     one = parameter("youngs_modulus", "AL", name="E_al")
-    assert solver.problems((both, one)) == [
+    assert deck.problems((both, one)) == [
         f"{tmp_path / 'main.inp'}, line {line_of('71000., 0.3')}: both E_all and E_al change this "
         "number"
     ]
-    assert solver.problems((parameter("youngs_modulus", "AL", "AL"),)) == []
+    assert deck.problems((parameter("youngs_modulus", "AL", "AL"),)) == []
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_what_the_deck_lacks_is_said_with_what_it_has(
         ("*SPRING, ELSET=STRUT\n", "*SPRING, ELSET=STRUT, NONLINEAR\n", "spring_stiffness",
          "STRUT", "*SPRING, ELSET=STRUT, NONLINEAR", "a nonlinear spring has no one stiffness"),
         ("*SPRING, ELSET=STRUT\n\n", "*SPRING, ELSET=STRUT\n", "spring_stiffness", "STRUT",
-         "*SPRING, ELSET=STRUT", "ccx wants a blank line before the constant of a SPRINGA"),
+         "*SPRING, ELSET=STRUT", "ccx requires a blank line before the constant of a SPRINGA"),
         ("2\n\n5.E3\n", "2\n", "spring_stiffness", "GROUND", "*SPRING, ELSET=GROUND",
          "the card has no value"),
         ("1.d-3,\n", "", "mass", "BALLAST", "*MASS, ELSET=BALLAST", "the card has no value"),
@@ -238,7 +238,7 @@ def test_element_sets_are_generated_and_nested(tmp_path: Path) -> None:
 @pytest.mark.parametrize("row", ["1", "1, 7, 0", "1, 2, 3, 4"])
 def test_a_bad_generated_set_names_file_and_line(tmp_path: Path, row: str) -> None:
     text = DECK + f"*ELSET, ELSET=ODD, GENERATE\n{row}\n"
-    where = f"{tmp_path / 'main.inp'}, line {len(text.splitlines())}: GENERATE wants"
+    where = f"{tmp_path / 'main.inp'}, line {len(text.splitlines())}: GENERATE requires"
     with pytest.raises(ModelError, match=re.escape(where)):
         model_of(tmp_path, text)
 

@@ -103,6 +103,25 @@ def test_garbled_files_are_no_result(tmp_path: Path, old: str, new: str) -> None
         read_modal(dat_of(tmp_path, text), ANALYSIS, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("7   0.9909436E+08", "7   0.0000000E+00"),
+        ("7   0.9909436E+08", "7  -0.9909436E+08"),
+        ("7   0.9909436E+08", "7   0.9919436E+08"),
+        ("0.1584326E+04   0.0", "0.1584426E+04   0.0"),
+        ("0.1584326E+04   0.0000000E+00", "0.1584326E+04   0.1000000E+00"),
+        ("1  -0.1181118E-03", "1   0.1181118E-03"),
+    ],
+)
+def test_an_eigenvalue_that_its_frequency_contradicts_is_no_result(
+    tmp_path: Path, old: str, new: str
+) -> None:
+    assert old in TEXT
+    with pytest.raises(SolverCrashed, match=r"job\.dat is not a result: eigenvalue . is .* contra"):
+        read_modal(dat_of(tmp_path, TEXT.replace(old, new, 1)), ANALYSIS, 0.0)
+
+
 def test_a_shape_that_is_no_number_is_no_result(tmp_path: Path) -> None:
     start = TEXT.rindex("        12 ") + len("        12 ")
     text = f"{TEXT[:start]}          NaN{TEXT[start + 13 :]}"

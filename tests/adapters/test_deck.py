@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from modetune.adapters.calculix.deck import (
     FIELD_WIDTH,
-    Deck,
+    KeywordDeck,
     canonical_name,
     format_number,
     read_deck,
@@ -21,7 +21,7 @@ from modetune.adapters.calculix.deck import (
     write_edited,
 )
 from modetune.core.errors import ModelError
-from modetune.flows.solvers import is_nastran
+from modetune.flows.campaign.solvers import is_nastran
 
 #: Files are written, at the speed of a busy machine.
 UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -38,11 +38,11 @@ def write(folder: Path, **texts: str) -> Path:
     return folder / "main.inp"
 
 
-def keywords(deck: Deck) -> list[str]:
+def keywords(deck: KeywordDeck) -> list[str]:
     return [card.keyword for card in deck.cards]
 
 
-def position_of(deck: Deck, text: str) -> int:
+def position_of(deck: KeywordDeck, text: str) -> int:
     return next(place for place, line in enumerate(deck.lines) if line.text == text)
 
 

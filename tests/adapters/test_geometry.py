@@ -50,9 +50,14 @@ NASTRAN_EDGES: dict[CellKind, list[tuple[int, int]]] = {
     ],
 }  # fmt: skip
 CORNER_PLACES: dict[CellKind, Floats] = {
-    "line3": BOX[:2], "triangle6": BOX[:3], "quad8": BOX[:4], "tetra10": TETRA,
-    "pyramid13": PYRAMID, "wedge15": WEDGE, "hexahedron20": BOX,
-}  # fmt: skip
+    "line3": BOX[:2],
+    "triangle6": BOX[:3],
+    "quad8": BOX[:4],
+    "tetra10": TETRA,
+    "pyramid13": PYRAMID,
+    "wedge15": WEDGE,
+    "hexahedron20": BOX,
+}
 #: Base times height, its half, a third and a sixth; areas of the base; the length.
 SIZES: dict[CellKind, tuple[str, float]] = {
     "line3": ("Length", 2.0), "triangle6": ("Area", 3.0), "quad8": ("Area", 6.0),
@@ -114,7 +119,7 @@ def test_calculix_elements_have_vtks_order_and_size(kind: CellKind, tmp_path: Pa
     lines += ["9, " + ", ".join(map(str, listed[:10])) + ","] + (
         [", ".join(map(str, listed[10:]))] if len(listed) > 10 else []
     )
-    check_element(calculix(tmp_path, "\n".join(lines) + "\n").mesh(), kind)
+    check_element(calculix(tmp_path, "\n".join(lines) + "\n").deck.mesh(), kind)
 
 
 @pytest.mark.parametrize("kind", NASTRAN_NAMES)
@@ -124,14 +129,19 @@ def test_nastran_elements_have_vtks_order_and_size(kind: CellKind, tmp_path: Pat
     fields = [1 if kind in ("triangle6", "quad8") else 2, *range(1, len(found) + 1)]
     card = f"{NASTRAN_NAMES[kind]},9"
     rows = [fields[:7], *(fields[i : i + 8] for i in range(7, len(fields), 8))]
-    cards += ["\n".join(f"{card if i == 0 else ''}," + ",".join(map(str, row))
-                        for i, row in enumerate(rows))]  # fmt: skip
-    check_element(nastran(tmp_path, "\n".join(cards) + "\n" + MATERIAL).mesh(), kind)
+    cards += [
+        "\n".join(
+            f"{card if i == 0 else ''}," + ",".join(map(str, row)) for i, row in enumerate(rows)
+        )
+    ]
+    check_element(nastran(tmp_path, "\n".join(cards) + "\n" + MATERIAL).deck.mesh(), kind)
 
 
 def test_an_element_without_some_midside_nodes_is_drawn_by_its_corners(tmp_path: Path) -> None:
     bulk = "".join(f"GRID,{n},,{x},{y},{z}\n" for n, (x, y, z) in enumerate(BOX[:4], 1))
-    mesh = nastran(tmp_path, bulk + "GRID,5,,1.,0.,0.\nCQUAD8,9,1,1,2,3,4,5\n" + MATERIAL).mesh()
+    mesh = nastran(
+        tmp_path, bulk + "GRID,5,,1.,0.,0.\nCQUAD8,9,1,1,2,3,4,5\n" + MATERIAL
+    ).deck.mesh()
     (cells,) = mesh.cells
     assert cells.kind == "quad"
     assert cells.nodes.tolist() == [[1, 2, 3, 4]]
@@ -151,7 +161,7 @@ def test_each_type_of_element_has_its_shape(name: str, kind: CellKind | None) ->
 
 
 def test_the_solid_aircraft_has_its_volume(tmp_path: Path) -> None:
-    mesh = calculix(tmp_path, calculix_deck(COARSE)).mesh()
+    mesh = calculix(tmp_path, calculix_deck(COARSE)).deck.mesh()
     # The dimensions of the parts, in the generator's docstring.
     parts = 1500 * 50 * 150 + 2000 * 100 * 10 + 300 * 100 * 10 + 400 * 100 * 10 + 2 * 400 * 100 * 10
     assert total(mesh, "Volume") == pytest.approx(float(parts))
@@ -164,10 +174,10 @@ def test_the_shell_aircraft_has_the_same_mesh_for_nastran_and_in_translation(
     path = tmp_path / "shell.bdf"
     path.write_text(nastran_deck())
     native, translated = nastran_solver(path, ()), translated_solver(path, ())
-    assert native.mesh().nodes.tolist() == translated.mesh().nodes.tolist()
-    assert translated.model.node_ids <= set(native.mesh().nodes.tolist())
-    assert total(native.mesh(), "Area") > 0.0
-    assert {cells.kind for cells in native.mesh().cells} >= {"quad"}
+    assert native.deck.mesh().nodes.tolist() == translated.deck.mesh().nodes.tolist()
+    assert translated.deck.summary.node_ids <= set(native.deck.mesh().nodes.tolist())
+    assert total(native.deck.mesh(), "Area") > 0.0
+    assert {cells.kind for cells in native.deck.mesh().cells} >= {"quad"}
 
 
 def test_places_are_in_basic_coordinates_and_output_frames_are_told(tmp_path: Path) -> None:
@@ -178,33 +188,33 @@ def test_places_are_in_basic_coordinates_and_output_frames_are_told(tmp_path: Pa
         "GRID,1,5,2.,90.,0.,5\nGRID,2,,0.,0.,0.\nCONROD,1,1,2,1,1.\nCONM2,7,1,,3.\n"
         "RBE2,9,1,123456,2\nCELAS2,11,5.,2,1\n"
     )
-    mesh = nastran(tmp_path, cards + MATERIAL).mesh()
+    mesh = nastran(tmp_path, cards + MATERIAL).deck.mesh()
     np.testing.assert_allclose(mesh.coordinates, [[10.0, 2.0, 0.0], [0.0, 0.0, 0.0]], atol=1e-12)
     np.testing.assert_allclose(
         mesh.frames[1], [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], atol=1e-12
     )
     assert list(mesh.frames) == [1]
     kinds = {cells.kind: cells.elements.tolist() for cells in mesh.cells}
-    # The grounded spring and the mass are points; the rigid element is no part of the structure.
+    # The grounded spring and the mass are points; the rigid element is not part of the structure.
     assert kinds == {"line": [1], "vertex": [11, 7]}
 
 
 def test_a_mesh_is_read_when_asked_for_and_once(tmp_path: Path) -> None:
     solver = calculix(tmp_path, calculix_deck(COARSE))
-    assert "_mesh" not in vars(solver)
-    assert solver.mesh() is solver.mesh()
+    assert "_mesh" not in vars(solver.deck)
+    assert solver.deck.mesh() is solver.deck.mesh()
 
 
 def test_a_coordinate_that_is_no_number_is_named_with_its_line(tmp_path: Path) -> None:
     text = "*NODE\n1, 0., 0., 0.\n2, 1.5d0, x, 0.\n*ELEMENT, TYPE=T3D2, ELSET=E\n1, 1, 2\n"
     with pytest.raises(ModelError, match=r"model\.inp, line 3.*coordinates expected.*1\.5d0, x"):
-        calculix(tmp_path, text).mesh()
+        calculix(tmp_path, text).deck.mesh()
 
 
 def test_numbers_are_read_as_ccx_reads_them(tmp_path: Path) -> None:
     # Fortran's exponents, blank coordinates as zero, and the last of two nodes of one number.
     text = "*NODE\n1, 5.\n1, 1.5D1, , -2.+1\n2\n*ELEMENT, TYPE=T3D2, ELSET=E\n1, 1, 2\n"
-    mesh = calculix(tmp_path, text).mesh()
+    mesh = calculix(tmp_path, text).deck.mesh()
     np.testing.assert_array_equal(mesh.coordinates, [[15.0, 0.0, -20.0], [0.0, 0.0, 0.0]])
 
 

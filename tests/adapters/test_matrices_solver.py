@@ -13,12 +13,12 @@ from scipy import sparse
 
 from modetune.adapters.matrices.job import CLOSING_MARK, RESULT
 from modetune.adapters.matrices.matrix_files import write_matrix
-from modetune.adapters.matrices.solver import MatricesSolver, matrices_solver
+from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.process import run_process
-from modetune.adapters.solver import Analysis, Command, MatrixAnalysis, ModalAnalysis
+from modetune.adapters.solver import Analysis, Command, MatrixAnalysis, ModalAnalysis, Solver
 from modetune.core.errors import SolverCrashed, SolverRejected
 from modetune.core.parameters import Parameter
-from modetune.core.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.results import MatrixResult, ModalResult, Result
 
 K, M, N = 50.0, 2e-3, 12
 
@@ -58,30 +58,28 @@ MASSES = Parameter("m", "mass", "elset", tuple(f"m{i}" for i in range(1, N + 1))
 
 
 @pytest.fixture
-def held(tmp_path: Path) -> MatricesSolver:
+def held(tmp_path: Path) -> Solver:
     (tmp_path / "chain.yaml").write_text(chain_text())
     return matrices_solver(tmp_path / "chain.yaml", (SPRINGS, MASSES))
 
 
-def run(
-    solver: MatricesSolver, values: Mapping[str, float], analysis: Analysis, folder: Path
-) -> Result:
+def run(solver: Solver, values: Mapping[str, float], analysis: Analysis, folder: Path) -> Result:
     job = folder / f"job{sum(1 for _ in folder.iterdir())}"
     job.mkdir()
-    solver.write(values, analysis, job)
-    finished = run_process(solver.command(1), job, 120.0, threading.Event())
+    solver.render(values, analysis).write(job)
+    finished = run_process(solver.program.command(1), job, 120.0, threading.Event())
     return solver.read(values, analysis, job, finished.return_code)
 
 
 def run_modal(
-    solver: MatricesSolver, values: Mapping[str, float], analysis: ModalAnalysis, folder: Path
+    solver: Solver, values: Mapping[str, float], analysis: ModalAnalysis, folder: Path
 ) -> ModalResult:
     result = run(solver, values, analysis, folder)
     assert isinstance(result, ModalResult)
     return result
 
 
-def test_a_held_chain_has_its_closed_form(held: MatricesSolver, tmp_path: Path) -> None:
+def test_a_held_chain_has_its_closed_form(held: Solver, tmp_path: Path) -> None:
     groups = (("k", SPRINGS.targets), ("root", ("k1",)))
     result = run_modal(held, {}, ModalAnalysis(5, (3, 12), groups), tmp_path)
     np.testing.assert_allclose(
@@ -95,7 +93,7 @@ def test_a_held_chain_has_its_closed_form(held: MatricesSolver, tmp_path: Path) 
     assert (result.strain_energies[1] < result.strain_energies[0]).all()
 
 
-def test_values_scale_stiffness_and_mass(held: MatricesSolver, tmp_path: Path) -> None:
+def test_values_scale_stiffness_and_mass(held: Solver, tmp_path: Path) -> None:
     values = {"k": 2.0, "m": 0.5}
     groups = (("k", SPRINGS.targets),)
     result = run_modal(held, values, ModalAnalysis(2, (1,), groups), tmp_path)
@@ -111,10 +109,10 @@ def test_values_scale_stiffness_and_mass(held: MatricesSolver, tmp_path: Path) -
     np.testing.assert_allclose(matrices.mass.toarray(), 0.5 * expected[1].toarray())
 
 
-def test_an_updated_model_runs_to_the_same_modes(held: MatricesSolver, tmp_path: Path) -> None:
+def test_an_updated_model_runs_to_the_same_modes(held: Solver, tmp_path: Path) -> None:
     values, analysis = {"k": 1.2345, "m": 0.87}, ModalAnalysis(3, (1,))
     expected = run_modal(held, values, analysis, tmp_path)
-    again = matrices_solver(held.write_updated(values, tmp_path / "updated"), ())
+    again = matrices_solver(held.deck.write_updated(values, tmp_path / "updated"), ())
     found = run_modal(again, {}, analysis, tmp_path)
     np.testing.assert_allclose(found.eigenvalues, expected.eigenvalues, rtol=1e-12)
 
@@ -173,18 +171,16 @@ def test_matrices_that_are_no_structure_are_rejected_with_the_reason(
         run(solver, {}, ModalAnalysis(2, (1, 2)), tmp_path)
 
 
-def finished_job(solver: MatricesSolver, folder: Path) -> tuple[ModalAnalysis, Path]:
+def finished_job(solver: Solver, folder: Path) -> tuple[ModalAnalysis, Path]:
     analysis, job = ModalAnalysis(2, (1,)), folder / "job"
     job.mkdir()
-    solver.write({}, analysis, job)
-    run_process(solver.command(1), job, 60.0, threading.Event())
+    solver.render({}, analysis).write(job)
+    run_process(solver.program.command(1), job, 60.0, threading.Event())
     assert solver.read({}, analysis, job, 0)
     return analysis, job
 
 
-def test_a_clean_exit_without_the_closing_mark_is_no_result(
-    held: MatricesSolver, tmp_path: Path
-) -> None:
+def test_a_clean_exit_without_the_closing_mark_is_no_result(held: Solver, tmp_path: Path) -> None:
     analysis, job = finished_job(held, tmp_path)
     log = job / "solver.log"
     log.write_text(log.read_text().replace(CLOSING_MARK, ""))
@@ -192,7 +188,7 @@ def test_a_clean_exit_without_the_closing_mark_is_no_result(
         held.read({}, analysis, job, 0)
 
 
-def test_a_cut_or_missing_result_is_no_result(held: MatricesSolver, tmp_path: Path) -> None:
+def test_a_cut_or_missing_result_is_no_result(held: Solver, tmp_path: Path) -> None:
     analysis, job = finished_job(held, tmp_path)
     whole = (job / RESULT).read_bytes()
     damaged = bytearray(whole)
@@ -206,33 +202,31 @@ def test_a_cut_or_missing_result_is_no_result(held: MatricesSolver, tmp_path: Pa
         held.read({}, analysis, job, 0)
 
 
-def test_a_result_of_another_job_is_refused(held: MatricesSolver, tmp_path: Path) -> None:
+def test_a_result_of_another_job_is_refused(held: Solver, tmp_path: Path) -> None:
     _, job = finished_job(held, tmp_path)
-    with pytest.raises(SolverCrashed, match="no result of this job"):
+    with pytest.raises(SolverCrashed, match="is not a result of this job"):
         held.read({}, ModalAnalysis(2, (1, 2)), job, 0)
 
 
-def test_a_job_without_its_files_crashes_and_shows_its_log(
-    held: MatricesSolver, tmp_path: Path
-) -> None:
+def test_a_job_without_its_files_crashes_and_shows_its_log(held: Solver, tmp_path: Path) -> None:
     analysis, job = ModalAnalysis(2, (1,)), tmp_path / "job"
     job.mkdir()
-    held.write({}, analysis, job)
+    held.render({}, analysis).write(job)
     (job / "mass.npz").unlink()
-    finished = run_process(held.command(1), job, 60.0, threading.Event())
+    finished = run_process(held.program.command(1), job, 60.0, threading.Event())
     with pytest.raises(SolverCrashed, match=r"mass\.npz"):
         held.read({}, analysis, job, finished.return_code)
 
 
-def test_modules_in_a_job_folder_are_not_imported(held: MatricesSolver, tmp_path: Path) -> None:
+def test_modules_in_a_job_folder_are_not_imported(held: Solver, tmp_path: Path) -> None:
     job = tmp_path / "job"
     job.mkdir()
     (job / "numpy.py").write_text("raise SystemExit('imported from the job folder')")
     analysis = ModalAnalysis(2, (1,))
-    held.write({}, analysis, job)
-    finished = run_process(held.command(1), job, 60.0, threading.Event())
+    held.render({}, analysis).write(job)
+    finished = run_process(held.program.command(1), job, 60.0, threading.Event())
     assert held.read({}, analysis, job, finished.return_code)
-    assert held.command(1) == Command(
+    assert held.program.command(1) == Command(
         (sys.executable, "-P", "-m", "modetune.adapters.matrices"),
         tuple((n, "1") for n in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")),
     )

@@ -17,7 +17,14 @@ from hypothesis import strategies as st
 from pyNastran.bdf.bdf import BDF
 from pyNastran.bdf.field_writer_8 import print_float_8
 
-from modetune.adapters.nastran.deck import Card, Deck, Field, changed_lines, read_deck, write_edited
+from modetune.adapters.nastran.deck import (
+    CardField,
+    NastranCard,
+    NastranDeck,
+    changed_lines,
+    read_deck,
+    write_edited,
+)
 from modetune.adapters.nastran.number import format_number, read_number
 from modetune.core.errors import ModelError
 
@@ -39,21 +46,21 @@ def write(folder: Path, **texts: str) -> Path:
     return folder / "main.bdf"
 
 
-def names(deck: Deck) -> list[str]:
+def names(deck: NastranDeck) -> list[str]:
     return [card.name for card in deck.cards]
 
 
-def texts(card: Card) -> list[str]:
+def texts(card: NastranCard) -> list[str]:
     return [field.text if field else "" for field in card.fields]
 
 
-def only(folder: Path, text: str) -> Card:
+def only(folder: Path, text: str) -> NastranCard:
     """The one card of a deck of bulk data alone."""
     (card,) = read_deck(write(folder, main=text)).cards
     return card
 
 
-def field_of(card: Card, place: int) -> Field:
+def field_of(card: NastranCard, place: int) -> CardField:
     field = card.fields[place]
     assert field is not None
     return field
@@ -235,8 +242,11 @@ def test_the_sections_of_a_deck_are_told_apart(tmp_path: Path) -> None:
 def test_bulk_data_alone_has_no_other_section(tmp_path: Path) -> None:
     deck = read_deck(write(tmp_path, main="GRID,1\nGRID,2\n"))
     assert (deck.sol, deck.begin_bulk, len(deck.executive), len(deck.case_control)) == (
-        None, None, 0, 0,
-    )  # fmt: skip
+        None,
+        None,
+        0,
+        0,
+    )
     assert len(deck.cards) == 2
 
 
@@ -342,9 +352,12 @@ def test_a_number_that_is_none_is_refused_with_its_line(tmp_path: Path) -> None:
 
 
 def small(fields: list[str]) -> str:
-    return "MAT8    " + "".join(text.ljust(8) for text in fields[:8]) + "\n" + (
-        "+       " + "".join(text.rjust(8) for text in fields[8:]) + "\n"
-    )  # fmt: skip
+    return (
+        "MAT8    "
+        + "".join(text.ljust(8) for text in fields[:8])
+        + "\n"
+        + ("+       " + "".join(text.rjust(8) for text in fields[8:]) + "\n")
+    )
 
 
 def large(fields: list[str]) -> str:
@@ -401,8 +414,14 @@ def test_one_number_changes_and_nothing_else(
     assert read_number(theirs.field(place + 2)) == read_number(expected[place + 2])
 
 
-REAL = ("pn_beam_modes", "pn_goland_sol200_dscm2", "pn_mode_solid_shell_bar", "pn_plate_py",
-        "pn_sdof_crod", "yeti_gpwg1")  # fmt: skip
+REAL = (
+    "pn_beam_modes",
+    "pn_goland_sol200_dscm2",
+    "pn_mode_solid_shell_bar",
+    "pn_plate_py",
+    "pn_sdof_crod",
+    "yeti_gpwg1",
+)
 
 
 @pytest.mark.parametrize("case", REAL)

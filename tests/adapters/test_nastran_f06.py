@@ -93,7 +93,7 @@ def test_tables_broken_over_pages_are_put_together_and_the_first_subcase_is_read
 def test_files_of_msc_and_simcenter_have_the_expected_frequencies(
     shared_data: Path, name: str, version: str
 ) -> None:
-    """expected.json lists the printed cycles; of the SOL 200 file a line that is no mode, too."""
+    """expected.json lists the printed cycles; of SOL 200 a line that is not a mode, too."""
     folder = shared_data / "nastran" / name
     case = json.loads((folder / "expected.json").read_text())["f06"]
     f06 = read_f06(next(folder.glob("*.f06")))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -193,7 +194,7 @@ def test_selections_come_from_the_subcase_that_counts(
         ("SUBCASE 1\n METHOD = 10\nSUBCASE 2\n METHOD = 11\n", "line 3: 2 of 2 subcases"),
         ("STATSUB = 1\nMETHOD = 10\n", "line 3: STATSUB asks for modes of a preloaded"),
         ("SUPER = ALL\n", "line 3: SUPER asks for superelements"),
-        ("METHOD = ALL\n", "line 3: METHOD wants the number of an EIGRL card"),
+        ("METHOD = ALL\n", "line 3: METHOD requires the number of an EIGRL card"),
     ],
 )
 def test_case_control_that_means_no_single_modal_job_is_refused(
@@ -263,7 +264,7 @@ def design(
     model = model_of(folder, HEAD + BULK)
     analysis = SensitivityAnalysis(2, tuple(p.name for p in DESIGNED[:4]), nodes)
     changed = model.edit((item, factor) for item in DESIGNED)
-    return job_text(model, changed, analysis, dialect, tuple(DESIGNED))
+    return job_text(replace(model, parameters=tuple(DESIGNED)), changed, analysis, dialect)
 
 
 @pytest.mark.parametrize("dialect", [MSC, NX], ids=lambda d: d.name)
@@ -330,7 +331,7 @@ def test_the_users_own_design_cards_do_not_get_in_the_way(tmp_path: Path) -> Non
     own = "DESVAR,1,OLD,3.,1.,5.\nDRESP1,1,W,WEIGHT\nDOPTPRM,DESMAX,5\nDSCREEN,STRESS,.5\n"
     model = model_of(tmp_path, HEAD + BULK + own)
     analysis = SensitivityAnalysis(2, ("E1",))
-    text = job_text(model, {}, analysis, MSC, tuple(DESIGNED))
+    text = job_text(replace(model, parameters=tuple(DESIGNED)), {}, analysis, MSC)
     assert "OLD" not in text
     assert "DOPTPRM" not in text
     assert parsed(text, tmp_path).desvars[1].label == "P1"
@@ -368,7 +369,7 @@ CQUAD4,6,6,1,2,3,4
     )
     model = model_of(tmp_path, deck)
     analysis = SensitivityAnalysis(3, tuple(p.name for p in parameters))
-    text = job_text(model, {}, analysis, MSC, parameters)
+    text = job_text(replace(model, parameters=parameters), {}, analysis, MSC)
     path = tmp_path / "parsed.bdf"
     path.write_text(text)
     bdf = BDF(debug=None)

@@ -133,11 +133,15 @@ PLACES: list[tuple[Parameter, dict[str, float]]] = [
     (parameter("youngs_modulus", "material", "1"), {"E": 7e4, "G": 2.7e4}),
     (parameter("youngs_modulus", "material", "2"), {"E": 2.1e5}),
     # Zeros stay zero, whatever the factor.
-    (parameter("youngs_modulus", "material", "4"), {"G11": 1.0, "G12": 2.0, "G22": 4.0,
-                                                     "G33": 6.0}),
+    (
+        parameter("youngs_modulus", "material", "4"),
+        {"G11": 1.0, "G12": 2.0, "G22": 4.0, "G33": 6.0},
+    ),
     (parameter("youngs_modulus", "material", "4", item=22), {"G22": 4.0}),
-    (parameter("youngs_modulus", "material", "5"),
-     {"E1": 1e5, "E2": 1e4, "G12": 5e3, "G1Z": 4e3, "G2Z": 3e3}),
+    (
+        parameter("youngs_modulus", "material", "5"),
+        {"E1": 1e5, "E2": 1e4, "G12": 5e3, "G1Z": 4e3, "G2Z": 3e3},
+    ),
     (parameter("youngs_modulus", "material", "5", item=2), {"E2": 1e4}),
     (parameter("shear_modulus", "material", "1"), {"G": 2.7e4}),
     (parameter("shear_modulus", "material", "5", item=13), {"G1Z": 4e3}),
@@ -163,8 +167,10 @@ PLACES: list[tuple[Parameter, dict[str, float]]] = [
     (parameter("torsion_constant", "element", "32"), {"J": 7.0}),
     (parameter("dimension", "property", "23", item=2), {"DIM2": 4.0}),
     (parameter("dimension", "property", "25", item=1), {"DIM1(A)": 3.0, "DIM1(1)": 3.5}),
-    (parameter("dimension", "property", "25", item=2),
-     {"DIM2(A)": 4.0, "DIM2(1)": 4.5, "DIM2(B)": 5.5}),
+    (
+        parameter("dimension", "property", "25", item=2),
+        {"DIM2(A)": 4.0, "DIM2(1)": 4.5, "DIM2(B)": 5.5},
+    ),
     (parameter("spring_stiffness", "property", "41"), {"K1": 100.0}),
     (parameter("spring_stiffness", "property", "42"), {"K1": 200.0}),
     (parameter("spring_stiffness", "element", "43"), {"K": 300.0}),
@@ -172,7 +178,7 @@ PLACES: list[tuple[Parameter, dict[str, float]]] = [
     (parameter("spring_stiffness", "property", "44", item=3), {"K3": 3.0}),
     (parameter("spring_stiffness", "property", "45"), {"K1": 1.0}),
     (parameter("mass", "element", "51"), {"M": 2.0, "I11": 0.1, "I22": 0.2, "I33": 0.3}),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("wanted", "found"), PLACES, ids=lambda value: str(value)[:60])
@@ -217,7 +223,7 @@ def test_what_cannot_be_updated_is_refused_with_its_reason(
     model: NastranModel, wanted: Parameter, reason: str
 ) -> None:
     if reason == "did you mean 51?":
-        reason = "no such element 11 (it has 51)"  # 11 is no mass, and 51 not near to it
+        reason = "no such element 11 (it has 51)"  # 11 is not a mass, and 51 not near to it
     with pytest.raises(ModelError, match=re.escape(reason)):
         model.places(wanted)
 
@@ -276,8 +282,10 @@ def test_two_numbers_of_one_line_change_together(model: NastranModel) -> None:
 ENERGY: list[tuple[Parameter, tuple[str, ...]]] = [
     (parameter("youngs_modulus", "material", "1"), ("P1", "P2")),
     (parameter("youngs_modulus", "material", "2"), ()),  # PSHELL 3 bends with material 3
-    (parameter("youngs_modulus", "material", "2", "3"),
-     ("P3", "P21", "P22", "P23", "P24", "P25", "P31", "E32")),
+    (
+        parameter("youngs_modulus", "material", "2", "3"),
+        ("P3", "P21", "P22", "P23", "P24", "P25", "P31", "E32"),
+    ),
     (parameter("youngs_modulus", "material", "4"), ("P4",)),
     (parameter("youngs_modulus", "material", "4", item=11), ()),
     (parameter("youngs_modulus", "material", "5"), ("P5", "P6")),
@@ -289,7 +297,7 @@ ENERGY: list[tuple[Parameter, tuple[str, ...]]] = [
     (parameter("spring_stiffness", "property", "44"), ("P44",)),
     (parameter("spring_stiffness", "property", "44", item=1), ()),
     (parameter("spring_stiffness", "property", "45", item=1), ("P45",)),  # its only stiffness
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("wanted", "sets"), ENERGY, ids=lambda value: str(value)[:60])
@@ -359,8 +367,9 @@ def test_all_bad_cards_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(ModelError) as caught:
         model_of(tmp_path, "GRID,x\nMAT1,1,x\n")
     assert [line.split(":")[0][-6:] for line in str(caught.value).splitlines()] == [
-        "line 1", "line 2",
-    ]  # fmt: skip
+        "line 1",
+        "line 2",
+    ]
 
 
 def test_cards_of_other_programs_are_kept_and_listed(
@@ -371,8 +380,14 @@ def test_cards_of_other_programs_are_kept_and_listed(
     assert capfd.readouterr() == ("", "")
 
 
-REAL = ("pn_beam_modes", "pn_goland_sol200_dscm2", "pn_mode_solid_shell_bar", "pn_plate_py",
-        "pn_sdof_crod", "yeti_gpwg1")  # fmt: skip
+REAL = (
+    "pn_beam_modes",
+    "pn_goland_sol200_dscm2",
+    "pn_mode_solid_shell_bar",
+    "pn_plate_py",
+    "pn_sdof_crod",
+    "yeti_gpwg1",
+)
 
 
 @pytest.mark.parametrize("case", REAL)

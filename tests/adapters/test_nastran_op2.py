@@ -16,8 +16,15 @@ from modetune.core.modes import Floats
 
 #: Twenty rods in a row, twelve modes, solved by MYSTRAN 17.
 RODS = Path(__file__).parent / "data" / "nastran" / "rods.op2"
-SOLVED = ("pn_beam_modes", "pn_goland_sol200_dscm2", "pn_mode_solid_shell_bar",
-          "pn_modes_elements", "pn_plate_py", "pn_sdof_crod", "yeti_gpwg1")  # fmt: skip
+SOLVED = (
+    "pn_beam_modes",
+    "pn_goland_sol200_dscm2",
+    "pn_mode_solid_shell_bar",
+    "pn_modes_elements",
+    "pn_plate_py",
+    "pn_sdof_crod",
+    "yeti_gpwg1",
+)
 #: MYSTRAN 17's own weight generator is wrong for solids and layered plates (its F06 prints the
 #: same wrong mass); expected.json has the mass that its matrices hold.
 WRONG_WEIGHT = ("chexa", "ctetra4", "ctetra10", "pcomp")
@@ -93,8 +100,12 @@ class Writer:
 
     def save(self, folder: Path) -> Path:
         path = folder / "modes.op2"
-        path.write_bytes(self.data + struct.pack("<i", self.word) + bytes(self.word)
-                         + struct.pack("<i", self.word))  # fmt: skip
+        path.write_bytes(
+            self.data
+            + struct.pack("<i", self.word)
+            + bytes(self.word)
+            + struct.pack("<i", self.word)
+        )
         return path
 
 
@@ -147,8 +158,11 @@ def test_all_probes_of_mystran_agree_with_its_matrices_in_double_precision(
         frequencies = np.sign(modes.eigenvalues) * np.sqrt(np.abs(modes.eigenvalues)) / 2 / np.pi
         np.testing.assert_allclose(
             # A rigid frequency is the root of rounding, 1e-5 of the others at most.
-            frequencies, case["freq_hz"], rtol=1e-5, atol=1e-5 * max(case["freq_hz"]),
-        )  # fmt: skip
+            frequencies,
+            case["freq_hz"],
+            rtol=1e-5,
+            atol=1e-5 * max(case["freq_hz"]),
+        )
 
 
 def test_strain_energies_sum_to_half_the_eigenvalue_of_mass_normalised_modes(
@@ -275,11 +289,16 @@ def differences(found: Op2Modes, good: Op2Modes) -> int:
     n_modes = found.eigenvalues.size
     if found.nodes.shape != good.nodes.shape:
         return good.nodes.size
-    pairs = [(found.mode_shapes, good.mode_shapes[:, :n_modes]),
-             (found.eigenvalues, good.eigenvalues[:n_modes]),
-             (found.nodes, good.nodes), (found.components, good.components)]  # fmt: skip
+    pairs = [
+        (found.mode_shapes, good.mode_shapes[:, :n_modes]),
+        (found.eigenvalues, good.eigenvalues[:n_modes]),
+        (found.nodes, good.nodes),
+        (found.components, good.components),
+    ]
     if np.isfinite(found.mass):  # not lost
-        pairs += [(found.inertia, good.inertia),
-                  (found.center_of_gravity, good.center_of_gravity),
-                  (np.array(found.mass), np.array(good.mass))]  # fmt: skip
+        pairs += [
+            (found.inertia, good.inertia),
+            (found.center_of_gravity, good.center_of_gravity),
+            (np.array(found.mass), np.array(good.mass)),
+        ]
     return sum(int((one != other).sum()) for one, other in pairs)

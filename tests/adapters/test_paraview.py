@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,18 +13,18 @@ import pytest
 import pyvista
 
 from modetune.adapters.calculix.frd import convert_frd, count_frd
-from modetune.adapters.calculix.solver import CalculixSolver, calculix_solver
+from modetune.adapters.calculix.solver import CalculixProgram, calculix_solver
 from modetune.adapters.paraview import (
     mode_grids,
     unstructured_grid,
     write_series,
 )
 from modetune.adapters.process import run_process
-from modetune.adapters.solver import ModalAnalysis
+from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.core.errors import NoResult, StorageUnavailable
 from modetune.core.mesh import Cells, Mesh, global_shapes
 from modetune.core.modes import mode_set
-from modetune.core.results import ModalResult
+from modetune.core.updating.results import ModalResult
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
@@ -61,16 +62,16 @@ BEAMS = (
 TURNED = f"{SHELLS}*NSET, NSET=N\n11\n*TRANSFORM, NSET=N, TYPE=R\n0., 1., 0., -1., 0., 0.\n"
 
 
-def solved(folder: Path, text: str, n_modes: int) -> tuple[CalculixSolver, Path, ModalResult]:
+def solved(folder: Path, text: str, n_modes: int) -> tuple[Solver, Path, ModalResult]:
     """A deck run by ccx with shapes everywhere: the solver, the job's .frd, and the result."""
     (folder / "model.inp").write_text(text)
     plain = calculix_solver(folder / "model.inp", ())
-    solver = CalculixSolver(plain.deck, (), plain.program, with_frd=True)
-    analysis = ModalAnalysis(n_modes, tuple(sorted(solver.model.node_ids)))
+    solver = replace(plain, program=CalculixProgram("ccx", with_frd=True))
+    analysis = ModalAnalysis(n_modes, tuple(sorted(solver.deck.summary.node_ids)))
     job = folder / "job"
     job.mkdir()
-    solver.write({}, analysis, job)
-    ended = run_process(solver.command(1), job, 120.0, threading.Event())
+    solver.render({}, analysis).write(job)
+    ended = run_process(solver.program.command(1), job, 120.0, threading.Event())
     result = solver.read({}, analysis, job, ended.return_code)
     assert isinstance(result, ModalResult)
     return solver, job / "job.frd", result
@@ -92,7 +93,7 @@ def test_both_ways_give_the_same_points_cells_and_shapes(
     text: str, n_modes: int, tmp_path: Path
 ) -> None:
     solver, frd, result = solved(tmp_path, text, n_modes)
-    mesh = solver.mesh()
+    mesh = solver.deck.mesh()
     shapes = result.modes.mode_shapes.T.reshape(n_modes, -1, 3)  # of the .dat file, seven digits
     converted = convert_frd(frd, n_modes, work(tmp_path))
     count = 0
@@ -116,13 +117,15 @@ def test_the_file_for_pictures_changes_no_result(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
     solver, _, result = solved(tmp_path / "pictures", SHELLS, 9)
     plain = calculix_solver(tmp_path / "pictures" / "model.inp", ())
-    analysis = ModalAnalysis(9, tuple(sorted(plain.model.node_ids)))
-    plain.write({}, analysis, tmp_path / "plain")
-    ended = run_process(plain.command(1), tmp_path / "plain", 120.0, threading.Event())
+    analysis = ModalAnalysis(9, tuple(sorted(plain.deck.summary.node_ids)))
+    plain.render({}, analysis).write(tmp_path / "plain")
+    ended = run_process(plain.program.command(1), tmp_path / "plain", 120.0, threading.Event())
     again = plain.read({}, analysis, tmp_path / "plain", ended.return_code)
     assert isinstance(again, ModalResult)
     np.testing.assert_array_equal(again.modes.mode_shapes, result.modes.mode_shapes)
-    assert plain.content({}, analysis) != solver.content({}, analysis)  # a job of its own
+    assert (
+        plain.render({}, analysis).content != solver.render({}, analysis).content
+    )  # a job of its own
 
 
 @needs_ccx
@@ -217,8 +220,9 @@ def test_a_series_written_again_leaves_nothing_of_the_one_before(tmp_path: Path)
         modes = mode_set(np.arange(count) + 1.0, np.ones((1, count)), nodes=[3], components=[1])
         write_series(tmp_path, "updated", mode_grids(bar(), modes), modes.frequencies_hz)
     assert sorted(path.name for path in (tmp_path / "updated").iterdir()) == [
-        "mode_1.vtu", "mode_2.vtu",
-    ]  # fmt: skip
+        "mode_1.vtu",
+        "mode_2.vtu",
+    ]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["updated", "updated.pvd"]
 
 

@@ -22,7 +22,7 @@ from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.paraview import unstructured_grid
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
-from modetune.core.eigen import solve_modes
+from modetune.core.algebra.eigen import solve_modes
 from modetune.core.errors import (
     ModelError,
     SolverCrashed,
@@ -30,9 +30,9 @@ from modetune.core.errors import (
     SolverMissing,
     SolverRejected,
 )
-from modetune.core.keys import canonical_json
 from modetune.core.parameters import TARGETS, Parameter, Quantity
-from modetune.core.results import MatrixResult, ModalResult, Result
+from modetune.core.storage.keys import canonical_json
+from modetune.core.updating.results import MatrixResult, ModalResult, Result
 
 E, NU, RHO = 70_000.0, 0.3, 2.7e-9
 
@@ -90,14 +90,28 @@ BAR_PARAMETERS = (
 BAR_GROUPS = {"E_root": ("ROOT",), "E_tip": ("TIP",)}
 BAR_MASS = LENGTH * WIDTH * HEIGHT * RHO
 CANTILEVER = Case(
-    "cantilever", BAR_PARAMETERS, BAR_GROUPS, 6, (1, 5, 81, 84), 0, BAR_MASS,
+    "cantilever",
+    BAR_PARAMETERS,
+    BAR_GROUPS,
+    6,
+    (1, 5, 81, 84),
+    0,
+    BAR_MASS,
     # Roots of cos x cosh x = -1; the clamp holds the cross-section too and makes it stiffer.
-    (beam_frequency(1.8751),), 0.01,
-)  # fmt: skip
+    (beam_frequency(1.8751),),
+    0.01,
+)
 FREE_BAR = Case(
-    "free_bar", BAR_PARAMETERS, BAR_GROUPS, 10, (1, 41, 84), 6, BAR_MASS,
-    (beam_frequency(4.7300),), 0.01,  # first root of cos x cosh x = 1
-)  # fmt: skip
+    "free_bar",
+    BAR_PARAMETERS,
+    BAR_GROUPS,
+    10,
+    (1, 41, 84),
+    6,
+    BAR_MASS,
+    (beam_frequency(4.7300),),
+    0.01,  # first root of cos x cosh x = 1
+)
 PLATE = Case(
     "plate",
     (
@@ -105,10 +119,16 @@ PLATE = Case(
         parameter("t_plate", "thickness", "PLATE"),
         parameter("rho", "density", "PLATE"),
     ),
-    {"E_plate": ("PLATE",)}, 6, (15, 30, 85), 0, SIDE**2 * THICKNESS * RHO,
+    {"E_plate": ("PLATE",)},
+    6,
+    (15, 30, 85),
+    0,
+    SIDE**2 * THICKNESS * RHO,
     # 24 elements over at most 2 half waves, and S4 has the shear that Kirchhoff's plate has not.
-    (plate_frequency(1, 1), plate_frequency(1, 2), plate_frequency(2, 1)), 0.03, solid=False,
-)  # fmt: skip
+    (plate_frequency(1, 1), plate_frequency(1, 2), plate_frequency(2, 1)),
+    0.03,
+    solid=False,
+)
 CHAIN = Case(
     "chain",
     (
@@ -116,9 +136,15 @@ CHAIN = Case(
         parameter("k_links", "spring_stiffness", "LINKS"),
         parameter("m", "mass", "MASSES"),
     ),
-    {"k_ground": ("GROUND",), "k_links": ("LINKS",)}, 2, (1, 3, 6), 0, CHAIN_MASSES * MASS,
-    (chain_frequency(1), chain_frequency(2)), 1e-5, solid=False,
-)  # fmt: skip
+    {"k_ground": ("GROUND",), "k_links": ("LINKS",)},
+    2,
+    (1, 3, 6),
+    0,
+    CHAIN_MASSES * MASS,
+    (chain_frequency(1), chain_frequency(2)),
+    1e-5,
+    solid=False,
+)
 CASES = (CANTILEVER, FREE_BAR, PLATE, CHAIN)
 
 
@@ -224,8 +250,8 @@ def modal(case: Case) -> ModalAnalysis:
 def run(solver: Solver, values: Mapping[str, float], analysis: Analysis, folder: Path) -> Result:
     job = folder / f"job{sum(1 for _ in folder.iterdir())}"
     job.mkdir()
-    solver.write(values, analysis, job)
-    finished = run_process(solver.command(1), job, 120.0, threading.Event())
+    solver.render(values, analysis).write(job)
+    finished = run_process(solver.program.command(1), job, 120.0, threading.Event())
     return solver.read(values, analysis, job, finished.return_code)
 
 
@@ -242,7 +268,7 @@ def run_matrices(solver: Solver, folder: Path, **values: float) -> MatrixResult:
 
 
 def test_a_solver_tells_its_version(harness: Harness, tmp_path: Path) -> None:
-    assert re.fullmatch(r"\d+(\.\w+)*", solver_of(harness, FREE_BAR, tmp_path).version())
+    assert re.fullmatch(r"\d+(\.\w+)*", solver_of(harness, FREE_BAR, tmp_path).program.version())
 
 
 def test_frequencies_mass_and_rigid_modes_are_right(
@@ -261,9 +287,9 @@ def test_the_mesh_holds_all_nodes_with_results_and_cells_of_a_size(
     harness: Harness, case: Case, tmp_path: Path
 ) -> None:
     solver = solver_of(harness, case, tmp_path)
-    mesh = solver.mesh()
-    assert solver.mesh() is mesh  # read once
-    assert solver.model.node_ids <= set(mesh.nodes.tolist())
+    mesh = solver.deck.mesh()
+    assert solver.deck.mesh() is mesh  # read once
+    assert solver.deck.summary.node_ids <= set(mesh.nodes.tolist())
     sizes = unstructured_grid(mesh).compute_cell_sizes()
     for cells in mesh.cells:
         mesh.rows(cells.nodes)  # raises for a node that is not there
@@ -273,7 +299,7 @@ def test_the_mesh_holds_all_nodes_with_results_and_cells_of_a_size(
             name, expected = solid[cells.kind]
             assert (sizes[name] > 0.0).all()
             assert sizes[name].sum() == pytest.approx(expected)
-    assert sum(cells.elements.size for cells in mesh.cells) == solver.model.n_elements
+    assert sum(cells.elements.size for cells in mesh.cells) == solver.deck.summary.n_elements
 
 
 def test_strain_energies_balance_and_groups_sum_to_the_total(
@@ -294,7 +320,7 @@ def test_matrices_have_the_eigenvalues_of_the_modal_run(
     harness: Harness, case: Case, tmp_path: Path
 ) -> None:
     solver = solver_of(harness, case, tmp_path)
-    if not solver.model.solid_shapes:
+    if not solver.deck.summary.solid_shapes:
         pytest.skip("dependent nodes are not in the matrices")
     result = run_modal(solver, case, tmp_path)
     matrices = run_matrices(solver, tmp_path)
@@ -308,17 +334,19 @@ def test_matrices_have_the_eigenvalues_of_the_modal_run(
     )
 
 
-def test_footprints_hold_all_that_parameters_move_in_the_matrices(
+def test_affected_elements_hold_all_that_parameters_move_in_the_matrices(
     harness: Harness, case: Case, tmp_path: Path
 ) -> None:
     solver = solver_of(harness, case, tmp_path)
-    if not solver.capabilities.matrices:
-        assert all(solver.footprint(parameter) is None for parameter in case.parameters)
+    if not solver.program.capabilities.matrices:
+        assert all(
+            solver.deck.affected_elements(parameter) is None for parameter in case.parameters
+        )
         return
     base = run_matrices(solver, tmp_path)
     for parameter in case.parameters:
-        found = solver.footprint(parameter)
-        assert (found is None) <= (not solver.is_linear(parameter))
+        found = solver.deck.affected_elements(parameter)
+        assert (found is None) <= (not solver.deck.is_linear(parameter))
         if found is None:
             continue
         moved = run_matrices(solver, tmp_path, **{parameter.name: 1.3})
@@ -329,23 +357,23 @@ def test_footprints_hold_all_that_parameters_move_in_the_matrices(
             rows = change.row[np.abs(change.data) > least]
             assert bool(rows.size) == moves
             touched = set(base.nodes[rows].tolist())
-            assert {node for node in touched if node in solver.model.node_ids} <= found.nodes
+            assert {node for node in touched if node in solver.deck.summary.node_ids} <= found.nodes
 
 
 def test_displacements_follow_from_the_matrices(
     harness: Harness, case: Case, tmp_path: Path
 ) -> None:
     solver = solver_of(harness, case, tmp_path)
-    if not solver.capabilities.matrices:
+    if not solver.program.capabilities.matrices:
         nothing = np.zeros(0, dtype=np.int64)
         empty = sparse.csr_array((0, 0))
         matrices = MatrixResult(empty, empty, nothing, nothing)
-        seen = solver.observation(matrices, np.array(case.nodes), np.ones_like(case.nodes))
+        seen = solver.deck.observation(matrices, np.array(case.nodes), np.ones_like(case.nodes))
         assert seen.unknown.all()
         return
-    assert solver.model.matrix_shapes
+    assert solver.deck.summary.matrix_shapes
     result, matrices = run_modal(solver, case, tmp_path), run_matrices(solver, tmp_path)
-    seen = solver.observation(matrices, result.modes.nodes, result.modes.components)
+    seen = solver.deck.observation(matrices, result.modes.nodes, result.modes.components)
     assert not seen.unknown.any()
     _, shapes = solve_modes(matrices.stiffness, matrices.mass, case.n_modes)
     found, native = seen.matrix @ shapes, np.real(result.modes.mode_shapes)
@@ -411,7 +439,7 @@ def test_updated_decks_run_to_the_same_modes(harness: Harness, case: Case, tmp_p
     solver = solver_of(harness, case, tmp_path)
     values = {case.parameters[0].name: 1.2345, case.parameters[-1].name: 0.87}
     expected = run_modal(solver, case, tmp_path, **values)
-    updated = solver.write_updated(values, tmp_path / "updated")
+    updated = solver.deck.write_updated(values, tmp_path / "updated")
     assert updated.parent == tmp_path / "updated"
     again = run_modal(harness.solver(updated, case.parameters), case, tmp_path)
     np.testing.assert_array_equal(again.eigenvalues, expected.eigenvalues)
@@ -439,8 +467,10 @@ def test_content_is_blind_to_paths_and_comments_and_sees_numbers(
     for name, content in texts.items():
         (tmp_path / name).mkdir(parents=True)
         solver = solver_of(harness, case, tmp_path / name, content)
-        contents[name] = {key: canonical_json(solver.content({}, a)) for key, a in analyses.items()}
-        edited = solver.content({case.parameters[0].name: 1.01}, analyses["modal"])
+        contents[name] = {
+            key: canonical_json(solver.render({}, a).content) for key, a in analyses.items()
+        }
+        edited = solver.render({case.parameters[0].name: 1.01}, analyses["modal"]).content
         assert canonical_json(edited) != contents[name]["modal"]
         assert str(tmp_path) not in canonical_json(edited)
     assert contents["plain"] == contents["elsewhere/deep"]
@@ -452,14 +482,14 @@ def test_content_is_blind_to_paths_and_comments_and_sees_numbers(
 
 def test_a_deck_split_into_includes_has_the_content_of_the_whole(tmp_path: Path) -> None:
     solver = solver_of(HARNESSES[0], FREE_BAR, tmp_path)
-    whole = canonical_json(solver.content({}, modal(FREE_BAR)))
+    whole = canonical_json(solver.render({}, modal(FREE_BAR)).content)
     text = calculix_deck(FREE_BAR)
     cut = text.index("*MATERIAL")
     (tmp_path / "materials.inp").write_text(text[cut:])
     split = solver_of(
         HARNESSES[0], FREE_BAR, tmp_path, text[:cut] + "*INCLUDE, INPUT=materials.inp\n"
     )
-    assert canonical_json(split.content({}, modal(FREE_BAR))) == whole
+    assert canonical_json(split.render({}, modal(FREE_BAR)).content) == whole
 
 
 @pytest.mark.parametrize(
@@ -497,7 +527,7 @@ def test_a_rejected_line_that_a_parameter_changed_is_found(tmp_path: Path) -> No
 
 def test_more_modes_than_the_model_has_are_refused_with_a_reason(tmp_path: Path) -> None:
     solver = solver_of(HARNESSES[0], CHAIN, tmp_path)
-    with pytest.raises(SolverRejected, match="12 modes want some more unknowns"):
+    with pytest.raises(SolverRejected, match="12 modes need some more unknowns"):
         run(solver, {}, ModalAnalysis(12, (1,)), tmp_path)
 
 
@@ -526,7 +556,7 @@ def test_springs_between_two_nodes_move_right_but_print_no_energy(tmp_path: Path
     assert result.modes.frequencies_hz == pytest.approx(CHAIN.frequencies_hz, rel=CHAIN.tolerance)
     assert (result.strain_energies[1] == 0.0).all()
     assert (result.energy_balance < 0.5).all()
-    assert solver.energy_sets(CHAIN.parameters[1]) == ()
+    assert solver.deck.energy_sets(CHAIN.parameters[1]) == ()
 
 
 def test_a_preload_changes_the_modes_as_theory_says(tmp_path: Path) -> None:
@@ -552,7 +582,7 @@ def test_a_missing_ccx_is_said_with_its_remedy(
     monkeypatch.setenv(PROGRAM_VARIABLE, "no-such-ccx")
     solver = solver_of(HARNESSES[0], FREE_BAR, tmp_path)
     with pytest.raises(SolverMissing, match=f"`no-such-ccx` is not on this.*{PROGRAM_VARIABLE}"):
-        solver.version()
+        solver.program.version()
 
 
 def test_a_program_that_is_no_ccx_is_no_solver(
@@ -560,7 +590,7 @@ def test_a_program_that_is_no_ccx_is_no_solver(
 ) -> None:
     monkeypatch.setenv(PROGRAM_VARIABLE, "true")
     with pytest.raises(SolverMissing, match="`true -v` printed no CalculiX version"):
-        solver_of(HARNESSES[0], FREE_BAR, tmp_path).version()
+        solver_of(HARNESSES[0], FREE_BAR, tmp_path).program.version()
 
 
 # The embedded solver knows no elements but springs and masses: the chain, held and free.
@@ -605,12 +635,12 @@ MATRICES = Harness("matrices", sys.executable, matrices_solver, matrices_chain, 
 
 
 def test_the_embedded_solver_has_no_mesh(tmp_path: Path) -> None:
-    mesh = solver_of(MATRICES, MATRICES_CHAIN, tmp_path).mesh()
+    mesh = solver_of(MATRICES, MATRICES_CHAIN, tmp_path).deck.mesh()
     assert (mesh.nodes.size, mesh.cells) == (0, ())
 
 
 def test_the_embedded_solver_tells_its_version(tmp_path: Path) -> None:
-    version = solver_of(MATRICES, MATRICES_CHAIN, tmp_path).version()
+    version = solver_of(MATRICES, MATRICES_CHAIN, tmp_path).program.version()
     assert re.fullmatch(r"\d+(\.\w+)*", version)
 
 

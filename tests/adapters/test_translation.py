@@ -23,10 +23,10 @@ from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.translation.mass_properties import check_masses
 from modetune.adapters.translation.translate import Translation, translate
-from modetune.core.correlation import mac
+from modetune.core.correlation.correlation import mac
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.results import ModalResult
+from modetune.core.updating.results import ModalResult
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
@@ -75,7 +75,7 @@ def selected(bulk: BDF, name: str) -> int:
 
 
 def translated(bulk: BDF, name: str = "model", spc: int = 0) -> Translation:
-    """The translation, as this case control and PARAM,WTMASS want it."""
+    """The translation, as this case control and PARAM,WTMASS ask for it."""
     factor = bulk.params["WTMASS"].values[0] if "WTMASS" in bulk.params else 1.0
     return translate(
         bulk, name, spc=spc or selected(bulk, "SPC"), mpc=selected(bulk, "MPC"), wtmass=factor
@@ -91,8 +91,8 @@ def solve(bulk: BDF, folder: Path, n_modes: int = 8, spc: int = 0) -> Solved:
     job = folder / "job"
     job.mkdir()
     analysis = ModalAnalysis(n_modes, translation.grids)
-    solver.write({}, analysis, job)
-    finished = run_process(solver.command(1), job, 300.0, threading.Event())
+    solver.render({}, analysis).write(job)
+    finished = run_process(solver.program.command(1), job, 300.0, threading.Event())
     result = solver.read({}, analysis, job, finished.return_code)
     assert isinstance(result, ModalResult)
     return Solved(translation, result, (job / "job.dat").read_text())
@@ -142,8 +142,10 @@ def plate_cards(
                 places = [(a * x / n_x, b * y / n_y) for a, b in piece]
                 if kind in ("CQUAD8", "CTRIA6"):
                     after = [*places[1:], places[0]]
-                    places += [((a + c) / 2, (b + d) / 2)
-                               for (a, b), (c, d) in zip(places, after, strict=True)]  # fmt: skip
+                    places += [
+                        ((a + c) / 2, (b + d) / 2)
+                        for (a, b), (c, d) in zip(places, after, strict=True)
+                    ]
                 nodes = [grid.at(*place) for place in places]
                 cards.append(card(kind, len(cards) + 1, 1, *nodes) + tail)
     return [*grid.cards, *cards]
@@ -169,8 +171,11 @@ def test_a_simply_supported_plate_of_every_shell_has_kirchhoffs_frequency(
     side, n = 1.0, 8
     cards = plate_cards(n, n, side, side, kind=kind)
     bulk = bulk_of([MAT1, "PSHELL,1,1,.01,1,,1", *cards], tmp_path)
-    edge = [number for number, node in bulk.nodes.items()
-            if min(*node.xyz[:2], *(side - node.xyz[:2])) < 1e-9]  # fmt: skip
+    edge = [
+        number
+        for number, node in bulk.nodes.items()
+        if min(*node.xyz[:2], *(side - node.xyz[:2])) < 1e-9
+    ]
     for components, nodes in (("3", edge), ("12", [1]), ("2", [2])):
         bulk.add_spc1(1, components, nodes)
     bulk.cross_reference()
@@ -189,8 +194,10 @@ def bar_nodes(kind: str, grid: Grid, corners: Sequence[tuple[float, float, float
     ring = [(i, (i + 1) % n) for i in range(n)]
     up = [(i, i + n) for i in range(n)]
     top = [(i + n, j + n) for i, j in ring]
-    middles = [tuple((a + b) / 2 for a, b in zip(corners[i], corners[j], strict=True))
-               for i, j in (*ring, *up, *top)]  # fmt: skip
+    middles = [
+        tuple((a + b) / 2 for a, b in zip(corners[i], corners[j], strict=True))
+        for i, j in (*ring, *up, *top)
+    ]
     return [grid.at(*place) for place in (*corners, *middles)]
 
 
@@ -363,9 +370,15 @@ def test_all_refusals_come_at_once_with_cards_and_numbers(tmp_path: Path) -> Non
         translated(bulk, "wrong.bdf")
     said = str(caught.value)
     for part in (
-        "wrong.bdf", "CSHEAR: 1 card (701)", "PSHEAR", "PARAM,FOOBAR", "ASET1", "CMASS2 909",
-        "PSHELL 5: 12 I / T^3 = 2, not 1", "SPC set 4",
-    ):  # fmt: skip
+        "wrong.bdf",
+        "CSHEAR: 1 card (701)",
+        "PSHEAR",
+        "PARAM,FOOBAR",
+        "ASET1",
+        "CMASS2 909",
+        "PSHELL 5: 12 I / T^3 = 2, not 1",
+        "SPC set 4",
+    ):
         assert part in said
     for harmless in ("FORCE", "DESVAR", "EIGRL", "MAT9"):
         assert harmless not in said
@@ -394,8 +407,16 @@ def test_laminates_are_refused_where_ccx_breaks_off(tmp_path: Path) -> None:
 
 
 def test_partly_missing_midside_nodes_are_refused(tmp_path: Path) -> None:
-    cards = [MAT1, "PSOLID,1,1", "GRID,1,,0.,0.,0.", "GRID,2,,1.,0.,0.", "GRID,3,,0.,1.,0.",
-             "GRID,4,,0.,0.,1.", "GRID,5,,.5,0.,0.", "CTETRA,1,1,1,2,3,4,5"]  # fmt: skip
+    cards = [
+        MAT1,
+        "PSOLID,1,1",
+        "GRID,1,,0.,0.,0.",
+        "GRID,2,,1.,0.,0.",
+        "GRID,3,,0.,1.,0.",
+        "GRID,4,,0.,0.,1.",
+        "GRID,5,,.5,0.,0.",
+        "CTETRA,1,1,1,2,3,4,5",
+    ]
     with pytest.raises(ModelError, match="CTETRA 1: some of its midside nodes are missing"):
         translate(bulk_of(cards, tmp_path), "tetra")
 

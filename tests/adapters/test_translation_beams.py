@@ -15,14 +15,14 @@ from scipy import integrate
 
 from modetune.adapters.calculix.deck import parse_deck
 from modetune.adapters.calculix.model import understand
-from modetune.adapters.calculix.solver import CalculixSolver
+from modetune.adapters.calculix.solver import CalculixDeck, calculix_program
 from modetune.adapters.process import run_process
-from modetune.adapters.solver import ModalAnalysis
+from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.translation.cross_sections import cross_section, shape_of
 from modetune.adapters.translation.translate import translate
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.results import ModalResult
+from modetune.core.updating.results import ModalResult
 
 E, G, RHO = 70e9, 70e9 / 2.6, 2700.0
 AREA, I1, I2, J = 1e-3, 1e-7, 2e-7, 1.5e-7
@@ -79,10 +79,10 @@ def solve(
     factor = bulk.params["WTMASS"].values[0] if "WTMASS" in bulk.params else 1.0
     translation = translate(bulk, "model.dat", frozenset(), spc=spc, mpc=0, wtmass=factor)
     deck = parse_deck(Path("model.dat (translated)"), translation.text)
-    solver = CalculixSolver(understand(deck), (), "ccx")
+    solver = Solver(CalculixDeck(understand(deck), ()), calculix_program())
     analysis = ModalAnalysis(n_modes, translation.grids, tuple((name, (name,)) for name in sets))
-    solver.write({}, analysis, folder)
-    finished = run_process(solver.command(1), folder, 60.0, threading.Event())
+    solver.render({}, analysis).write(folder)
+    finished = run_process(solver.program.command(1), folder, 60.0, threading.Event())
     result = solver.read({}, analysis, folder, finished.return_code)
     assert isinstance(result, ModalResult)
     return result
@@ -179,12 +179,15 @@ def test_released_ends_make_a_pinned_beam_of_a_clamped_one(tmp_path: Path) -> No
 def test_shear_strain_is_timoshenkos(tmp_path: Path) -> None:
     length = 0.1
     cards = [
-        LIGHT, "PBAR,1,2,1.E-3,1.E-7,2.E-7,1.5E-7\n,,,,,,,,\n,.5,.25", "CONM2,9,7,,10.",
+        LIGHT,
+        "PBAR,1,2,1.E-3,1.E-7,2.E-7,1.5E-7\n,,,,,,,,\n,.5,.25",
+        "CONM2,9,7,,10.",
         "CONM2,8,1,,10.",
-        "SPC1,1,1456,7", "SPC1,1,123456,1",
+        "SPC1,1,1456,7",
+        "SPC1,1,123456,1",
         *(f"GRID,{i + 1},,{text(i * length / 6)},0.,0." for i in range(7)),
         *(f"CBAR,{i},1,{i},{i + 1},0.,0.,1." for i in range(1, 7)),
-    ]  # fmt: skip
+    ]
     found = elastic_hz(solve(read_bulk(*cards), tmp_path, 2, spc=1), 0)
     # A tip kept from rotating has the stiffness 1 / (L^3 / 12 E I + L / K A G). K1 goes with I1.
     wanted = [
@@ -222,11 +225,20 @@ def test_offsets_and_orientation_follow_the_output_frame(tmp_path: Path) -> None
 @needs_ccx
 def test_a_corner_carries_bending_over_into_torsion(tmp_path: Path) -> None:
     bulk = read_bulk(
-        LIGHT, "PBAR,1,2,1.E-3,1.E-7,2.E-7,1.5E-7", "CONM2,9,5,,3.", "SPC1,1,123456,1",
-        "GRID,1,,0.,0.,0.", "GRID,2,,.3,0.,0.", "GRID,3,,.6,0.,0.", "GRID,4,,.6,.2,0.",
-        "GRID,5,,.6,.4,0.", "CBAR,1,1,1,2,0.,0.,1.", "CBAR,2,1,2,3,0.,0.,1.",
-        "CBAR,3,1,3,4,0.,0.,1.", "CBAR,4,1,4,5,0.,0.,1.",
-    )  # fmt: skip
+        LIGHT,
+        "PBAR,1,2,1.E-3,1.E-7,2.E-7,1.5E-7",
+        "CONM2,9,5,,3.",
+        "SPC1,1,123456,1",
+        "GRID,1,,0.,0.,0.",
+        "GRID,2,,.3,0.,0.",
+        "GRID,3,,.6,0.,0.",
+        "GRID,4,,.6,.2,0.",
+        "GRID,5,,.6,.4,0.",
+        "CBAR,1,1,1,2,0.,0.,1.",
+        "CBAR,2,1,2,3,0.,0.,1.",
+        "CBAR,3,1,3,4,0.,0.,1.",
+        "CBAR,4,1,4,5,0.,0.,1.",
+    )
     found = elastic_hz(solve(bulk, tmp_path, 3, spc=1), 0)
     a, b = 0.6, 0.4
     # Tip force out of the plane: both legs bend (I1: plane 1 holds z) and the first one twists.
@@ -239,8 +251,9 @@ def test_a_corner_carries_bending_over_into_torsion(tmp_path: Path) -> None:
 def test_a_bar_stands_on_a_shell_with_its_rotations(tmp_path: Path) -> None:
     grids = [
         f"GRID,{100 + 3 * i + j},,{text(0.1 * i - 0.1)},{text(0.1 * j - 0.1)},0."
-        for i in range(3) for j in range(3)
-    ]  # fmt: skip
+        for i in range(3)
+        for j in range(3)
+    ]
     corners = [
         (100, 103, 104, 101),
         (101, 104, 105, 102),
@@ -255,8 +268,16 @@ def test_a_bar_stands_on_a_shell_with_its_rotations(tmp_path: Path) -> None:
         "CBAR,2,1,1,2,1.,0.,0.",
     ]
     edge = "SPC1,1,123456,100,101,102,103,105,106\n,107,108"
-    bulk = read_bulk(MATERIAL, "MAT1,2,70.E12,,.3,2700.", "PSHELL,2,2,.1,2,,2", PBAR,
-                     *grids, *plates, *posts, edge)  # fmt: skip
+    bulk = read_bulk(
+        MATERIAL,
+        "MAT1,2,70.E12,,.3,2700.",
+        "PSHELL,2,2,.1,2,,2",
+        PBAR,
+        *grids,
+        *plates,
+        *posts,
+        edge,
+    )
     found = elastic_hz(solve(bulk, tmp_path, 6, spc=1), 0)
     # The plate is a thousand times as stiff: the post is a cantilever. A hinge would give 0 Hz.
     assert nearest(found, bending_hz(CLAMPED[:1], I1)).max() < 0.01
@@ -273,10 +294,18 @@ def test_a_bar_on_a_solid_is_hinged_there_as_nastran_has_it(tmp_path: Path) -> N
     bars = [f"GRID,{i + 1},,{text(1.1 - i * 0.125)},0.,0." for i in range(8)]
     bars += [f"CBAR,{i},1,{i},{i + 1},0.,0.,1." for i in range(1, 8)]
     bulk = read_bulk(
-        MATERIAL, "MAT1,2,70.E12,,.3,2700.", "PSOLID,2,2", PBAR, *grids, solid, *bars,
-        "CBAR,8,1,8,101,0.,0.,1.", "SPC1,1,123456,1",
-        "SPC1,1,123,100,103,104,107", "SPC1,1,4,8",
-    )  # fmt: skip
+        MATERIAL,
+        "MAT1,2,70.E12,,.3,2700.",
+        "PSOLID,2,2",
+        PBAR,
+        *grids,
+        solid,
+        *bars,
+        "CBAR,8,1,8,101,0.,0.,1.",
+        "SPC1,1,123456,1",
+        "SPC1,1,123,100,103,104,107",
+        "SPC1,1,4,8",
+    )
     found = elastic_hz(solve(bulk, tmp_path, 4, spc=1), 0)
     # Clamped and pinned: beta L = 3.926602 (Blevins 1979, table 8-1), length 1.
     assert nearest(found, bending_hz(np.array([3.926602]), I1)).max() < 0.01
@@ -379,7 +408,7 @@ def test_symmetric_shapes_have_no_product_of_inertia_and_an_angle_has() -> None:
         ([PBAR, "CBAR,1,1,1,2,0.,0.,1.,GOO\n,,,0.,.01,0.,0.,.01,0."], "OFFT=GOO"),
         ([PBAR, "CBAR,1,1,1,2,0.,0.,1.\n,4,4"], "CBAR 1: its pin flags leave it a mechanism"),
         ([PBAR, "MAT8,2,1.E9,1.E9,.3,1.E9", "CBAR,1,7,1,2,0.,0.,1.",
-          "PBAR,7,2,1.E-3,1.E-7,1.E-7"], "CBAR 1: its material is no MAT1"),
+          "PBAR,7,2,1.E-3,1.E-7,1.E-7"], "CBAR 1: its material is not a MAT1"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_translated_is_named(cards: list[str], reason: str) -> None:
@@ -398,12 +427,25 @@ def test_a_tapered_beam_is_refused() -> None:
     bulk = BDF(debug=None)
     bulk.add_mat1(1, 70e9, None, 0.3, rho=2700.0)
     even, taper = [1e-3, 1e-3], [1e-3, 2e-3]
-    bulk.add_pbeam(1, 1, [0.0, 1.0], ["C", "YES"], taper, [1e-7] * 2, [2e-7] * 2, [0.0] * 2,
-                   [1e-7] * 2)  # fmt: skip
-    bulk.add_pbeam(2, 1, [0.0, 1.0], ["C", "YES"], even, [1e-7] * 2, [2e-7] * 2, [0.0] * 2,
-                   [1e-7] * 2)  # fmt: skip
-    bulk.add_pbeam(3, 1, [0.0, 1.0], ["C", "YES"], even, [1e-7] * 2, [2e-7] * 2, [0.0] * 2,
-                   [1e-7] * 2, n1a=0.01, n1b=0.01)  # fmt: skip
+    bulk.add_pbeam(
+        1, 1, [0.0, 1.0], ["C", "YES"], taper, [1e-7] * 2, [2e-7] * 2, [0.0] * 2, [1e-7] * 2
+    )
+    bulk.add_pbeam(
+        2, 1, [0.0, 1.0], ["C", "YES"], even, [1e-7] * 2, [2e-7] * 2, [0.0] * 2, [1e-7] * 2
+    )
+    bulk.add_pbeam(
+        3,
+        1,
+        [0.0, 1.0],
+        ["C", "YES"],
+        even,
+        [1e-7] * 2,
+        [2e-7] * 2,
+        [0.0] * 2,
+        [1e-7] * 2,
+        n1a=0.01,
+        n1b=0.01,
+    )
     bulk.cross_reference()
     with pytest.raises(ValueError, match="a taper"):
         cross_section(bulk.properties[1])

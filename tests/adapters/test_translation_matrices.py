@@ -1,4 +1,4 @@
-"""Matrices of translated Nastran decks: footprints of parameters, and displacements; real ccx."""
+"""Matrices of translated Nastran decks: affected elements, and displacements; real ccx."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
-from modetune.adapters.translation.solver import TranslatedSolver, translated_solver
+from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, Solver
+from modetune.adapters.translation.solver import translated_solver
 from modetune.core.parameters import Parameter, Quantity, TargetKind
-from modetune.core.results import MatrixResult, ModalResult
+from modetune.core.updating.results import MatrixResult, ModalResult
 from tests.adapters.test_calculix_observation import solved
 from tests.adapters.test_solver_contract import run
 
@@ -55,13 +55,13 @@ def parameter(quantity: Quantity, item: int) -> Parameter:
     return Parameter("p", quantity, by, (str(item),), 0.5, 2.0, 0.1)
 
 
-def solver_of(folder: Path, *parameters: Parameter) -> TranslatedSolver:
+def solver_of(folder: Path, *parameters: Parameter) -> Solver:
     path = folder / "model.bdf"
     path.write_text(deck())
     return translated_solver(path, parameters)
 
 
-def matrices_at(solver: TranslatedSolver, folder: Path, **values: float) -> MatrixResult:
+def matrices_at(solver: Solver, folder: Path, **values: float) -> MatrixResult:
     found = run(solver, values, MatrixAnalysis(), folder)
     assert isinstance(found, MatrixResult)
     return found
@@ -69,11 +69,11 @@ def matrices_at(solver: TranslatedSolver, folder: Path, **values: float) -> Matr
 
 def test_displacements_are_in_the_output_frames(tmp_path: Path) -> None:
     solver = solver_of(tmp_path)
-    assert solver.model.matrix_shapes
-    modal = run(solver, {}, ModalAnalysis(8, tuple(solver.model.node_ids)), tmp_path)
+    assert solver.deck.summary.matrix_shapes
+    modal = run(solver, {}, ModalAnalysis(8, tuple(solver.deck.summary.node_ids)), tmp_path)
     matrices = matrices_at(solver, tmp_path)
     assert isinstance(modal, ModalResult)
-    seen = solver.observation(matrices, modal.modes.nodes, modal.modes.components)
+    seen = solver.deck.observation(matrices, modal.modes.nodes, modal.modes.components)
     assert not seen.unknown.any()  # points tied by the rigid element too
     eigenvalues, shapes = solved(matrices, 8)
     np.testing.assert_allclose(eigenvalues, modal.eigenvalues, rtol=1e-6)  # printed digits
@@ -93,12 +93,12 @@ def test_displacements_are_in_the_output_frames(tmp_path: Path) -> None:
         ("thickness", True, True, (-1, 1, 2, 3)),
     ],
 )
-def test_footprints_are_those_of_the_translation(
+def test_affected_elements_are_those_of_the_translation(
     tmp_path: Path, quantity: Quantity, stiffness: bool, mass: bool, powers: tuple[int, ...]
 ) -> None:
     scaled = parameter(quantity, 2)
     solver = solver_of(tmp_path, scaled)
-    found = solver.footprint(scaled)
+    found = solver.deck.affected_elements(scaled)
     assert found is not None
     assert (found.stiffness, found.mass, found.powers) == (stiffness, mass, powers)
     # The second plate's points; those of the first it is not joined to stay out.
@@ -115,6 +115,6 @@ def test_footprints_are_those_of_the_translation(
 
 
 @pytest.mark.parametrize("quantity", ["poissons_ratio", "shear_modulus"])
-def test_no_polynomial_no_footprint(tmp_path: Path, quantity: Quantity) -> None:
+def test_no_polynomial_no_affected_elements(tmp_path: Path, quantity: Quantity) -> None:
     scaled = parameter(quantity, 2)
-    assert solver_of(tmp_path, scaled).footprint(scaled) is None
+    assert solver_of(tmp_path, scaled).deck.affected_elements(scaled) is None

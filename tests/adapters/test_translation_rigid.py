@@ -84,9 +84,14 @@ def test_a_heavy_body_at_the_tip_of_a_strip_has_the_frequency_of_its_lever(
         else card("RBAR", 901, tip, 900, 123456)
     )
     cards = [
-        MAT1, f"PSHELL,1,1,{thick},1,,1", *plate, card("SPC1", 1, 123456, *root), link,
-        f"GRID,900,,{place[0]},{place[1]},{place[2]}", f"CONM2,902,900,,{mass}",
-    ]  # fmt: skip
+        MAT1,
+        f"PSHELL,1,1,{thick},1,,1",
+        *plate,
+        card("SPC1", 1, 123456, *root),
+        link,
+        f"GRID,900,,{place[0]},{place[1]},{place[2]}",
+        f"CONM2,902,900,,{mass}",
+    ]
     solved = solve(bulk_of(cards, tmp_path, ["SPC=1"]), tmp_path, 4)
     # Massless cantilever with a point mass on a rigid arm a along it: flexibility
     # (L^3 / 3 + a L^2 + a^2 L) / E I; on an arm across it, the mass also moves along by a theta.
@@ -94,8 +99,10 @@ def test_a_heavy_body_at_the_tip_of_a_strip_has_the_frequency_of_its_lever(
     if direction == "in_plane":
         flexibility = (length**3 / 3 + arm * length**2 + arm**2 * length) / ei
     else:
-        matrix = np.array([[length**3 / 3, length**2 / 2 * arm],
-                           [length**2 / 2 * arm, length * arm**2]]) / ei  # fmt: skip
+        matrix = (
+            np.array([[length**3 / 3, length**2 / 2 * arm], [length**2 / 2 * arm, length * arm**2]])
+            / ei
+        )
         flexibility = float(np.linalg.eigvalsh(matrix)[-1])
     exact = (1.0 / (flexibility * mass)) ** 0.5 / 2 / np.pi
     # The strip weighs 0.7 % of the mass; its clamped root and its width stiffen by about 1 %.
@@ -117,9 +124,11 @@ def test_a_free_plate_with_an_offset_body_has_six_rigid_modes_and_its_inertia(
 ) -> None:
     body = ",".join(["CONM2", "900", "13", "", "4.", "0.02", "-0.01", "0.05", ""])
     cards = [
-        MAT1, "PSHELL,1,1,.01,1,,1", *plate_cards(4, 4, 0.4, 0.4),
+        MAT1,
+        "PSHELL,1,1,.01,1,,1",
+        *plate_cards(4, 4, 0.4, 0.4),
         body + "\n," + ",".join(inertia),
-    ]  # fmt: skip
+    ]
     solved = solve(bulk_of(cards, tmp_path), tmp_path, 10)
     assert solved.result.n_rigid == 6
     assert solved.result.mass == pytest.approx(0.16 * 0.01 * RHO + 4.0, rel=1e-5)
@@ -200,10 +209,16 @@ def test_an_equation_ties_what_it_names(tmp_path: Path) -> None:
 
 def test_rigid_elements_that_cannot_be_are_refused_with_reasons(tmp_path: Path) -> None:
     cards = [
-        MAT1, PSHELL, *strip(), "GRID,900,,.5,.5,.5", "GRID,901,,.5,.5,.6",
-        "RBAR,910,900,901,123,456", "RBE3,911,,900,123456,1.,123,1,2",
-        "RBE2,912,1,123456,2", "RBE2,913,3,123456,2",
-    ]  # fmt: skip
+        MAT1,
+        PSHELL,
+        *strip(),
+        "GRID,900,,.5,.5,.5",
+        "GRID,901,,.5,.5,.6",
+        "RBAR,910,900,901,123,456",
+        "RBE3,911,,900,123456,1.,123,1,2",
+        "RBE2,912,1,123456,2",
+        "RBE2,913,3,123456,2",
+    ]
     with pytest.raises(ModelError) as caught:
         translate(bulk_of(cards, tmp_path), "rigid.bdf")
     said = str(caught.value)
@@ -220,11 +235,9 @@ def test_an_independent_point_of_solids_turns_with_what_follows_it(tmp_path: Pat
     grid = Grid()
     square = ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))
     solids = [
-        card("CHEXA", i + 1, 1, *[
-            grid.at(x, y, 0.1 * z) for z in (i, i + 1) for x, y in square
-        ])
+        card("CHEXA", i + 1, 1, *[grid.at(x, y, 0.1 * z) for z in (i, i + 1) for x, y in square])
         for i in range(4)
-    ]  # fmt: skip
+    ]
     line = [grid.at(0.0, 0.0, z) for z in (0.4, 0.3, 0.2)]
     cards = [
         MAT1, "PSOLID,1,1", *grid.cards, *solids, "GRID,900,,-.1,0.,.4",

@@ -128,15 +128,20 @@ def test_sprung_bars_agree_with_mystran(
         ("CBUSH,101,7,1,3,1.,0.,0.", "CBUSH 101: its orientation vector is along its axis"),
         ("CBUSH,101,7,1,3,0.,1.,0.\n,,0,.1,.1,.1", "CBUSH 101: an offset in system OCID=0"),
         ("CBUSH,101,8,1,3,0.,1.,0.", "CBUSH 101: the mass of its PBUSH is not translated"),
-        ("CELAS2,101,1.,9,1", "CELAS2 101: point 9 is no GRID"),
+        ("CELAS2,101,1.,9,1", "CELAS2 101: point 9 is not a GRID"),
         ("CELAS4,101,1.,9", "CELAS4 101: scalar points are not translated"),
     ],
 )
 def test_what_cannot_be_translated_is_named(card: str, reason: str) -> None:
     bulk = read_bulk(
-        "GRID,1,,0.,0.,0.", "GRID,2,,0.,0.,0.", "GRID,3,,1.,0.,0.", "SPOINT,9",
-        "PBUSH,7,K,1.E3,1.E3", "PBUSH,8,K,1.E3,1.E3\n,,M,1.", card,
-    )  # fmt: skip
+        "GRID,1,,0.,0.,0.",
+        "GRID,2,,0.,0.,0.",
+        "GRID,3,,1.,0.,0.",
+        "SPOINT,9",
+        "PBUSH,7,K,1.E3,1.E3",
+        "PBUSH,8,K,1.E3,1.E3\n,,M,1.",
+        card,
+    )
     assert any(reason in problem for problem in problems_of(bulk))
 
 
@@ -152,8 +157,11 @@ def test_a_stiffness_below_zero_is_one_beside_others(tmp_path: Path) -> None:
 
 @needs_ccx
 def test_springs_stand_beside_composite_shells(tmp_path: Path) -> None:
-    grids = [f"GRID,{100 + 3 * i + j},,{0.1 * i:.4f},{0.1 * j:.4f},0."
-             for i in range(3) for j in range(3)]  # fmt: skip
+    grids = [
+        f"GRID,{100 + 3 * i + j},,{0.1 * i:.4f},{0.1 * j:.4f},0."
+        for i in range(3)
+        for j in range(3)
+    ]
     corners = (
         (100, 103, 104, 101),
         (101, 104, 105, 102),

@@ -1,0 +1,225 @@
+"""Where numbers of a CalculiX deck act in the matrices, and in which powers.
+
+Stiffness is linear in *ELASTIC (Young's modulus, or all constants of TYPE=ORTHO and ANISO) and
+*SPRING, mass in *DENSITY and *MASS. Shells are expanded to solids of thickness t, whose matrices
+are polynomials in t and 1/t.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from modetune.adapters.calculix.constraints import read_constraints
+from modetune.adapters.calculix.deck import KeywordCard
+from modetune.adapters.calculix.incidence import Incidence
+from modetune.adapters.calculix.model import DEPENDENT, CalculixModel, read_number
+from modetune.adapters.solver import AffectedElements
+from modetune.core.errors import ModelError
+from modetune.core.mesh import Mesh
+from modetune.core.modes import Floats
+
+#: Powers of a shell's thickness besides the constant.
+THICKNESS = (-1, 1, 2, 3)
+#: ccx takes shells that meet as one where their normals are less than 20 degrees apart and their
+#: thickness differs by less than this (gen3dnor.f); at another thickness they meet in a knot.
+SAME_THICKNESS = 1e-10
+#: Cosine of an angle well above these 20 degrees, for elements that are not flat.
+NEAR_NORMALS = 0.7
+
+
+def affected_elements_of(
+    model: CalculixModel, incidence: Incidence, geometry: Mesh, lines: Collection[int]
+) -> AffectedElements | None:
+    """What the numbers in these lines of the deck move, as one relative value of theirs.
+
+    None where the matrices are not a polynomial of it, where a step before the frequency step may
+    preload the structure, or where the number of equations depends on the value.
+    """
+    cards = _cards(model, lines)
+    if _preloaded(model) or not cards:
+        return None
+    keywords = {card.keyword for card in cards}
+    thickness = "*SHELLSECTION" in keywords
+    if not keywords <= {"*ELASTIC", "*DENSITY", "*SPRING", "*MASS", "*SHELLSECTION"}:
+        return None
+    if thickness and (
+        keywords != {"*SHELLSECTION"}
+        or not _keeps_knots(model, incidence, geometry, [card.option("ELSET") for card in cards])
+    ):
+        return None
+    sets = {name for card in cards for name in _sets(model, card)}
+    members = model.mesh.element_sets
+    elements = frozenset[int]().union(*(members.get(name, frozenset()) for name in sets))
+    return AffectedElements(
+        elements=elements,
+        nodes=_with_tied(model, incidence.nodes(elements)),
+        stiffness=not keywords <= {"*DENSITY", "*MASS"},
+        mass=bool(keywords & {"*DENSITY", "*MASS", "*SHELLSECTION"}),
+        powers=THICKNESS if thickness else (1,),
+        proportional=keywords <= {"*ELASTIC", "*SPRING"} and not _layered(model, sets),
+    )
+
+
+def _with_tied(model: CalculixModel, nodes: frozenset[int]) -> frozenset[int]:
+    """These nodes, and all that ties lead to from them; all nodes where ties are not followed."""
+    if not model.deck.named(*DEPENDENT):
+        return nodes
+    constraints = read_constraints(model)
+    if not constraints.followed:
+        return model.mesh.nodes
+    ties = [
+        {node, *(term for term, _ in terms)} for (node, _), terms in constraints.dependent.items()
+    ]
+    ties += [{node, body.reference, body.rotation} for node, body in constraints.bodies.items()]
+    by_node: dict[int, list[int]] = {}
+    for place, tied in enumerate(ties):
+        for node in tied:
+            by_node.setdefault(node, []).append(place)
+    reached, new = set(nodes), set(nodes)
+    while new:
+        places = {place for node in new for place in by_node.get(node, [])}
+        new = set[int]().union(*(ties[place] for place in places)) - reached
+        reached |= new
+    return frozenset(reached) & model.mesh.nodes
+
+
+def changed_lines(
+    nominal: CalculixModel, edited: Sequence[CalculixModel], values: Sequence[float]
+) -> frozenset[int] | None:
+    """Lines of a deck that are others at these relative values, two of them, than at 1.
+
+    None where more than numbers that matrices are linear in differ, or where such a number is not
+    linear in the value (a thickness: not proportional to it).
+    """
+    texts = [[line.text for line in model.deck.lines] for model in (nominal, *edited)]
+    if len({len(lines) for lines in texts}) > 1:
+        return None
+    at = np.array([1.0, *values])
+    changed = []
+    for place, row in enumerate(zip(*texts, strict=True)):
+        if len(set(row)) == 1:
+            continue
+        if not _acts_linearly(_cards(nominal, [place]), row, at):
+            return None
+        changed.append(place)
+    return frozenset(changed)
+
+
+def _acts_linearly(cards: list[KeywordCard], texts: Sequence[str], at: Floats) -> bool:
+    """Whether the numbers in a line, by its texts at these values, move matrices linearly."""
+    if len(cards) != 1:
+        return False
+    card, kind = cards[0], cards[0].option("TYPE")
+    try:
+        numbers = np.array(
+            [
+                [read_number(word) if word.strip() else 0.0 for word in text.split(",")]
+                for text in texts
+            ]
+        )
+    except ValueError:
+        return False
+    moved = np.ptp(numbers, axis=0) > 0.0
+    if card.keyword == "*ELASTIC":
+        isotropic = kind in ("", "ISO", "ISOTROPIC")
+        if isotropic and moved[1:].any():  # Poisson's ratio
+            return False
+        if not isotropic and kind not in ("ORTHO", "ANISO"):
+            return False
+    slopes = (numbers[1:] - numbers[0]) / (at[1:] - at[0])[:, None]
+    expected = numbers[0] if card.keyword == "*SHELLSECTION" else slopes[0]
+    # Numbers are written with twelve digits or more.
+    size = np.abs(numbers).max(axis=0)
+    return bool((np.abs(slopes - expected) <= 1e-9 * size)[:, moved].all())
+
+
+def _cards(model: CalculixModel, lines: Collection[int]) -> list[KeywordCard]:
+    """The cards that have these lines, each once."""
+    cards = model.deck.cards
+    starts = [card.lines.start for card in cards]
+    places = sorted({bisect_right(starts, line) - 1 for line in lines})
+    return [cards[place] for place in places if place >= 0]
+
+
+def _preloaded(model: CalculixModel) -> bool:
+    frequency = model.deck.named("*FREQUENCY")
+    steps = model.deck.named("*STEP")
+    return (
+        bool(frequency) and sum(step.lines.start < frequency[0].lines.start for step in steps) > 1
+    )
+
+
+def _sets(model: CalculixModel, card: KeywordCard) -> list[str]:
+    """Element sets that a card's numbers belong to."""
+    if card.keyword not in ("*ELASTIC", "*DENSITY"):
+        return [card.option("ELSET")]
+    materials = model.deck.named("*MATERIAL")
+    above = [other for other in materials if other.lines.start < card.lines.start]
+    name = above[-1].option("NAME") if above else ""
+    return [user.option("ELSET") for user in model.users({name})]
+
+
+def _layered(model: CalculixModel, sets: Collection[str]) -> bool:
+    """Whether a section of these sets has layers, which may be of other materials too."""
+    return any(
+        "COMPOSITE" in card.options for card in model.sections if card.option("ELSET") in sets
+    )
+
+
+def _keeps_knots(
+    model: CalculixModel, incidence: Incidence, geometry: Mesh, names: Collection[str]
+) -> bool:
+    """Whether shells of these sets meet no others of the same thickness about in their plane.
+
+    ccx joins those in common expanded nodes, and in knots as soon as the thickness differs: then
+    the matrices have other equations.
+    """
+    try:
+        thickness = _thicknesses(model)
+    except ModelError:
+        return False
+    members = model.mesh.element_sets
+    own = frozenset[int]().union(*(members.get(name, frozenset()) for name in names))
+    touched = incidence.nodes(own)
+    others: dict[int, list[int]] = {}
+    for number in thickness.keys() - own:
+        for node in touched.intersection(incidence.nodes_of[number]):
+            others.setdefault(node, []).append(number)
+    normals: dict[int, Floats] = {}
+    rows = dict(zip(geometry.nodes.tolist(), geometry.coordinates, strict=True))
+    for number in own:
+        for node in incidence.nodes_of[number]:
+            for other in others.get(node, []):
+                if abs(thickness[number] - thickness[other]) > SAME_THICKNESS:
+                    continue
+                for each in (number, other):
+                    if each not in normals:
+                        normals[each] = _normal(incidence.nodes_of[each], rows)
+                if normals[number] @ normals[other] > NEAR_NORMALS:
+                    return False
+    return True
+
+
+def _thicknesses(model: CalculixModel) -> dict[int, float]:
+    """Of each shell element the sum of its layers. Raises ModelError where nodes have their own."""
+    found = {}
+    for card in model.deck.named("*SHELL SECTION"):
+        if "NODALTHICKNESS" in card.options:
+            raise ModelError(f"{model.deck.where(card)}: nodes have thicknesses of their own")
+        layers = card.data if "COMPOSITE" in card.options else card.data[:1]
+        total = sum(model.number(line, 0) for line in layers)
+        for number in model.mesh.element_sets.get(card.option("ELSET"), frozenset()):
+            found[number] = total
+    return found
+
+
+def _normal(nodes: tuple[int, ...], places: Mapping[int, Floats]) -> Floats:
+    """The unit normal of a triangle or quadrilateral by its corners."""
+    corners = [places[node] for node in nodes[: 4 if len(nodes) in (4, 8) else 3]]
+    across = corners[2] - corners[0]
+    other = corners[3] - corners[1] if len(corners) == 4 else corners[1] - corners[0]
+    normal = np.cross(across, other)
+    return np.asarray(normal / np.linalg.norm(normal))

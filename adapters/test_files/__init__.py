@@ -1,0 +1,1 @@
+"""Test files, one module a format."""

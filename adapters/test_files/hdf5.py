@@ -1,0 +1,111 @@
+"""A test as HDF5, modetune's own documented form, which loses nothing.
+
+    attributes          format = "modetune test data", version = 1
+    notes               what readers decided or left out, strings
+    modes/              numbers, frequencies_hz (n_modes,), mode_shapes (n_dof, n_modes), nodes,
+                        components (n_dof,), damping_ratios (n_modes,) or empty;
+                        attribute normalisation
+    geometry/           nodes (n,), coordinates (n, 3), frames (n, 3, 3), lines (n, 2),
+                        faces (n, 3); attribute metres (NaN: unknown)
+    frfs/               frequencies_hz (n_lines,), values (n_lines, n_functions), nodes, components,
+                        signs, reference_nodes, reference_components, reference_signs
+                        (n_functions,), coherences (n_lines, n_functions) or empty; attribute kind
+
+Each group may be missing. `core/storage/codec` writes it. The first 512 bytes hold a SHA-256 of all
+that follows, which is looked at before HDF5 sees the file (`core/storage/seal`). Programs other
+than modetune write such files by `write_test_hdf5`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modetune.core.errors import CampaignError, ModesError, StoreDamaged
+from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
+from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, Normalisation
+from modetune.core.storage.codec import read_value, write_value
+from modetune.core.storage.files import writing
+from modetune.core.storage.seal import content, holds, sealed, title_of
+
+__test__ = False  # tests are what it holds, not what it is
+
+FORMAT, VERSION = "modetune test data", 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Modes:
+    """Measured modes with their numbers, in one group."""
+
+    numbers: Integers
+    frequencies_hz: Floats
+    mode_shapes: NDArray[np.float64] | NDArray[np.complex128]
+    nodes: Integers
+    components: Integers
+    damping_ratios: Floats
+    normalisation: Normalisation
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """The file as it stands."""
+
+    format: str
+    version: int
+    notes: tuple[str, ...]
+    modes: _Modes | None
+    geometry: TestGeometry | None
+    frfs: MeasuredFrfs | None
+
+
+def write_test_hdf5(path: Path, measurement: Measurement) -> None:
+    """Write a test whole or not at all. Raises StorageUnavailable."""
+    modes = None
+    if (measured := measurement.modes) is not None:
+        columns = [getattr(measured.modes, item.name) for item in fields(ModeSet)]
+        modes = _Modes(np.array(measured.numbers, dtype=np.int64), *columns)
+    form = _File(FORMAT, VERSION, measurement.notes, modes, measurement.geometry, measurement.frfs)
+    data = sealed(FORMAT, lambda file: write_value(file, form))
+    with writing(path) as part:
+        part.write_bytes(data)
+
+
+def read_test_hdf5(path: Path) -> Measurement:
+    """Read a test. Raises CampaignError where the file is damaged or of another form."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
+    if title_of(data) != FORMAT:
+        raise CampaignError(
+            f"test file {path} is not a test that modetune wrote as HDF5; write one with "
+            "`modetune inspect FILES --write OUT.h5`"
+        )
+    if not holds(data, FORMAT):
+        raise CampaignError(
+            f"the checksum of test file {path} does not hold: it was damaged or cut short; copy or "
+            "write it again"
+        )
+    try:
+        with content(data) as file:
+            if file.attrs.get("version") != VERSION:
+                raise CampaignError(
+                    f"test file {path} has version {file.attrs.get('version')} of the form; this "
+                    f"modetune reads {VERSION}"
+                )
+            form = read_value(file, _File)
+        modes = None
+        if form.modes is not None:
+            columns = {item.name: getattr(form.modes, item.name) for item in fields(ModeSet)}
+            modes = MeasuredModes(tuple(form.modes.numbers.tolist()), ModeSet(**columns))
+    except (StoreDamaged, ModesError) as problem:
+        raise CampaignError(f"test file {path} is not a readable test ({problem})") from problem
+    return Measurement(modes, form.geometry, form.frfs, form.notes)
+
+
+def is_test_hdf5(data: bytes) -> bool:
+    """Whether these first bytes of a file are those of an HDF5 file, ours or another's."""
+    return data.startswith((FORMAT.encode(), b"\x89HDF\r\n"))

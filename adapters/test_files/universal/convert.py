@@ -1,0 +1,192 @@
+"""What pyuff returns for geometry, units and functions, as typed values.
+
+Each function takes a dataset's place, its rows and pyuff's answer, and raises ValueError, said of
+the dataset ("has ..."), where the answer does not fit what the dataset announces.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from modetune.adapters.test_files.universal.blocks import DatasetBlock
+from modetune.adapters.test_files.universal.contents import (
+    CoordinateSystem,
+    CoordinateSystems,
+    DatasetPlace,
+    Drawing,
+    Function,
+    NodeTable,
+    Units,
+)
+from modetune.core.modes import Floats, Integers
+
+#: Coordinates beyond this are garbled text, in whatever unit; their squares are still numbers.
+FARTHEST = 1e30
+
+
+def units(place: DatasetPlace, block: DatasetBlock, read: Any) -> Units:
+    """Dataset 164, whose factors turn SI into the file's units: 1000 for millimetres."""
+    factor = float(read["length"])
+    if not (math.isfinite(factor) and factor > 0.0):
+        raise ValueError(f"has {factor:g} as factor of lengths, which must be above zero")
+    force = float(read["force"])
+    newtons = 1.0 / force if math.isfinite(force) and force > 0.0 else math.nan
+    return Units(place, 1.0 / factor, newtons)
+
+
+def node_table(place: DatasetPlace, block: DatasetBlock, read: Any) -> NodeTable:
+    """Datasets 15 and 2411; coordinates of 2411 are global, whatever its export system."""
+    columns = [np.asarray(read[name], dtype=np.float64) for name in ("x", "y", "z")]
+    names = ("node_nums", "def_cs", "disp_cs")
+    numbers = [np.asarray(read[name], dtype=np.float64) for name in names]
+    if len({column.size for column in (*columns, *numbers)}) != 1 or not columns[0].size:
+        raise ValueError("does not have seven numbers for each of its nodes")
+    coordinates = np.column_stack(columns)
+    if not (np.abs(coordinates) < FARTHEST).all():
+        raise ValueError("has a coordinate that is not a length")
+    nodes, definition, displacement = map(_whole, numbers)
+    if block.kind == 2411:
+        definition = np.zeros_like(definition)
+    return NodeTable(place, nodes, coordinates, definition, displacement)
+
+
+def systems_of_points(place: DatasetPlace, block: DatasetBlock, read: Any) -> CoordinateSystems:
+    """Dataset 18: origin, a point on the x axis, and one in the x-z plane."""
+    numbers, kinds, references = (
+        _whole(np.asarray(read[name])) for name in ("cs_num", "cs_type", "ref_cs_num")
+    )
+    points = [np.asarray(read[name]) for name in ("ref_o", "x_point", "xz_point")]
+    if any(point.shape != (numbers.size, 3) for point in points) or numbers.size == 0:
+        raise ValueError("does not have nine numbers for each coordinate system")
+    if not (np.abs(points) < FARTHEST).all():
+        raise ValueError("has a coordinate that is not a length")
+    systems = []
+    for row, number in enumerate(numbers.tolist()):
+        origin, x_point, xz_point = (point[row] for point in points)
+        x, in_plane = x_point - origin, xz_point - origin
+        y = np.cross(in_plane, x)
+        lengths = np.linalg.norm(x), np.linalg.norm(y)
+        if lengths[1] <= 1e-6 * lengths[0] * np.linalg.norm(in_plane) or not lengths[0]:
+            raise ValueError(f"gives coordinate system {number} by three points on one line")
+        x, y = x / lengths[0], y / lengths[1]
+        axes = np.vstack([x, y, np.cross(x, y)])
+        systems.append(
+            CoordinateSystem(number, int(kinds[row]), int(references[row]), origin, axes)
+        )
+    return CoordinateSystems(place, tuple(systems))
+
+
+def systems_2420(place: DatasetPlace, block: DatasetBlock, read: Any) -> CoordinateSystems:
+    """Dataset 2420: rows 1 to 3 of a matrix are a system's axes, row 4 its origin."""
+    labels, kinds, matrices = read["CS_sys_labels"], read["CS_types"], read["CS_matrices"]
+    if not len(labels) == len(kinds) == len(matrices):
+        raise ValueError("does not have a matrix for each coordinate system")
+    systems = []
+    for number, kind, matrix in zip(labels, kinds, matrices, strict=True):
+        values = np.asarray(matrix, dtype=np.float64)
+        if values.shape != (4, 3) or not np.isfinite(values).all():
+            raise ValueError(f"has no whole matrix of coordinate system {number}")
+        axes = values[:3]
+        if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-3 or np.linalg.det(axes) < 0.0:
+            raise ValueError(f"gives coordinate system {number} axes that are not right angles")
+        systems.append(CoordinateSystem(int(number), int(kind), 0, values[3], _orthonormal(axes)))
+    return CoordinateSystems(place, tuple(systems))
+
+
+def drawing_of_trace(place: DatasetPlace, block: DatasetBlock, read: Any) -> Drawing:
+    """Dataset 82: a line from node to node, which starts anew after a zero."""
+    nodes = _whole(np.asarray(read["nodes"], dtype=np.float64))[: max(int(read["n_nodes"]), 0)]
+    pairs = np.column_stack([nodes[:-1], nodes[1:]])
+    pairs = pairs[(pairs > 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])]
+    return Drawing(place, pairs, np.zeros((0, 3), dtype=np.int64))
+
+
+def drawing_of_elements(place: DatasetPlace, block: DatasetBlock, read: Any) -> Drawing:
+    """Dataset 2412: two-node elements as lines, the sides of all others as triangles."""
+    lines: list[tuple[int, ...]] = []
+    faces: list[tuple[int, ...]] = []
+    for descriptor, elements in read.items():
+        if not isinstance(descriptor, int):
+            continue
+        for element in elements:
+            nodes = tuple(element["nodes_nums"])
+            side_lines, triangles = _sides(descriptor, nodes)
+            lines += side_lines
+            faces += triangles
+    return Drawing(
+        place,
+        np.array(lines, dtype=np.int64).reshape(-1, 2),
+        np.array(faces, dtype=np.int64).reshape(-1, 3),
+    )
+
+
+#: Corners of the sides of solids: tetrahedron, wedge, brick.
+_SOLIDS: dict[int, tuple[tuple[int, ...], ...]] = {
+    111: ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
+    112: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    115: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+}
+
+
+def _sides(
+    descriptor: int, nodes: tuple[int, ...]
+) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    """Lines and triangles that draw an element; nothing for one that is not known."""
+    if len(nodes) == 2:
+        return [nodes], []
+    if descriptor in _SOLIDS:
+        corners = _SOLIDS[descriptor]
+        if len(nodes) <= max(max(side) for side in corners):
+            return [], []
+        sides = [tuple(nodes[corner] for corner in side) for side in corners]
+    elif 41 <= descriptor <= 99 and descriptor % 10 in (1, 4):
+        sides = [nodes]
+    elif 41 <= descriptor <= 99 and descriptor % 10 in (2, 5):  # a node amid each edge
+        sides = [nodes[::2]]
+    elif descriptor == 24:
+        return [nodes[:2], nodes[1:3]], []
+    else:
+        return [], []
+    return [], [
+        (side[0], side[last], side[last + 1]) for side in sides for last in range(1, len(side) - 1)
+    ]
+
+
+def function(place: DatasetPlace, block: DatasetBlock, read: Any) -> Function:
+    """Dataset 58."""
+    values, abscissae = np.asarray(read["data"]), np.asarray(read["x"], dtype=np.float64)
+    count = int(read["num_pts"])
+    if values.size < count or abscissae.size < count:
+        raise ValueError(f"announces {count} values and has {values.size}")
+    return Function(
+        place=place,
+        kind=int(read["func_type"]),
+        abscissae=abscissae[:count],
+        values=values[:count],
+        node=int(read["rsp_node"]),
+        direction=int(read["rsp_dir"]),
+        reference_node=int(read["ref_node"]),
+        reference_direction=int(read["ref_dir"]),
+        numerator=int(read["ordinate_spec_data_type"]),
+        denominator=int(read["orddenom_spec_data_type"]),
+        unit=str(read["ordinate_axis_units_lab"]).strip(),
+        denominator_unit=str(read["orddenom_axis_units_lab"]).strip(),
+    )
+
+
+def _whole(values: Floats) -> Integers:
+    if not np.isfinite(values).all() or (np.abs(values) > 2**53).any():
+        raise ValueError("has a number that is not a whole number")
+    whole = values.astype(np.int64)
+    if (whole != values).any():
+        raise ValueError("has a broken number where a whole one must be")
+    return whole
+
+
+def _orthonormal(axes: Floats) -> Floats:
+    """The orthonormal axes nearest to these, which are so but for their printed digits."""
+    left, _, right = np.linalg.svd(axes)
+    return np.asarray(left @ right)
