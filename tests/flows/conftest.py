@@ -8,45 +8,64 @@ number does instead of its duty.
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import sparse
 
+from modetune.adapters.process import LOG
 from modetune.adapters.solver import (
+    AffectedElements,
     Analysis,
     Capabilities,
     Command,
-    Footprint,
+    Deck,
     MatrixAnalysis,
     ModalAnalysis,
     ModelSummary,
+    Number,
+    Rendered,
     SensitivityAnalysis,
+    Solver,
 )
-from modetune.core.criteria import Tolerances
 from modetune.core.errors import LicenceDenied, SolverCrashed, SolverRejected
-from modetune.core.keys import Json
-from modetune.core.measurement import Measurement
+from modetune.core.measurement.measurement import Measurement
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
-from modetune.core.observation import Observation, observe
 from modetune.core.parameters import Parameter, ParameterSet, Quantity, Values
-from modetune.core.record import IterationRecord
-from modetune.core.residual import Weighting
-from modetune.core.results import MatrixResult, ModalResult, ModeDerivatives, Result
-from modetune.core.store import Store
+from modetune.core.storage.keys import Json
+from modetune.core.storage.record import IterationRecord
+from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
-from modetune.flows.campaign import Campaign
-from modetune.flows.execution.engine import JobEngine
-from modetune.flows.execution.run_section import RetriesSection, RunSection
-from modetune.flows.running import job_engine
-from modetune.flows.schema import E1Section, ReportSection, SensitivitySection, UpdateSection
-from modetune.flows.sensors.mapping import map_sensors
-from modetune.flows.sensors.section import SensorSection
+from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.observation import Observation, observe
+from modetune.core.updating.residual import Weighting
+from modetune.core.updating.results import MatrixResult, ModalResult, ModeDerivatives, Result
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
+from modetune.flows.campaign.mapping import map_sensors
+from modetune.flows.campaign.schema import (
+    E1Section,
+    ReportSection,
+    SensitivitySection,
+    UpdateSection,
+)
+from modetune.flows.campaign.sensors_section import SensorSection
+from modetune.flows.campaign.site import RetriesSection, RunSection
+from modetune.flows.jobs import prefect_server
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.prefect_api import PrefectApi
+from modetune.flows.updating.running import job_engine
+from tests.embedded import PROGRAMS
 
 SPRINGS = np.array([1500.0, 1600.0, 1400.0, 6500.0, 1300.0, 1500.0, 1300.0])
 MASSES = np.array([1.8, 2.4, 1.6, 1.2, 1.1, 0.9])
@@ -70,6 +89,25 @@ print(said.get(behaviour, "END OF JOB"))
 if behaviour == "nan":
     pathlib.Path("nan").write_text("")
 """
+
+
+def recased(campaign: Campaign, **changes: Any) -> Campaign:
+    """A campaign of one model with something else in its case."""
+    return replace(campaign, cases=(replace(campaign.case, **changes),))
+
+
+def scripted_job(folder: Path) -> int | None:
+    """A run whose script has nothing special for it, in this process."""
+    job = json.loads((folder / "job.json").read_text())
+    if json.loads(Path(job["script"]).read_text()):
+        return None
+    with Path(job["log"]).open("a") as lines:
+        lines.write(f"{job['kind']}\n")
+    (folder / LOG).write_text("END OF JOB\n")
+    return 0
+
+
+PROGRAMS["-I", "-S", "-c", PROGRAM] = scripted_job
 
 
 def chain(values: Values) -> tuple[Floats, Floats]:
@@ -111,20 +149,13 @@ def kind_of(analysis: Analysis) -> str:
 
 
 @dataclass(frozen=True)
-class ScriptedSolver:
-    """The chain behind the solver seam."""
+class ChainDeck(Deck):
+    """The chain behind the solver seam. added: values that are the deck's own."""
 
-    folder: Path
-    energies: bool = True
-    name: str = "scripted"
+    added: tuple[tuple[str, float], ...] = ()
 
     @property
-    def capabilities(self) -> Capabilities:
-        return Capabilities(self.energies, matrices=True, frequency_sensitivities=True,
-                            shape_sensitivities=True)  # fmt: skip
-
-    @property
-    def model(self) -> ModelSummary:
+    def summary(self) -> ModelSummary:
         nodes, components = frozenset(range(1, 7)), frozenset({1})
         return ModelSummary("chain", nodes, components, 13, solid_shapes=True, matrix_shapes=True)
 
@@ -134,31 +165,25 @@ class ScriptedSolver:
         links = Cells("line", np.arange(2, 7), np.stack([nodes[:-1], nodes[1:]], axis=1))
         return Mesh(nodes, places, (links,))
 
-    def version(self) -> str:
-        return "1"
+    def numbers(self, parameter: Parameter) -> list[Number]:
+        name, place = parameter.name, int(parameter.name[1:]) - 1
+        value = float((SPRINGS if name.startswith("k") else MASSES)[place])
+        return [Number(name, value, name)]
 
-    def problems(self, parameters: tuple[Parameter, ...]) -> list[str]:
-        return []
-
-    def deck_value(self, parameter: Parameter) -> float:
-        place = int(parameter.name[1:]) - 1
-        return float((SPRINGS if parameter.name.startswith("k") else MASSES)[place])
-
-    def written(self, parameter: Parameter, value: float) -> float:
-        return value
-
-    def wave_speeds(self) -> dict[str, float]:
-        return {}
+    def edited(self, values: Values) -> Values:
+        return {**dict(self.added), **values}
 
     def is_linear(self, parameter: Parameter) -> bool:
         return True
 
-    def footprint(self, parameter: Parameter) -> Footprint | None:
+    def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         spring, place = parameter.name.startswith("k"), int(parameter.name[1:])
         ends = {place - 1, place} if spring else {place}
         element = place if spring else 7 + place
         nodes = frozenset(ends & set(range(1, 7)))
-        return Footprint(frozenset({element}), nodes, spring, not spring, (1,))
+        return AffectedElements(
+            frozenset({element}), nodes, spring, not spring, (1,), proportional=False
+        )
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers
@@ -168,26 +193,47 @@ class ScriptedSolver:
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         return (parameter.name,) if parameter.quantity == "spring_stiffness" else ()
 
-    def content(self, values: Values, analysis: Analysis) -> Json:
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "chain.json").write_text(json.dumps(dict(values)))
+        return folder / "chain.json"
+
+
+@dataclass(frozen=True)
+class ScriptedProgram:
+    """The program that counts its runs; a deck is the chain's values."""
+
+    folder: Path
+    energies: bool = True
+    name: str = "scripted"
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return Capabilities(
+            self.energies, matrices=True, frequency_sensitivities=True, shape_sensitivities=True
+        )
+
+    def version(self) -> str:
+        return "1"
+
+    def render(self, deck: Values, analysis: Analysis) -> Rendered:
         asked: dict[str, Json] = {"kind": kind_of(analysis), "energies": self.energies}
         if isinstance(analysis, ModalAnalysis):
             asked["modes"] = analysis.n_modes
         if isinstance(analysis, SensitivityAnalysis):
             asked["columns"] = list(analysis.parameters)
-        return {"values": dict(values), **asked}
-
-    def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
         job = {
             "kind": kind_of(analysis),
             "log": str(self.folder / "runs.log"),
             "script": str(self.folder / "script.json"),
         }
-        (folder / "job.json").write_text(json.dumps(job))
+        content = {"values": dict(deck), **asked}
+        return Rendered.of_texts(content, {"job.json": json.dumps(job).encode()})
 
     def command(self, threads: int) -> Command:
         return Command((sys.executable, "-I", "-S", "-c", PROGRAM))
 
-    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
+    def read(self, deck: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         log = (folder / "solver.log").read_text()
         if "REJECTED" in log:
             raise SolverRejected(f"the scripted solver refused its input in {folder}")
@@ -196,39 +242,41 @@ class ScriptedSolver:
         if "END OF JOB" not in log:
             raise SolverCrashed(f"the scripted solver broke off in {folder}")
         if isinstance(analysis, MatrixAnalysis):
-            stiffness, m = chain(values)
+            stiffness, m = chain(deck)
             return MatrixResult.of_full(
-                sparse.csr_array(stiffness), sparse.csr_array(np.diag(m)),
-                np.arange(1, 7), np.ones(6, dtype=np.int64),
-            )  # fmt: skip
+                sparse.csr_array(stiffness),
+                sparse.csr_array(np.diag(m)),
+                np.arange(1, 7),
+                np.ones(6, dtype=np.int64),
+            )
         if isinstance(analysis, SensitivityAnalysis):
-            return chain_derivatives(values, analysis.parameters)
-        eigenvalues, shapes = chain_modes(values)
+            return chain_derivatives(deck, analysis.parameters)
+        eigenvalues, shapes = chain_modes(deck)
         n = min(analysis.n_modes, 6)
         if (folder / "nan").exists():
-            raise SolverCrashed("the result holds values that are not finite")
+            raise SolverCrashed("the result holds deck that are not finite")
         return ModalResult(
             eigenvalues=eigenvalues[:n],
-            modes=mode_set(np.sqrt(eigenvalues[:n]) / 2 / np.pi, shapes[:, :n],
-                           np.arange(1, 7), np.ones(6), normalisation="mass"),
+            modes=mode_set(
+                np.sqrt(eigenvalues[:n]) / 2 / np.pi,
+                shapes[:, :n],
+                np.arange(1, 7),
+                np.ones(6),
+                normalisation="mass",
+            ),
             groups=tuple(name for name, _ in analysis.groups),
             strain_energies=np.array(
-                [self._energy(name, values, shapes[:, :n]) for name, _ in analysis.groups]
+                [self._energy(name, deck, shapes[:, :n]) for name, _ in analysis.groups]
             ).reshape(len(analysis.groups), n),
             total_strain_energy=0.5 * eigenvalues[:n],
-            mass=float(chain(values)[1].sum()),
-        )  # fmt: skip
+            mass=float(chain(deck)[1].sum()),
+        )
 
     def _energy(self, name: str, values: Values, shapes: Floats) -> Floats:
         place = int(name[1:]) - 1
         walls = np.vstack([np.zeros(shapes.shape[1]), shapes, np.zeros(shapes.shape[1])])
         stretch = walls[place + 1] - walls[place]
         return np.asarray(0.5 * SPRINGS[place] * values.get(name, 1.0) * stretch**2)
-
-    def write_updated(self, values: Values, folder: Path) -> Path:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "chain.json").write_text(json.dumps(dict(values)))
-        return folder / "chain.json"
 
 
 @dataclass
@@ -260,8 +308,8 @@ class Bench:
         """What the run of a number does: killed, hang, rejected, short, nan."""
         (self.folder / "script.json").write_text(json.dumps(behaviour))
 
-    def solver(self, energies: bool = True) -> ScriptedSolver:
-        return ScriptedSolver(self.folder, energies)
+    def solver(self, energies: bool = True) -> Solver:
+        return Solver(ChainDeck(), ScriptedProgram(self.folder, energies))
 
     def engine(self, campaign: Campaign) -> JobEngine:
         return job_engine(campaign)
@@ -292,24 +340,30 @@ class Bench:
         """A campaign from the nominal chain to a true one."""
         names = parameters or dict.fromkeys(truth, "spring_stiffness")
         update = update or UpdateSection(
-            step="weighted_least_squares", e1=E1Section(frequency=1e-8, mac=0.0), e2=0.0,
+            step="weighted_least_squares",
+            e1=E1Section(frequency=1e-8, mac=0.0),
+            e2=0.0,
             step_limit=0.5,
-        )  # fmt: skip
+        )
         test = MeasuredModes(modes, self.measured(truth, modes, shapes))
         solver = self.solver(energies)
+        case = Case(
+            solver=solver,
+            units="m-kg-s",
+            measurement=Measurement(test),
+            test=test,
+            mapping=map_sensors(test.modes, None, solver.deck.mesh(), SensorSection(), 1.0),
+            surface=display_surface(solver.deck.mesh()),
+            nodes=(1, 2, 3, 4, 5, 6),
+        )
         return Campaign(
             name="chain",
             file=self.folder / "chain.yaml",
             text="name: chain",
-            solver=solver,
-            units="m-kg-s",
             parameters=ParameterSet(
                 tuple(Parameter(n, q, "part", (n,), *bounds, 0.3) for n, q in names.items())
             ),
-            measurement=Measurement(test),
-            test=test,
-            mapping=map_sensors(test.modes, None, solver.mesh(), SensorSection(), 1.0),
-            surface=display_surface(solver.mesh()),
+            cases=(case,),
             weighting=Weighting(0.002, 0.02, 1.0, 1.0 if shapes else 0.0),
             tolerances=Tolerances(update.e1.frequency, update.e1.mac),
             update=update,
@@ -322,7 +376,6 @@ class Bench:
             ),
             store=Store(self.folder / "store"),
             report=ReportSection(page=False),
-            nodes=(1, 2, 3, 4, 5, 6),
         )
 
 
@@ -334,6 +387,41 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
     return bench
 
 
+SERVER_USER = """
+from modetune.flows.jobs.prefect_server import use_server
+print(use_server().wait())
+"""
+
+
+@pytest.fixture(scope="session")
+def server_base() -> Iterator[Path]:
+    """What HOME_VARIABLE names for the one shared server of a session, which answers.
+
+    Others may enter the folder, so that the server's own modes must protect what is in it.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="modetune-"))
+    base = folder / "base"
+    base.mkdir()
+    for path in (folder, base):
+        path.chmod(0o755)
+    environment = {**os.environ, prefect_server.HOME_VARIABLE: str(base)}
+    for name in ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING"):
+        environment.pop(name, None)
+    # In a process of its own, which may end before its server does.
+    said = subprocess.run(
+        [sys.executable, "-c", SERVER_USER],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    assert said.stdout == "ready\n", said.stderr
+    yield base
+    prefect_server.stop_server(prefect_server.machine_home(base))
+    shutil.rmtree(folder)
+
+
 @pytest.fixture
 def watcher() -> Watcher:
     return Watcher()
@@ -342,3 +430,11 @@ def watcher() -> Watcher:
 @pytest.fixture
 def chain_of() -> Callable[[Values], tuple[Floats, Floats]]:
     return chain
+
+
+def api_of(home: Path) -> PrefectApi:
+    """The shared server of a machine's home, as its owner sees it."""
+    address = prefect_server.read_address(home)
+    assert address is not None
+    login = prefect_server.read_login(home)
+    return PrefectApi(address.url.replace("://", f"://{login}@"))

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, StoreDamaged
 from modetune.core.modes import MeasuredModes
-from modetune.core.record_file import read_record
-from modetune.flows.campaign import Campaign
-from modetune.flows.evaluator import campaign_analysis
-from modetune.flows.execution.engine import Job, JobEngine
+from modetune.core.storage.record_file import read_record
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import Job
+from modetune.flows.updating.finders import campaign_analysis
 
 logger = logging.getLogger(__name__)
 
@@ -49,7 +50,7 @@ def read_earlier(folder: Path) -> EarlierRun | None:
         return None
     try:
         record = read_record(path)
-    except CampaignError as error:
+    except (CampaignError, StoreDamaged) as error:
         logger.warning("the record of the run before cannot be read: %s", error)
         return None
     names, first = record.parameters.names, record.iterations[0]
@@ -87,7 +88,7 @@ def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) 
         return replace(campaign, begin=tuple(earlier.started[name] for name in names))
     begin = []
     for item in campaign.parameters.parameters:
-        deck_value = campaign.solver.deck_value(item)
+        deck_value = campaign.deck_value(item)
         value = earlier.updated.get(item.name, np.nan)
         relative = value / deck_value if deck_value else np.nan
         known = np.isfinite(relative)
@@ -99,6 +100,9 @@ def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) 
 def _test_arrays(test: MeasuredModes) -> tuple[NDArray[Any], ...]:
     modes = test.modes
     return (
-        np.array(test.numbers), modes.frequencies_hz, modes.mode_shapes, modes.nodes,
+        np.array(test.numbers),
+        modes.frequencies_hz,
+        modes.mode_shapes,
+        modes.nodes,
         modes.components,
-    )  # fmt: skip
+    )

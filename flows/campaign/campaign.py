@@ -1,0 +1,292 @@
+"""From a campaign file to a Campaign whose every part has been looked at.
+
+All problems are collected and told at once, each with file and line, before any solver runs.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from modetune.adapters.solver import Solver
+from modetune.adapters.yaml_file import YamlFile, read_yaml
+from modetune.core.errors import CampaignError, ModelError
+from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.parameters import Parameter, ParameterSet, Values
+from modetune.core.storage.store import Store
+from modetune.core.surface import display_surface
+from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.residual import Weighting
+from modetune.flows.campaign.case import Case, whole_test
+from modetune.flows.campaign.configurations import configuration_files
+from modetune.flows.campaign.measured import (
+    held_out_modes,
+    map_test,
+    pairing_nodes,
+    read_test,
+    used_modes,
+)
+from modetune.flows.campaign.refusals import core_problems, licence_problems, method_problems
+from modetune.flows.campaign.schema import (
+    STORE_VARIABLE,
+    CampaignFile,
+    ReportSection,
+    SensitivitySection,
+    UpdateSection,
+)
+from modetune.flows.campaign.settings import override
+from modetune.flows.campaign.site import RunSection
+from modetune.flows.campaign.solvers import bind_solver
+from modetune.flows.campaign.units import unit_problems
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Campaign:
+    """A campaign that can run: settings checked, models and tests read."""
+
+    name: str
+    file: Path
+    text: str
+    cases: tuple[Case, ...]
+    parameters: ParameterSet
+    weighting: Weighting
+    tolerances: Tolerances
+    update: UpdateSection
+    sensitivity: SensitivitySection
+    run: RunSection
+    store: Store
+    report: ReportSection
+    settings: tuple[str, ...] = ()
+    begin: tuple[float, ...] | None = None
+
+    @property
+    def case(self) -> Case:
+        """The only case. Raises CampaignError where there are several."""
+        if len(self.cases) > 1:
+            names = ", ".join(item.name for item in self.cases)
+            raise CampaignError(
+                f"{self.file}: this command works on one model, and the campaign has several "
+                f"configurations ({names}); give it a campaign file with one of them as `model` "
+                "and `test`"
+            )
+        return self.cases[0]
+
+    @property
+    def only(self) -> Case | None:
+        """The only case; None where there are several, which share no surface and no sensors."""
+        return self.cases[0] if len(self.cases) == 1 else None
+
+    @property
+    def used(self) -> tuple[Case, ...]:
+        """The cases that are updated with."""
+        return tuple(item for item in self.cases if not item.aside)
+
+    @property
+    def test(self) -> MeasuredModes:
+        """The modes of all cases that are used."""
+        return whole_test(self.cases)
+
+    def __repr__(self) -> str:
+        names = self.parameters.names
+        models = ", ".join(
+            f"{item.solver.deck.summary.name} on {item.solver.program.name}" for item in self.cases
+        )
+        return (
+            f"Campaign {self.name} ({self.file}): {models}; {len(self.test.numbers)} test modes\n"
+            f"parameters: {', '.join(names[:12])}{', ...' if len(names) > 12 else ''}"
+        )
+
+    @property
+    def configurations(self) -> tuple[str, ...]:
+        """Whose test each mode of `test` is of; empty where the campaign has one model."""
+        if self.only is not None:
+            return ()
+        return tuple(item.name for item in self.used for _ in item.test.numbers)
+
+    @property
+    def start(self) -> Floats:
+        """Parameters (n_parameters,) that updating starts from."""
+        return self.parameters.initial if self.begin is None else np.array(self.begin)
+
+    @property
+    def solver_name(self) -> str:
+        """The solvers of all cases."""
+        return "+".join(dict.fromkeys(item.solver.program.name for item in self.cases))
+
+    def solver_version(self) -> str:
+        """The versions of all cases' solvers. Raises SolverMissing."""
+        return ", ".join(dict.fromkeys(item.solver.program.version() for item in self.cases))
+
+    @property
+    def parallel(self) -> int:
+        """Jobs at the same time."""
+        return self.run.parallel or cores()
+
+    @property
+    def threads(self) -> int:
+        """Threads of each job: the machine's cores shared out among parallel jobs."""
+        return self.run.threads or max(1, cores() // self.parallel)
+
+    def alone(self, case: Case) -> Campaign:
+        """The campaign that one of its cases would make alone, with the parameters it has."""
+        own = replace(self, cases=(replace(case, columns=None, weight=1.0, aside=False),))
+        if case.columns is None:
+            return own
+        return replace(
+            own,
+            parameters=ParameterSet(tuple(self.parameters.parameters[n] for n in case.columns)),
+            begin=None if self.begin is None else tuple(self.begin[n] for n in case.columns),
+        )
+
+    def deck_value(self, parameter: Parameter) -> float:
+        """A parameter's value in the deck of the first case that has it."""
+        case = next(
+            item for item in self.cases if parameter in self.alone(item).parameters.parameters
+        )
+        return case.solver.deck.deck_value(parameter)
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        """Write the updated deck and return its place; of several cases each in a folder of its
+        configuration's name, and their folder is returned."""
+        if len(self.cases) == 1:
+            return self.case.solver.deck.write_updated(values, folder)
+        for item in self.cases:
+            own = {name: values[name] for name in self.alone(item).parameters.names}
+            item.solver.deck.write_updated(own, folder / item.name)
+        return folder
+
+
+def cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def load_campaign(
+    path: Path, settings: list[str] | None = None, form: type[CampaignFile] = CampaignFile
+) -> Campaign:
+    """Read a campaign file of a form. Raises CampaignError with all problems; StoreError."""
+    source = read_yaml(path, "a campaign")
+    try:
+        file = form.model_validate(override(source, settings or []))
+        run = file.run.on_site()
+    except ValidationError as error:
+        raise CampaignError([_problem(source, item) for item in error.errors()]) from None
+    problems: list[str] = []
+    parameters = ParameterSet(tuple(item.parameter() for item in file.parameters))
+    cases = _read_cases(source, file, problems)
+    problems += core_problems(source, run, cores()) + licence_problems(source, file.run)
+    if problems:
+        raise CampaignError(list(dict.fromkeys(problems)))
+    return Campaign(
+        name=file.name,
+        file=source.path,
+        text=source.text,
+        cases=tuple(cases),
+        parameters=parameters,
+        weighting=Weighting(
+            file.residuals.frequency_deviation,
+            file.residuals.shape_deviation,
+            file.residuals.frequency_weight,
+            file.residuals.shape_weight,
+        ),
+        tolerances=Tolerances(file.update.e1.frequency, file.update.e1.mac),
+        update=file.update,
+        sensitivity=file.sensitivity,
+        run=run,
+        store=Store(_store_folder(source, file)),
+        report=file.report,
+        settings=tuple(settings or ()),
+    )
+
+
+def _read_cases(source: YamlFile, file: CampaignFile, problems: list[str]) -> list[Case]:
+    """The campaign's own case, or that of each configuration; those with problems are left out."""
+    if not file.configurations:
+        case = _read_case(source, file, problems)
+        return [] if case is None else [case]
+    cases = []
+    for item in configuration_files(source, file, problems):
+        said: list[str] = []
+        case = _read_case(item.source, item.file, said) if item.columns else None
+        problems += said
+        if case is not None:
+            section = item.section
+            cases.append(
+                replace(
+                    case,
+                    name=section.name,
+                    columns=item.columns,
+                    weight=section.weight,
+                    aside=section.hold_out,
+                )
+            )
+    return cases
+
+
+def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Case | None:
+    """One model and one test; nothing where there are problems."""
+    measurement = read_test(source, file, problems)
+    solver = _read_model(source, file, problems)
+    mapping = None
+    if measurement is not None and solver is not None:
+        mapping = map_test(source, file, measurement, solver, problems)
+        problems += method_problems(source, file, solver)
+    if problems or measurement is None or solver is None or mapping is None:
+        return None
+    used, held = used_modes(file, measurement), held_out_modes(file, measurement)
+    test = replace(used, modes=used.modes.rows(mapping.rows))
+    return Case(
+        solver=solver,
+        units=file.model.units,
+        measurement=measurement,
+        test=test,
+        mapping=mapping,
+        surface=display_surface(solver.deck.mesh(), file.report.nodes),
+        nodes=pairing_nodes(test, mapping.sensors, solver),
+        held_out=replace(held, modes=held.modes.rows(mapping.rows)) if held else None,
+        eigensolver=file.model.eigensolver,
+    )
+
+
+def _problem(source: YamlFile, item: object) -> str:
+    assert isinstance(item, dict)
+    place = tuple(item["loc"])
+    key = ".".join(str(part) for part in place)
+    said = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        said = f"unknown key `{place[-1]}`"
+    elif item["type"] == "missing":
+        said = f"the key `{place[-1]}` is missing"
+    elif not isinstance(item["input"], dict | list):
+        said = f"{said}; found {item['input']!r}"
+    return f"{source.where(place)}: {key or 'campaign'}: {said}"
+
+
+def _store_folder(source: YamlFile, file: CampaignFile) -> Path:
+    base = source.path.resolve().parent
+    if file.store is not None:
+        return base / file.store
+    named = os.environ.get(STORE_VARIABLE)
+    return Path(named) if named else base / ".modetune" / "store"
+
+
+def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> Solver | None:
+    parameters = tuple(item.parameter() for item in file.parameters)
+    try:
+        solver = bind_solver(file.model, source.path.parent / file.model.deck, parameters)
+    except ModelError as error:
+        problems.append(f"{error} (named in {source.where(('model', 'deck'))})")
+        return None
+    for position, parameter in enumerate(parameters):
+        place = source.where(("parameters", position))
+        problems += [f"{place}: {said}" for said in solver.deck.problems((parameter,))]
+    if not problems:  # what several parameters do to each other
+        place = source.where(("parameters",))
+        problems += [f"{place}: {said}" for said in solver.deck.problems(parameters)]
+    if not problems:
+        problems += unit_problems(source.where(("model", "units")), file.model.units, solver)
+    return solver

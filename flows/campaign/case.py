@@ -1,0 +1,112 @@
+"""A model with a test: what a campaign's parameter sets are evaluated on.
+
+A campaign has one case, or one for each of its configurations (fuel, payload, boundary
+conditions). Where modes of several cases stand side by side, as in a record, shapes of one are zero
+at the sensors of the others, and a mode is told by its configuration and its number there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.adapters.solver import Solver
+from modetune.core.correlation.held_out import together
+from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.sensors import SensorMap
+from modetune.core.modes import MeasuredModes, ModeSet, mode_set
+from modetune.core.surface import Surface
+from modetune.flows.campaign.mapping import Mapping
+from modetune.flows.campaign.schema import Eigensolver, Units
+
+#: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
+EXTRA_MODES = 4
+RIGID_MODES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A model with a test.
+
+    test: the modes that are used; held_out: those that are only judged by. nodes: at which pairing
+    and derivatives need shapes. name: of the configuration, empty where the campaign has one
+    model; columns: positions of its parameters among the campaign's, all of them where None;
+    weight: of its residuals; aside: whether it is only judged by.
+    """
+
+    solver: Solver
+    units: Units
+    measurement: Measurement
+    test: MeasuredModes
+    mapping: Mapping
+    surface: Surface
+    nodes: tuple[int, ...]
+    held_out: MeasuredModes | None = None
+    eigensolver: Eigensolver = "solver"
+    name: str = ""
+    columns: tuple[int, ...] | None = None
+    weight: float = 1.0
+    aside: bool = False
+
+    @property
+    def sensors(self) -> SensorMap:
+        """How the test's sensors see the model."""
+        return self.mapping.sensors
+
+    @property
+    def result_nodes(self) -> tuple[int, ...]:
+        """Nodes at which the modes of the whole model are wanted: for pairing, and to look at."""
+        return tuple(sorted({*self.nodes, *self.surface.nodes.tolist()}))
+
+    @property
+    def n_modes(self) -> int:
+        """Modes asked of the solver: the measured ones, rigid ones and some to spare."""
+        return len(self.measured.numbers) + EXTRA_MODES + RIGID_MODES
+
+    @property
+    def measured(self) -> MeasuredModes:
+        """All measured modes that count: used ones, then those that are held out."""
+        return self.test if self.held_out is None else together(self.test, self.held_out)
+
+    def of(self, text: str) -> str:
+        """A text of this case among others."""
+        return f"{text} of {self.name}" if self.name else text
+
+
+def whole_test(cases: Sequence[Case]) -> MeasuredModes:
+    """The modes of all tests that are used side by side."""
+    if len(cases) == 1:
+        return cases[0].test
+    tests = [item.test for item in cases if not item.aside]
+    numbers = tuple(number for test in tests for number in test.numbers)
+    return MeasuredModes(numbers, side_by_side([test.modes for test in tests], node_base(tests)))
+
+
+def node_base(tests: Sequence[MeasuredModes]) -> int:
+    """A round number above all test nodes, at least 1000, to tell configurations' nodes apart."""
+    largest = max((int(test.modes.nodes.max(initial=0)) for test in tests), default=0)
+    return int(10 ** max(3, len(str(largest))))
+
+
+def side_by_side(sets: Sequence[ModeSet], base: int) -> ModeSet:
+    """Modes of several cases in one set, shapes of each at its own sensors only.
+
+    Node n of the k-th (from 1) becomes base * k + n.
+    """
+    shapes = np.zeros((sum(modes.n_dof for modes in sets), sum(modes.n_modes for modes in sets)))
+    row = column = 0
+    for modes in sets:
+        shapes[row : row + modes.n_dof, column : column + modes.n_modes] = np.real(
+            modes.mode_shapes
+        )
+        row, column = row + modes.n_dof, column + modes.n_modes
+    known = all(modes.damping_ratios.size for modes in sets)
+    return mode_set(
+        np.concatenate([modes.frequencies_hz for modes in sets]),
+        shapes,
+        np.concatenate([base * place + modes.nodes for place, modes in enumerate(sets, start=1)]),
+        np.concatenate([modes.components for modes in sets]),
+        np.concatenate([modes.damping_ratios for modes in sets]) if known else (),
+    )

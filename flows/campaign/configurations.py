@@ -1,0 +1,170 @@
+"""Campaign files with several configurations: each as a campaign file of its own.
+
+A configuration has its own `model` and `test` and shares the rest with the others; problems are
+told with the line in the one file where its keys stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from modetune.adapters.yaml_file import Place, YamlFile
+from modetune.core.errors import ModelError
+from modetune.flows.campaign.schema import CampaignFile, ConfigurationSection
+from modetune.flows.campaign.solvers import bind_solver
+
+#: What the configuration is called that the campaign's own `model` and `test` are.
+BASE = "base"
+#: Keys that each configuration has for itself.
+OWN = ("model", "test")
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationFile:
+    """The campaign file as one configuration alone would have it.
+
+    source: with the lines at which its own keys stand; columns: positions of its parameters.
+    """
+
+    section: ConfigurationSection
+    source: YamlFile
+    file: CampaignFile
+    columns: tuple[int, ...]
+
+
+def configuration_files(
+    source: YamlFile, file: CampaignFile, problems: list[str]
+) -> list[ConfigurationFile]:
+    """A campaign file for each configuration.
+
+    Problems of what the configurations have to do with each other are added.
+    """
+    sections: list[tuple[Place, ConfigurationSection]] = [
+        (("configurations", place), item) for place, item in enumerate(file.configurations)
+    ]
+    if file.model is not None:
+        base = ConfigurationSection(name=BASE, model=file.model, test=file.test)
+        sections.insert(0, ((), base))
+    problems += _joint_problems(source, file, [item for _, item in sections])
+    found = []
+    for place, section in sections:
+        view = _view(source, place)
+        columns = _known_parameters(view, file, section)
+        if not columns:
+            problems.append(
+                f"{view.where(('model',))}: configurations: {section.name} has none of the "
+                "campaign's parameters; every configuration needs one"
+            )
+        own = file.model_copy(
+            update={
+                "model": section.model,
+                "test": section.test,
+                "configurations": (),
+                "parameters": tuple(file.parameters[column] for column in columns),
+            }
+        )
+        found.append(ConfigurationFile(section, _moved(view, columns), own, columns))
+    used = {column for item in found if not item.section.hold_out for column in item.columns}
+    for column, parameter in enumerate(file.parameters):
+        if column not in used and parameter.configurations is None:
+            problems.append(
+                f"{source.where(('parameters', column))}: the deck of no configuration that is "
+                f"used has what {parameter.name} scales ({parameter.by()} "
+                f"{', '.join(parameter.targets())})"
+            )
+    return found
+
+
+def _joint_problems(
+    source: YamlFile, file: CampaignFile, sections: Sequence[ConfigurationSection]
+) -> list[str]:
+    found = []
+    names = [section.name for section in sections]
+    for place, item in enumerate(file.configurations):
+        if names.count(item.name) > 1:
+            other = " (the campaign's own `model` and `test` are called so)"
+            found.append(
+                f"{source.where(('configurations', place, 'name'))}: configurations: the name "
+                f"{item.name} is given twice{other if item.name == BASE else ''}"
+            )
+    if all(section.hold_out for section in sections):
+        found.append(
+            f"{source.where(('configurations',))}: all configurations are held out, so "
+            "nothing is left to update with"
+        )
+    for place, parameter in enumerate(file.parameters):
+        unknown = sorted(set(parameter.configurations or ()) - set(names))
+        if unknown:
+            found.append(
+                f"{source.where(('parameters', place, 'configurations'))}: {parameter.name}: "
+                f"there is no configuration {', '.join(unknown)}; there are {', '.join(names)}"
+            )
+        used = [section.name for section in sections if not section.hold_out]
+        if parameter.configurations is not None and not set(parameter.configurations) & set(used):
+            found.append(
+                f"{source.where(('parameters', place, 'configurations'))}: {parameter.name} is in "
+                f"no configuration that is used; these are {', '.join(used)}"
+            )
+    if file.update.start == "last":
+        found.append(
+            f"{source.where(('update', 'start'))}: `start: last` is for campaigns with "
+            "one configuration; several start from the decks"
+        )
+    if file.run.engine == "dask":
+        found.append(
+            f"{source.where(('run', 'engine'))}: several configurations run with "
+            "`engine: local` or `slurm`"
+        )
+    return found
+
+
+def _known_parameters(
+    source: YamlFile, file: CampaignFile, section: ConfigurationSection
+) -> tuple[int, ...]:
+    """Positions of the parameters that a configuration has: those that name it, and those that
+    name none and whose targets are in its deck."""
+    named = [
+        column
+        for column, item in enumerate(file.parameters)
+        if item.configurations is not None and section.name in item.configurations
+    ]
+    free = [column for column, item in enumerate(file.parameters) if item.configurations is None]
+    try:
+        solver = bind_solver(section.model, source.path.parent / section.model.deck, ())
+    except ModelError:
+        return tuple(sorted((*named, *free)))  # told where the model is read
+    alive = [
+        column
+        for column in free
+        if not solver.deck.problems((file.parameters[column].parameter(),))
+    ]
+    return tuple(sorted((*named, *alive)))
+
+
+def _view(source: YamlFile, place: Place) -> YamlFile:
+    """The file with the lines of a configuration's model and test where one's own would be."""
+    if not place:
+        return source
+    depth = len(place)
+    lines = {key: line for key, line in source.lines.items() if not key or key[0] not in OWN}
+    lines |= {
+        key[depth:]: line
+        for key, line in source.lines.items()
+        if len(key) > depth and key[:depth] == place and key[depth] in OWN
+    }
+    return replace(source, lines=lines)
+
+
+def _moved(source: YamlFile, columns: tuple[int, ...]) -> YamlFile:
+    """The file with the lines of these parameters where they are among themselves."""
+    lines = {key: line for key, line in source.lines.items() if key[:1] != ("parameters",)}
+    lines[("parameters",)] = source.lines.get(("parameters",), 1)
+    for now, column in enumerate(columns):
+        then = ("parameters", column)
+        lines |= {
+            ("parameters", now, *key[2:]): line
+            for key, line in source.lines.items()
+            if key[:2] == then
+        }
+    return replace(source, lines=lines)

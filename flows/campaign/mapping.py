@@ -1,0 +1,275 @@
+"""Which node of the model each sensor of a test is read at, and along which direction.
+
+Three steps, each of which can refuse: the test's points are brought into the model's axes and
+length (sensor_alignment), each sensor takes the node next to it within a tolerance, and its
+direction is turned into the axes in which the model's results stand at that node. Without
+coordinates a sensor is the model's node of the same number, along the axes of that node's results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from modetune.core.errors import CampaignError
+from modetune.core.measurement.alignment import Alignment
+from modetune.core.measurement.measurement import TestGeometry
+from modetune.core.measurement.sensors import SensorMap, mean_edge, result_directions
+from modetune.core.mesh import Mesh
+from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
+from modetune.flows.campaign.alignment import align_test, diagonal, unit_name
+from modetune.flows.campaign.mapped_nodes import MappedNode, NodeMapping, listed
+from modetune.flows.campaign.sensors_section import SensorSection
+
+Verdict = Literal["good", "doubtful", "left out"]
+
+#: Part of the model's box diagonal that a sensor may be away from its node.
+TOLERANCE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class SensorRow:
+    """One sensor: where it is read in the model, and how sure that is.
+
+    model_node: None where left out; distance: the model's length, NaN where not known.
+    direction: unit vector in the model's global axes, or in the node's where mapped by number.
+    """
+
+    test_node: int
+    component: str
+    model_node: int | None
+    distance: float
+    direction: tuple[float, float, float]
+    verdict: Verdict
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """The sensors of a test on the model.
+
+    sensors: those with a node. rows: (n_sensors,), their rows in the test's shapes.
+    alignment: None where sensors go by number. table: every sensor of the test, in its order.
+    places: (n_rows, 3), where those of the table are, in the model's axes and length: as the test
+    says, or the nodes where sensors go by number; NaN where not known.
+    tolerance: the model's length, which `unit` names ("" where it has no name).
+    notes: what is to be known, a sentence each.
+    """
+
+    sensors: SensorMap
+    rows: Integers
+    alignment: Alignment | None
+    places: Floats
+    table: tuple[SensorRow, ...]
+    tolerance: float
+    unit: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def doubtful(self) -> tuple[SensorRow, ...]:
+        return tuple(row for row in self.table if row.verdict == "doubtful")
+
+    @property
+    def left_out(self) -> tuple[SensorRow, ...]:
+        return tuple(row for row in self.table if row.verdict == "left out")
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    modes: ModeSet
+    settings: SensorSection
+    components: frozenset[int]
+    node_mapping: NodeMapping
+
+    @property
+    def mesh(self) -> Mesh:
+        return self.node_mapping.mesh
+
+
+def map_sensors(
+    modes: ModeSet,
+    geometry: TestGeometry | None,
+    mesh: Mesh,
+    settings: SensorSection,
+    metres_per_model_length: float,
+    components: frozenset[int] = frozenset(range(1, 7)),
+) -> Mapping:
+    """Map the sensors of a test (the degrees of freedom of `modes`) to nodes of a model.
+
+    components: 1..6, those that the model's results have.
+    Raises CampaignError, all problems at once, for sensors that cannot be mapped.
+    """
+    lost = sorted(set(settings.match.values()) - set(mesh.nodes.tolist()))
+    if lost:
+        raise CampaignError(f"`match` names model node {listed(lost)}, which carries no results")
+    tolerance = settings.tolerance
+    if tolerance is None:
+        tolerance = max(TOLERANCE * diagonal(mesh.coordinates), mean_edge(mesh) / 2.0)
+    unit = unit_name(metres_per_model_length)
+    node_mapping = NodeMapping(mesh, settings.match, tolerance, unit)
+    task = _Task(modes, settings, components, node_mapping)
+    if geometry is not None and settings.by == "position" and modes.n_dof:
+        return _by_position(task, geometry, metres_per_model_length)
+    if geometry is None and settings.places:
+        raise CampaignError(
+            "the test data hold no coordinates, which `align`, `scale`, `rotation` and "
+            "`translation` are about; leave these out, and sensors go by node number"
+        )
+    return _by_number(task)
+
+
+def _by_number(task: _Task) -> Mapping:
+    """Sensors are nodes of the model, in the axes of its results as ever."""
+    mapped_nodes = task.node_mapping.by_number(task.modes.nodes)
+    axes = np.eye(3)[(task.modes.components - 1) % 3]
+    table = _table(task, mapped_nodes, axes, axes)
+    nodes = np.array(
+        [mapped_nodes[name].node for name in task.modes.nodes.tolist()], dtype=np.int64
+    )
+    places = np.full((nodes.size, 3), np.nan)
+    found = nodes > 0
+    places[found] = task.mesh.coordinates[task.mesh.rows(nodes[found])]
+    return _mapping(task, table, axes, places, None, _refused(task, table))
+
+
+def _by_position(task: _Task, geometry: TestGeometry, metres: float) -> Mapping:
+    alignment, notes = align_test(geometry, task.mesh, task.settings, metres)
+    at = {node: row for row, node in enumerate(geometry.nodes.tolist())}
+    mapped_nodes = task.node_mapping.by_position(
+        task.modes.nodes, geometry.nodes, alignment.apply(geometry.coordinates)
+    )
+    rows = np.array([at.get(node, 0) for node in task.modes.nodes.tolist()], dtype=np.int64)
+    directions = alignment.turn(geometry.frames[rows, (task.modes.components - 1) % 3])
+    nodes = np.array(
+        [mapped_nodes[name].node for name in task.modes.nodes.tolist()], dtype=np.int64
+    )
+    turned = result_directions(nodes, directions, task.mesh)
+    table = _table(task, mapped_nodes, directions, turned)
+    places = alignment.apply(geometry.coordinates)[rows]
+    places[~np.isin(task.modes.nodes, geometry.nodes)] = np.nan
+    _require_spread(task, places, notes)
+    notes += _refused(task, table, notes)
+    if alignment.rms > task.node_mapping.tolerance / 2.0:
+        notes += (
+            f"the fit leaves its points {task.node_mapping.length(alignment.rms)} (root mean "
+            "square) from the model, which is much: look at the picture",
+        )
+    return _mapping(task, table, turned, places, alignment, notes)
+
+
+def _require_spread(task: _Task, places: Floats, notes: tuple[str, ...]) -> None:
+    """Refuse a test shrunk onto one place of the model, whose sensors would all find a node."""
+    size = diagonal(places[np.isfinite(places).all(axis=1)])
+    nodes = task.node_mapping
+    if 0.0 < size < nodes.tolerance:
+        raise CampaignError(
+            [
+                f"all sensors lie within {nodes.length(size)}, less than the tolerance "
+                f"({nodes.length(nodes.tolerance)}), so their nodes would mean nothing",
+                *notes,
+            ]
+        )
+
+
+def _table(
+    task: _Task, mapped_nodes: dict[int, MappedNode], directions: Floats, turned: Floats
+) -> tuple[SensorRow, ...]:
+    """A row a sensor; directions: (n_dof, 3), as they are told, turned: in the results' axes."""
+    rows = []
+    for name, component, direction, seen in zip(
+        task.modes.nodes.tolist(), task.modes.components.tolist(), directions, turned, strict=True
+    ):
+        mapped_node = mapped_nodes[name]
+        missing = mapped_node.missing or _not_computed(task, component, seen)
+        verdict: Verdict = "left out" if missing else "doubtful" if mapped_node.doubts else "good"
+        rows.append(
+            SensorRow(
+                name,
+                COMPONENTS[component - 1],
+                None if missing else mapped_node.node,
+                mapped_node.distance,
+                (float(direction[0]), float(direction[1]), float(direction[2])),
+                verdict,
+                missing or "; ".join(mapped_node.doubts),
+            )
+        )
+    return tuple(rows)
+
+
+def _not_computed(task: _Task, component: int, direction: Floats) -> str:
+    """Why the model's results do not show a sensor's motion; "" where they do."""
+    first = 1 if component <= 3 else 4
+    absent = {first, first + 1, first + 2} - task.components
+    lost = [axis for axis in sorted(absent) if abs(direction[axis - first]) > 1e-6]
+    named = ", ".join(COMPONENTS[axis - 1] for axis in lost)
+    return f"the model's results have no {named}" if lost else ""
+
+
+def _refused(
+    task: _Task, table: tuple[SensorRow, ...], notes: Iterable[str] = ()
+) -> tuple[str, ...]:
+    """What became of sensors without a node, a sentence a reason.
+
+    Raises CampaignError with them, and what may be the cause, unless they may be left out and
+    some remain.
+    """
+    reasons: dict[str, None] = {}
+    for row in table:
+        if row.verdict == "left out":
+            turns = len(row.component) == 2
+            name = f"{row.test_node}.{row.component}" if turns else f"{row.test_node}"
+            reasons.setdefault(f"sensor {name}: {row.reason}")
+    if not reasons:
+        return ()
+    count = "1 sensor is" if len(reasons) == 1 else f"{len(reasons)} sensors are"
+    said = (
+        f"{count} not seen by the model (tolerance "
+        f"{task.node_mapping.length(task.node_mapping.tolerance)}): {'; '.join(reasons)}"
+    )
+    remain = any(row.verdict != "left out" for row in table)
+    if task.settings.unmapped == "leave_out" and remain:
+        return (f"left out: {said}",)
+    raise CampaignError([f"{said}. {_remedy(task, remain)}", *notes])
+
+
+def _remedy(task: _Task, remain: bool) -> str:
+    ways = []
+    if task.settings.by == "position" and task.modes.n_dof:
+        fit = "`match` gives partners" if task.settings.fits else "`align: fit` finds rotation, "
+        ways += [fit if task.settings.fits else f"{fit}scale and place", "`tolerance` allows more"]
+    ways += ["`unmapped: leave_out` drops them"] if remain else ["none is left"]
+    return f"In test.sensors: {', '.join(ways)}"
+
+
+def _mapping(
+    task: _Task,
+    table: tuple[SensorRow, ...],
+    directions: Floats,
+    places: Floats,
+    alignment: Alignment | None,
+    notes: tuple[str, ...],
+) -> Mapping:
+    kept = np.array(
+        [place for place, row in enumerate(table) if row.verdict != "left out"], dtype=np.int64
+    )
+    sensors = SensorMap(
+        nodes=task.modes.nodes[kept],
+        components=task.modes.components[kept],
+        model_nodes=np.array([table[row].model_node for row in kept], dtype=np.int64),
+        directions=directions[kept],
+        turns=task.modes.components[kept] > 3,
+        distances=np.array([table[row].distance for row in kept], dtype=np.float64),
+    )
+    return Mapping(
+        sensors,
+        kept,
+        alignment,
+        places,
+        table,
+        task.node_mapping.tolerance,
+        task.node_mapping.unit,
+        notes,
+    )

@@ -1,0 +1,124 @@
+"""The test of a campaign: read, cut to the modes that are used, and laid over the model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modetune.adapters.solver import Solver
+from modetune.adapters.test_files.measurements import read_measurement
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.errors import CampaignError
+from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.sensors import SensorMap
+from modetune.core.mesh import Mesh
+from modetune.core.modes import MeasuredModes, mode_set
+from modetune.flows.campaign.mapping import Mapping, map_sensors
+from modetune.flows.campaign.schema import CampaignFile, ModelFile
+from modetune.flows.campaign.units import LENGTH_METRES, METRES
+
+#: Nodes whose shapes are kept where the test has no sensors, to track modes by.
+TRACKING_NODES = 500
+
+
+def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Measurement | None:
+    """The test, if it has the modes that are asked for."""
+    if isinstance(file, ModelFile):
+        return Measurement(MeasuredModes((), mode_set([])))
+    names = (file.test.modes,) if isinstance(file.test.modes, str) else file.test.modes
+    metres = None if file.test.length is None else LENGTH_METRES[file.test.length]
+    try:
+        measurement = read_measurement([source.path.parent / name for name in names], metres)
+    except CampaignError as error:
+        where = source.where(("test", "modes"))
+        problems += [f"{problem} (named in {where})" for problem in error.problems]
+        return None
+    said = ", ".join(names)
+    test = measurement.modes
+    if test is None:
+        problems.append(f"{source.where(('test', 'modes'))}: {said} holds no modes")
+        return None
+    has = ", ".join(map(str, test.numbers))
+    unknown = False
+    for key, wanted in (("use", file.test.use or ()), ("hold_out", file.test.hold_out)):
+        missing = [str(number) for number in wanted if number not in test.numbers]
+        if missing:
+            unknown = True
+            asked = "asked for" if key == "use" else "to be held out"
+            problems.append(
+                f"{source.where(('test', key))}: mode {', '.join(missing)} is {asked}, but {said} "
+                f"has modes {has}"
+            )
+    if unknown:
+        return None
+    if not used_numbers(file, test):
+        problems.append(
+            f"{source.where(('test', 'hold_out'))}: all modes of {said} ({has}) are "
+            "held out, so nothing is left to update with"
+        )
+        return None
+    if file.residuals.shape_weight > 0.0 and not test.has_shapes:
+        problems.append(
+            f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
+            f"{said} holds frequencies only"
+        )
+    return measurement
+
+
+def used_numbers(file: CampaignFile, test: MeasuredModes) -> tuple[int, ...]:
+    """Numbers of the modes that the campaign uses."""
+    if file.test.use is not None:
+        return file.test.use
+    return tuple(number for number in test.numbers if number not in file.test.hold_out)
+
+
+def used_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes:
+    """The modes that the campaign uses."""
+    assert measurement.modes is not None
+    return measurement.modes.use(used_numbers(file, measurement.modes))
+
+
+def held_out_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes | None:
+    """The modes that are only judged by, None where there are none."""
+    assert measurement.modes is not None
+    return measurement.modes.use(file.test.hold_out) if file.test.hold_out else None
+
+
+def map_test(
+    source: YamlFile,
+    file: CampaignFile,
+    measurement: Measurement,
+    solver: Solver,
+    problems: list[str],
+) -> Mapping | None:
+    """Where the test's sensors are on the model."""
+    mesh, geometry = solver.deck.mesh(), measurement.geometry
+    if mesh.nodes.size == 0:  # matrices alone have no places
+        nodes = np.array(sorted(solver.deck.summary.node_ids), dtype=np.int64)
+        mesh, geometry = Mesh(nodes, np.zeros((nodes.size, 3)), ()), None
+    try:
+        return map_sensors(
+            used_modes(file, measurement).modes,
+            geometry,
+            mesh,
+            file.test.sensors,
+            METRES[file.model.units],
+            solver.deck.summary.components,
+        )
+    except CampaignError as error:
+        where = source.where(("test",))
+        problems += [f"{problem} (named in {where})" for problem in error.problems]
+        return None
+
+
+def pairing_nodes(test: MeasuredModes, sensors: SensorMap, solver: Solver) -> tuple[int, ...]:
+    """Sensor nodes, or where there are none a spread of nodes to track modes by."""
+    if test.has_shapes:
+        return tuple(np.unique(sensors.model_nodes).tolist())
+    return tracking_nodes(solver.deck.summary.node_ids)
+
+
+def tracking_nodes(node_ids: frozenset[int]) -> tuple[int, ...]:
+    """A spread of nodes whose shapes tell modes apart."""
+    nodes = np.array(sorted(node_ids))
+    spread = np.linspace(0, nodes.size - 1, min(TRACKING_NODES, nodes.size)).round()
+    return tuple(nodes[np.unique(spread.astype(np.int64))].tolist())

@@ -1,0 +1,183 @@
+"""A campaign made of Python objects: an ordinary campaign file, and arrays as files beside it.
+
+Keys are those of the campaign file. In two places arrays may stand where the file names a file:
+
+    model   stiffness, mass (n, n), dense or sparse; parts: {name: {stiffness, mass}}, what each
+            parameter scales; dofs: n names such as "12.z" or pairs (12, "z"), else unknown i is
+            component x of node i. The solver is `matrices`.
+    test    frequencies_hz (n_modes,), and where shapes were measured mode_shapes
+            (n_sensors, n_modes) with the dofs (n_sensors) of their rows; numbers (n_modes,) of the
+            modes, else 1, 2, ...; damping_ratios (n_modes,). Or modes: a Measurement or a ModeSet.
+
+What is written can be run, repeated and scheduled by the command line as it is.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy import sparse
+
+from modetune.adapters.matrices.matrix_files import write_matrix
+from modetune.adapters.test_files.hdf5 import write_test_hdf5
+from modetune.core.algebra.factorisation import symmetric_matrix
+from modetune.core.errors import CampaignError, ModelError, ModesError
+from modetune.core.measurement.measurement import Measurement
+from modetune.core.modes import COMPONENTS, MeasuredModes, ModeSet, mode_set
+from modetune.core.storage.files import storage_errors
+from modetune.flows.campaign.schema import STORE_VARIABLE
+
+#: Keys of a model and of a test that are given as arrays.
+MODEL_ARRAYS = {"stiffness", "mass", "parts", "dofs"}
+TEST_ARRAYS = {"frequencies_hz", "mode_shapes", "dofs", "numbers", "damping_ratios"}
+#: Where campaigns are written unless a folder is named, below the current one.
+MADE = Path(".modetune") / "campaigns"
+
+Dof = tuple[int, int]
+
+
+def write_campaign(given: Mapping[str, Any], folder: Path | None = None) -> Path:
+    """Write a campaign and its arrays into a folder; returns the campaign file.
+
+    folder: `.modetune/campaigns/NAME` below the current one where None. Paths in the mapping are
+    relative to the current folder. Raises CampaignError with all that does not fit,
+    StorageUnavailable.
+    """
+    campaign = {key: _plain(value) for key, value in given.items()}
+    folder = (folder or MADE / str(given.get("name", "campaign"))).resolve()
+    problems: list[str] = []
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        _sides(campaign, folder, "", problems)
+        for item in campaign.get("configurations") or ():
+            if isinstance(item, dict):
+                _sides(item, folder, f"{item.get('name')}-", problems)
+        if problems:
+            raise CampaignError(problems)
+        if "store" not in campaign and STORE_VARIABLE not in os.environ:
+            campaign["store"] = str(Path.cwd() / ".modetune" / "store")
+        path = folder / "campaign.yaml"
+        try:
+            path.write_text(yaml.safe_dump(campaign, sort_keys=False), encoding="utf-8")
+        except yaml.YAMLError as error:
+            raise CampaignError(
+                f"a campaign is mappings, lists, numbers and text: {error}"
+            ) from None
+    return path
+
+
+def _sides(holder: dict[str, Any], folder: Path, prefix: str, problems: list[str]) -> None:
+    """Model and test of a campaign or configuration, arrays written and paths made absolute."""
+    for key, write in (("model", _write_model), ("test", _write_test)):
+        side = holder.get(key)
+        if isinstance(side, Measurement | MeasuredModes | ModeSet):
+            side = {"modes": side}
+        if not isinstance(side, dict):
+            continue
+        try:
+            holder[key] = write(dict(side), folder, prefix)
+        except (ModelError, ModesError, CampaignError) as error:
+            problems.append(f"{key}: {error}")
+
+
+def _write_model(model: dict[str, Any], folder: Path, prefix: str) -> dict[str, Any]:
+    if "stiffness" not in model and "mass" not in model:
+        if isinstance(model.get("deck"), str | os.PathLike):
+            model["deck"] = str(Path(model["deck"]).resolve())
+        return model
+    arrays = {key: model.pop(key) for key in MODEL_ARRAYS if key in model}
+    missing = {"stiffness", "mass"} - set(arrays)
+    if missing:
+        raise ModelError(f"a model given as arrays requires `{missing.pop()}`")
+    index: dict[str, Any] = {}
+    for key in ("stiffness", "mass"):
+        index[key] = _write_matrix(arrays[key], folder, f"{prefix}{key}", key)
+    parts = arrays.get("parts") or {}
+    index["parts"] = {
+        str(name): {
+            kind: _write_matrix(matrix, folder, f"{prefix}{name}_{kind}", f"part {name}: {kind}")
+            for kind, matrix in part.items()
+        }
+        for name, part in parts.items()
+    }
+    if arrays.get("dofs") is not None:
+        names = [f"{node}.{COMPONENTS[axis - 1]}" for node, axis in map(_dof, arrays["dofs"])]
+        (folder / f"{prefix}dofs.txt").write_text("\n".join(names) + "\n", encoding="utf-8")
+        index["dofs"] = f"{prefix}dofs.txt"
+    deck = folder / f"{prefix}model.yaml"
+    deck.write_text(yaml.safe_dump(index, sort_keys=False), encoding="utf-8")
+    return {"solver": "matrices", "units": "m-kg-s", **model, "deck": deck.name}
+
+
+def _write_matrix(given: Any, folder: Path, name: str, what: str) -> str:
+    matrix: Any = given if sparse.issparse(given) else np.asarray(given, dtype=np.float64)
+    write_matrix(folder, f"{name}.npz", symmetric_matrix(matrix, what))
+    return f"{name}.npz"
+
+
+def _write_test(test: dict[str, Any], folder: Path, prefix: str) -> dict[str, Any]:
+    given = test.get("modes")
+    if isinstance(given, ModeSet):
+        given = MeasuredModes(tuple(range(1, given.n_modes + 1)), given)
+    if isinstance(given, MeasuredModes):
+        given = Measurement(given)
+    if "frequencies_hz" in test:
+        given = Measurement(_measured({key: test.pop(key) for key in TEST_ARRAYS if key in test}))
+    if isinstance(given, Measurement):
+        write_test_hdf5(folder / f"{prefix}test.h5", given)
+        return {**test, "modes": f"{prefix}test.h5"}
+    if isinstance(given, str | os.PathLike):
+        given = [given]
+    if isinstance(given, list | tuple):
+        paths = [str(Path(item).resolve()) for item in given]
+        test["modes"] = paths if len(paths) > 1 else paths[0]
+    return test
+
+
+def _measured(arrays: dict[str, Any]) -> MeasuredModes:
+    """Measured modes of arrays. Raises ModesError where they do not fit together."""
+    shapes = arrays.get("mode_shapes")
+    dofs = [_dof(item) for item in arrays.get("dofs", ())]
+    if shapes is not None and len(dofs) != np.shape(shapes)[0]:
+        raise ModesError(
+            f"mode_shapes has {np.shape(shapes)[0]} rows, and dofs names {len(dofs)}; each row "
+            "requires a node and a component"
+        )
+    modes = mode_set(
+        arrays["frequencies_hz"],
+        shapes,
+        [node for node, _ in dofs],
+        [axis for _, axis in dofs],
+        arrays.get("damping_ratios", ()),
+    )
+    numbers = tuple(int(number) for number in arrays.get("numbers", range(1, modes.n_modes + 1)))
+    if len(numbers) != modes.n_modes:
+        raise ModesError(f"{len(numbers)} numbers for {modes.n_modes} modes")
+    return MeasuredModes(numbers, modes)
+
+
+def _dof(given: Any) -> Dof:
+    """Node and component 1..6 of "12.z", (12, "z") or (12, 3). Raises ModesError."""
+    parts = given.split(".") if isinstance(given, str) else list(given)
+    if len(parts) == 2:
+        node, axis = str(parts[0]), parts[1]
+        number = COMPONENTS.index(axis) + 1 if axis in COMPONENTS else axis
+        if node.isdecimal() and str(number) in "123456" and str(number):
+            return int(node), int(number)
+    raise ModesError(f'{given!r} is not a degree of freedom such as "12.z" or (12, "z")')
+
+
+def _plain(value: Any) -> Any:
+    """A value of a campaign as YAML has it; arrays and objects of model and test stay."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, os.PathLike) else value

@@ -1,0 +1,74 @@
+"""Why a campaign that reads well cannot be run: cores, licences, methods; each with its line."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from modetune.adapters.solver import Solver
+from modetune.adapters.yaml_file import YamlFile
+from modetune.flows.campaign.schema import CampaignFile, ModelFile, SolverName
+from modetune.flows.campaign.site import RunSection
+
+
+def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:
+    """Jobs in parallel times threads of each must not be more than the machine's cores."""
+    wanted = max(run.parallel, 1) * max(run.threads, 1)
+    if wanted <= cores or not run.here:
+        return []
+    return [
+        f"{source.where(('run',))}: run: {max(run.parallel, 1)} jobs of {max(run.threads, 1)} "
+        f"threads need {wanted} cores, this machine has {cores}; lower `parallel` or `threads`, "
+        "or leave them out"
+    ]
+
+
+def licence_problems(source: YamlFile, run: RunSection) -> list[str]:
+    """A licence that no solver has would limit nothing, without a word."""
+    unknown = sorted(set(run.licences) - set(get_args(SolverName)))
+    if not unknown:
+        return []
+    return [
+        f"{source.where(('run', 'licences'))}: run.licences names {', '.join(unknown)}; licences "
+        f"go by the solver's name: {', '.join(get_args(SolverName))}"
+    ]
+
+
+def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
+    """Why the campaign's sensitivity method is unavailable."""
+    method, has = file.sensitivity.method, solver.program.capabilities
+    shapes = file.residuals.shape_weight > 0.0
+    place = source.where(("sensitivity", "method"))
+    offered = {
+        "strain_energy": has.strain_energies,
+        "semi_analytic": has.matrices,
+        "solver": has.shape_sensitivities if shapes else has.frequency_sensitivities,
+    }
+    if not offered.get(method, True):
+        return [f"{place}: {solver.program.name} does not offer {method} here; use `auto`"]
+    if file.model.eigensolver == "pardiso" and isinstance(file, ModelFile):
+        where = source.where(("model", "eigensolver"))
+        return [
+            f"{where}: eigensolver pardiso: before there is a test the modes are the solver's own; "
+            "use `auto` or solver"
+        ]
+    if file.model.eigensolver == "pardiso":
+        from modetune.flows.campaign.matrix_plan import unsuitable
+
+        reason = unsuitable(solver, tuple(item.parameter() for item in file.parameters), method)
+        if reason is not None:
+            where = source.where(("model", "eigensolver"))
+            return [f"{where}: eigensolver pardiso: {reason}; use `auto` or solver"]
+    if method == "semi_analytic" and shapes and not solver.deck.summary.solid_shapes:
+        return [
+            f"{place}: shape sensitivities from matrices need a model of solids without dependent "
+            "nodes; use `auto` or finite_difference"
+        ]
+    if method != "strain_energy":
+        return []
+    if shapes:
+        return [f"{place}: strain energies give no shape sensitivities; use `auto`"]
+    return [
+        f"{place}: the stiffness is not proportional to {item.name} ({item.quantity}); use `auto`"
+        for item in (section.parameter() for section in file.parameters)
+        if not solver.deck.problems((item,)) and not solver.deck.energy_sets(item)
+    ]

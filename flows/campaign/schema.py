@@ -1,0 +1,311 @@
+"""The campaign file's keys: what each means, its unit, its default.
+
+Field names are the campaign's keys; unknown keys are refused. `campaign.py` turns a valid file
+into a Campaign.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    Field,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticKnownError
+
+from modetune.core.parameters import TARGETS, Parameter, Quantity, TargetKind
+from modetune.core.updating.estimation import StepForm
+from modetune.flows.campaign.section import Name, NotNegative, Positive, Section, Share
+from modetune.flows.campaign.sensors_section import SensorSection
+from modetune.flows.campaign.site import RunSection
+
+#: e2 where old matrices are kept as they are: nothing corrects them for what has changed.
+KEPT_E2 = 0.002
+
+Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
+SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
+LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
+NastranDialect = Literal["msc", "nx"]
+Eigensolver = Literal["auto", "solver", "pardiso"]
+Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
+#: Names the store's folder for all campaigns.
+STORE_VARIABLE = "MODETUNE_STORE"
+STORE_REMEDY = f"name another store with `store:` in the campaign or {STORE_VARIABLE}"
+#: Keys that name what a parameter's quantity belongs to.
+TARGET_KEYS: tuple[TargetKind, ...] = ("material", "elset", "property", "element", "part")
+#: Names in upper or lower case, or the numbers that Nastran decks use.
+Targets = str | int | tuple[str | int, ...]
+
+
+class ModelSection(Section):
+    """The finite element model."""
+
+    deck: str
+    """Path of the deck, relative to the campaign file; its includes are followed."""
+    solver: SolverName = "calculix"
+    """The program that runs the deck; `calculix` runs Nastran decks too, by translation."""
+    dialect: NastranDialect = "msc"
+    """Which Nastran: MSC, or Simcenter (NX)."""
+    eigensolver: Eigensolver = "auto"
+    """Who finds the modes while updating: `solver`, the solver itself; `pardiso`, modetune from the
+    matrices that CalculiX assembles once, with the solver's own modes at the end; `auto`, the
+    faster of both."""
+    units: Units
+    """The consistent units that the deck is written in."""
+
+
+class TestSection(Section):
+    """The test: its file, and the numbers of the modes that are used."""
+
+    __test__ = False
+
+    modes: str | Annotated[tuple[str, ...], Field(min_length=1)]
+    """Path of the measured modes (CSV, universal file, HDF5), relative to the campaign file; or a
+    list of files that belong together: modes, geometry, response functions."""
+    length: LengthUnit | None = None
+    """Unit of the test's coordinates, where its files do not tell."""
+    sensors: SensorSection = SensorSection()
+    """How the test's points are laid over the model."""
+    use: tuple[int, ...] | None = Field(default=None, min_length=1)
+    """Numbers of the modes that are used; without it all of them that are not held out."""
+    hold_out: tuple[int, ...] = ()
+    """Numbers of modes that are not used, and judged before and after updating."""
+
+    @model_validator(mode="after")
+    def _different(self) -> TestSection:
+        for key, numbers in (("use", self.use or ()), ("hold_out", self.hold_out)):
+            if len(set(numbers)) != len(numbers):
+                raise ValueError(f"`{key}` names a mode twice")
+        both = sorted(set(self.use or ()) & set(self.hold_out))
+        if both:
+            raise ValueError(
+                f"`hold_out` names mode {', '.join(map(str, both))}, which `use` names too; a mode "
+                "is used or held out"
+            )
+        return self
+
+
+class ParameterSection(Section):
+    """One updating parameter; bounds, deviation and initial are relative to the deck's value."""
+
+    name: Name
+    """What the parameter is called in tables, in the record and in `--at`."""
+    quantity: Quantity
+    """What of the model it scales."""
+    item: Annotated[int, Field(ge=0)] = 0
+    """Which of a card's numbers: a ply, a dimension, a direction; 0: the one, or all."""
+    material: Targets | None = None
+    """Material, or a list of them tied together."""
+    elset: Targets | None = None
+    """Element set (CalculiX) or element (`matrices`), or a list of them tied together."""
+    property: Targets | None = None
+    """Number of a Nastran property, or a list of them tied together."""
+    element: Targets | None = None
+    """Number or range (`101-120`) of Nastran elements, or a list of them tied together."""
+    part: Targets | None = None
+    """Part of a model of matrices, or a list of them tied together."""
+    bounds: tuple[Positive, Positive] = (0.5, 2.0)
+    """Least and largest value [of the deck's value]"""
+    deviation: Positive = 0.2
+    """How uncertain the value is beforehand: its standard deviation [of the deck's value]"""
+    initial: Positive = 1.0
+    """The value that updating starts from [of the deck's value]"""
+    configurations: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
+    """Names of the configurations it belongs to; without it all whose deck has what it scales."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> ParameterSection:
+        given = [key for key in TARGET_KEYS if getattr(self, key) is not None]
+        wanted = TARGETS[self.quantity]
+        if len(given) != 1 or given[0] not in wanted:
+            keys = " or ".join(f"`{key}`" for key in wanted)
+            found = f"not {' and '.join(f'`{key}`' for key in given)}" if given else "it has none"
+            raise ValueError(f"{self.quantity} needs {keys}; {found}")
+        lower, upper = self.bounds
+        if lower >= upper:
+            raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
+        if not lower <= self.initial <= upper:
+            raise ValueError(f"initial value {self.initial:g} is outside the bounds")
+        return self
+
+    def by(self) -> TargetKind:
+        """What the targets name."""
+        return next(key for key in TARGET_KEYS if getattr(self, key) is not None)
+
+    def targets(self) -> tuple[str, ...]:
+        """The targets' names."""
+        chosen = getattr(self, self.by())
+        return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
+
+    def parameter(self) -> Parameter:
+        """The parameter as the program has it."""
+        return Parameter(
+            self.name,
+            self.quantity,
+            self.by(),
+            self.targets(),
+            *self.bounds,
+            self.deviation,
+            self.initial,
+            self.item,
+        )
+
+
+class ConfigurationSection(Section):
+    """A configuration of the structure (fuel, payload, boundary conditions): own model and test,
+    parameters shared with the others."""
+
+    name: Name
+    """What the configuration is called in tables, and its folder of the updated deck."""
+    model: ModelSection
+    """Its finite element model."""
+    test: TestSection
+    """What was measured of it."""
+    weight: Positive = 1.0
+    """Emphasis of all its residuals."""
+    hold_out: bool = False
+    """Whether it is not used, and judged before and after updating."""
+
+
+class ReportSection(Section):
+    """What is kept and made to look at."""
+
+    page: bool = True
+    """Whether `update` leaves report.html in its run folder."""
+    nodes: Annotated[int, Field(ge=0, le=100_000)] = 4000
+    """Shapes are kept at the sensors and at no more than so many nodes of the model's surface."""
+
+
+class ResidualSection(Section):
+    """What is compared: emphasis of frequencies and shapes, and how exactly they were measured."""
+
+    frequency_weight: NotNegative = 1.0
+    """Emphasis of frequencies; 0 leaves them out."""
+    shape_weight: NotNegative = 0.0
+    """Emphasis of mode shapes; 0 leaves them out."""
+    frequency_deviation: Positive = 0.002
+    """Standard deviation of measured frequencies [of the frequency]"""
+    shape_deviation: Positive = 0.05
+    """Standard deviation of measured shape entries [of the shape's rms]"""
+
+
+class E1Section(Section):
+    """Agreement that ends updating: relative frequency error, and least MAC."""
+
+    frequency: Positive = 0.01
+    """Largest frequency error of a model that agrees [of the measured frequency]"""
+    mac: Share = 0.9
+    """Least MAC of a model that agrees, wherever shapes were measured."""
+
+
+class UpdateSection(Section):
+    """The updating steps."""
+
+    start: Literal["deck", "last"] = "deck"
+    """Begin at the deck's values, or where the run before ended."""
+    starts: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Updates from so many starts, the campaign's own and others within the bounds; the best is
+    the answer."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the starts that are drawn."""
+    step: StepForm = "regularised"
+    """How the step follows from residual and sensitivity (see the theory)."""
+    regularisation: NotNegative | Literal["l_curve"] = 1.0
+    """Factor on the parameters' own weights, or the corner of the L-curve."""
+    e1: E1Section = E1Section()
+    """Agreement that ends updating."""
+    e2: NotNegative = 0.2
+    """Change of the residual a parameter, up to which a sensitivity is skipped; 0: never. With
+    `between: keep` it is 0.002 unless given."""
+    max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
+    """Steps that are taken at most."""
+    step_limit: Positive = 0.2
+    """Largest change of a parameter in one step [of the deck's value]"""
+
+
+class SensitivitySection(Section):
+    """How sensitivities are computed, and what is used in between."""
+
+    method: Method = "auto"
+    """How derivatives are computed; `auto`: the cheapest exact way for each parameter."""
+    between: Literal["keep", "broyden"] = "broyden"
+    """While e2 skips: the old matrix as it is, or with Broyden's correction."""
+    difference: Literal["forward", "central"] = "forward"
+    """Which finite differences: one job a parameter, or two."""
+    step: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
+    """Step of finite differences [of the parameter's value]"""
+
+
+class CampaignFile(Section):
+    """A whole campaign file."""
+
+    name: Name
+    """Names the run folder, `runs/<name>`."""
+    configurations: tuple[ConfigurationSection, ...] = ()
+    """Several configurations of one structure, updated at once with shared parameters."""
+    model: ModelSection = Field(default=None, validate_default=True)
+    """The finite element model; needed unless there are `configurations`."""
+    test: TestSection = Field(default=None, validate_default=True)
+    """What was measured; needed unless there are `configurations`."""
+    parameters: tuple[ParameterSection, ...] = Field(min_length=1)
+    """What of the model may change."""
+    residuals: ResidualSection = ResidualSection()
+    """What is compared, and how exactly it was measured."""
+    update: UpdateSection = UpdateSection()
+    """The updating steps."""
+    sensitivity: SensitivitySection = SensitivitySection()
+    """How derivatives are computed."""
+    report: ReportSection = ReportSection()
+    """What is kept and made to look at."""
+    run: RunSection = RunSection()
+    """How jobs run."""
+    store: str | None = None
+    """Folder of results; else MODETUNE_STORE, or `.modetune/store` beside the campaign."""
+
+    @field_validator("model", "test", mode="wrap")
+    @classmethod
+    def _needed(
+        cls, given: object, validated: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> object:
+        if given is not None:
+            return validated(given)
+        if info.data.get("configurations", True):
+            return None  # each configuration has its own
+        raise PydanticKnownError("missing")
+
+    @model_validator(mode="after")
+    def _different(self) -> CampaignFile:
+        if (self.model is None) != (self.test is None):
+            raise ValueError("beside `configurations` give both `model` and `test`, or neither")
+        if not self.configurations and any(p.configurations for p in self.parameters):
+            raise ValueError("a parameter names configurations, but the campaign has none")
+        names = [parameter.name for parameter in self.parameters]
+        if len(set(names)) != len(names):
+            raise ValueError("two parameters have the same name")
+        if self.residuals.frequency_weight == 0.0 and self.residuals.shape_weight == 0.0:
+            raise ValueError("residuals: one of the weights must be above zero")
+        return self
+
+    @model_validator(mode="after")
+    def _kept(self) -> CampaignFile:
+        if self.sensitivity.between != "keep" or "e2" in self.update.model_fields_set:
+            return self
+        update = self.update.model_copy(update={"e2": KEPT_E2})
+        return self.model_copy(update={"update": update})
+
+
+class ModelFile(CampaignFile):
+    """A campaign file before there is a test: `test` and `parameters` may be missing, and its test
+    is never read."""
+
+    parameters: tuple[ParameterSection, ...] = ()
+    """What of the model may change."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_test(cls, given: Any) -> Any:
+        return {**given, "test": {"modes": "none"}} if isinstance(given, dict) else given

@@ -1,0 +1,236 @@
+"""How and where jobs run: `run` in the campaign file, and the site file beneath it.
+
+A site file says once what holds for all campaigns of a site, under the campaign's own keys, so
+that campaign files stay portable:
+
+    run:
+      engine: slurm
+      slurm: {partition: batch, account: dynamics}
+
+It is `~/.config/modetune/site.yaml`, or what MODETUNE_SITE names. What a campaign says itself goes
+before what the site says.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from modetune.adapters.yaml_file import read_yaml
+from modetune.core.errors import CampaignError
+from modetune.flows.campaign.section import Name, Positive, Section
+
+#: Names a site file in another place.
+SITE_VARIABLE = "MODETUNE_SITE"
+#: Jobs handed to Slurm at the same time where the campaign does not say.
+SLURM_QUEUE = 32
+
+Engine = Literal["local", "slurm", "dask"]
+#: One argument for Slurm or a line of a batch script: no line ends, and no empty word.
+Word = Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$", max_length=1000)]
+#: A name that becomes part of an argument.
+Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.,:@+-]*$", max_length=200)]
+
+#: How often one kind of failure is tried again.
+Retries = Annotated[int, Field(ge=0, le=10)]
+
+
+class SlurmSection(Section):
+    """What `srun` is told besides threads and licences; time: of one job, in Slurm's notation."""
+
+    partition: Label | None = None
+    """Partition that jobs go to."""
+    account: Label | None = None
+    """Account that they are charged to."""
+    time: Label | None = None
+    """Time limit of one job in Slurm's notation; without it `run.timeout_s`."""
+    options: tuple[Word, ...] = ()
+    """More options of `srun`, one a word."""
+
+
+class DaskSection(Section):
+    """The Dask cluster: a scheduler that runs, processes of this machine, or jobs of a queue.
+
+    memory, walltime, queue, account, interface, directives and prologue are of the jobs that a
+    queue (slurm, pbs, lsf) is asked for.
+    """
+
+    scheduler: Annotated[str, Field(pattern=r"^(tcp|tls)://\S+:\d+$")] | None = None
+    """Address of a scheduler that runs, `tcp://host:8786` or `tls://...`."""
+    cluster: Literal["local", "slurm", "pbs", "lsf"] = "local"
+    """What workers are started on: this machine, or a queue."""
+    workers: Annotated[int, Field(ge=1, le=1024)] = 2
+    """How many workers."""
+    memory: Label | None = None
+    """What a job of the queue may use, `4GB`."""
+    walltime: Label | None = None
+    """How long it may run, `02:00:00`."""
+    queue: Label | None = None
+    """Queue or partition that it goes to."""
+    account: Label | None = None
+    """Account that it is charged to."""
+    interface: Label | None = None
+    """Network interface that workers speak over."""
+    directives: tuple[Word, ...] = ()
+    """More lines of the batch script's head, one a line."""
+    prologue: tuple[Word, ...] = ()
+    """Shell lines that the batch script runs before the worker."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> DaskSection:
+        if self.scheduler is not None and self.cluster != "local":
+            raise ValueError("give either `scheduler` or `cluster`")
+        if self.cluster != "local" and self.memory is None:
+            raise ValueError(f"cluster {self.cluster} needs `memory`, what a job may use (4GB)")
+        return self
+
+    @property
+    def here(self) -> bool:
+        """Whether the workers are processes of this machine that share its cores with others."""
+        return self.scheduler is None and self.cluster == "local"
+
+
+class RetriesSection(Section):
+    """How often a job is tried again, by what became of it; a plain number goes for all."""
+
+    stopped: Retries = 2
+    """A job that was killed or broke off."""
+    timeout: Retries = 1
+    """A job that ran longer than `timeout_s`."""
+    no_result: Retries = 1
+    """A job that ended well and left what is not a result."""
+
+
+class RunSection(Section):
+    """How jobs run."""
+
+    parallel: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Jobs at the same time; 0: as many as there are cores."""
+    threads: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Threads of each job; 0: the cores, shared out among parallel jobs."""
+    licences: dict[Name, Annotated[int, Field(ge=1, le=10_000)]] = Field(default={})
+    """Jobs of a solver that may run at the same time on the machine, by its name."""
+    retries: RetriesSection = RetriesSection()
+    """How often a job is tried again, by what became of it; one number goes for all."""
+    failed_column: Literal["leave_out", "stop"] = "leave_out"
+    """A sensitivity column that is unavailable: go on without it this time, or stop."""
+    timeout_s: Positive = 3600.0
+    """Longest run of one job [s]"""
+    licence_pause_s: Positive = 30.0
+    """First pause of a job that got no licence; it grows by half each time [s]"""
+    licence_wait_s: Positive = 86400.0
+    """After this wait for a licence the job is given up [s]"""
+    keep_jobs: bool = False
+    """Keep the folders of good jobs; those of failed ones are always kept."""
+    engine: Engine = "local"
+    """Where jobs run: here, under Slurm, or on a Dask cluster."""
+    slurm: SlurmSection = SlurmSection()
+    """What Slurm is told."""
+    dask: DaskSection = DaskSection()
+    """The Dask cluster."""
+
+    @property
+    def here(self) -> bool:
+        """Whether jobs run on this machine and share its cores with others."""
+        return self.engine == "local" or (self.engine == "dask" and self.dask.here)
+
+    def on_site(self) -> RunSection:
+        """With what the site file says beneath. Raises CampaignError, ValidationError."""
+        return RunSection.model_validate(with_site(self.model_dump(exclude_unset=True)))
+
+    @field_validator("retries", mode="before")
+    @classmethod
+    def _one_number_for_all(cls, given: object) -> object:
+        if isinstance(given, int) and not isinstance(given, bool):
+            return dict.fromkeys(("stopped", "timeout", "no_result"), given)
+        return given
+
+
+class SiteRun(Section):
+    """What a site may say of `run`."""
+
+    engine: Engine = "local"
+    """Where jobs run."""
+    slurm: SlurmSection = SlurmSection()
+    """What Slurm is told."""
+    dask: DaskSection = DaskSection()
+    """The Dask cluster."""
+    parallel: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Jobs at the same time; 0: as many as the engine takes."""
+    threads: Annotated[int, Field(ge=0, le=1024)] = 0
+    """Threads of each job; 0: shared out."""
+    licences: dict[Label, Annotated[int, Field(ge=1, le=10_000)]] = Field(default={})
+    """Jobs of a solver that may run at the same time, by the solver's name."""
+
+
+class SiteFile(Section):
+    """A whole site file."""
+
+    run: SiteRun = SiteRun()
+    """What holds for the jobs of all campaigns of the site."""
+
+
+def site_path() -> Path:
+    """Where the site file is, or would be."""
+    named = os.environ.get(SITE_VARIABLE)
+    return Path(named) if named else Path("~/.config/modetune/site.yaml").expanduser()
+
+
+def site_run() -> dict[str, Any]:
+    """The `run` keys that the site file gives; none where there is no such file.
+
+    Raises CampaignError where it cannot be read, or is named and not there.
+    """
+    path = site_path()
+    if not path.is_file() and SITE_VARIABLE not in os.environ:
+        return {}
+    source = read_yaml(path, "a site file")
+    try:
+        site = SiteFile.model_validate(source.data)
+    except ValidationError as error:
+        problems = []
+        for item in error.errors():
+            place = tuple(item["loc"])
+            key = ".".join(str(part) for part in place) or "site"
+            said = item["msg"].removeprefix("Value error, ")
+            if item["type"] == "extra_forbidden":
+                said = f"unknown key `{place[-1]}`"
+            problems.append(f"{source.where(place)}: {key}: {said}")
+        raise CampaignError(problems) from None
+    return site.run.model_dump(exclude_unset=True)
+
+
+def merged(site: dict[str, Any], campaign: dict[str, Any]) -> dict[str, Any]:
+    """The site's keys under the campaign's: mappings key by key, all else replaced."""
+    both = dict(site)
+    for key, value in campaign.items():
+        below = both.get(key)
+        both[key] = (
+            merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+        )
+    return both
+
+
+def with_site(run: dict[str, Any]) -> dict[str, Any]:
+    """The campaign's `run` keys with the site's beneath, and how many jobs a cluster is given.
+
+    Raises CampaignError (the site file), ValidationError (what does not fit together).
+    """
+    both = merged(site_run(), run)
+    if both.get("engine") == "slurm":
+        return _filled(both, SLURM_QUEUE, 1)
+    if both.get("engine") == "dask":
+        section = DaskSection.model_validate(both.get("dask", {}))
+        return _filled(both, section.workers, 0 if section.here else 1)
+    return both
+
+
+def _filled(run: dict[str, Any], parallel: int, threads: int) -> dict[str, Any]:
+    return {
+        **run,
+        "parallel": run.get("parallel") or parallel,
+        "threads": run.get("threads") or threads,
+    }

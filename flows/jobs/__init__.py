@@ -1,0 +1,1 @@
+"""Jobs: keys, the engine, limits, clusters."""

@@ -1,0 +1,178 @@
+"""Dask clusters: one that runs, worker processes of this machine, or jobs of a queue.
+
+Whoever reaches a Dask scheduler can run programs as its user. Those started here therefore speak
+TLS with keys of their own, which leave this process only for the workers.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from modetune.core.errors import CampaignError
+from modetune.flows.campaign.site import DaskSection
+from modetune.flows.jobs.prefect_server import server_home
+
+#: How long a scheduler may take to answer, and workers to end their solvers, seconds.
+CONNECT_S, END_S = 20.0, 10.0
+MISSING = (
+    "`engine: dask` needs the package {}; install all it needs with "
+    "`pip install 'modetune[cluster]'`"
+)
+JOB_CLUSTERS = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster"}
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """A client of a cluster, and the cluster itself where it was started here."""
+
+    client: Any
+    own: Any | None
+
+    def close(self, end_run: Callable[[str], None], run: str) -> None:
+        """Have the workers end a run, and leave; a cluster of our own ends with it."""
+        # A scheduler that is gone cannot be told, and has nothing left to end.
+        with suppress(OSError, ValueError, RuntimeError):
+            self.client.run(end_run, run, on_error="ignore")
+        with suppress(OSError, RuntimeError):
+            self.client.close(timeout=END_S)
+        if self.own is not None:
+            _close(self.own)
+
+
+def check_packages(section: DaskSection) -> None:
+    """Import what a cluster needs, from the main thread. Raises CampaignError."""
+    ending = signal.getsignal(signal.SIGINT)
+    try:
+        import_module("distributed")
+        if section.scheduler is None:
+            import_module("cryptography")
+        if section.cluster != "local":
+            # Takes Ctrl-C for itself at its import, which only the main thread may do.
+            import_module("dask_jobqueue")
+            signal.signal(signal.SIGINT, ending)
+    except ImportError as error:
+        raise CampaignError(MISSING.format(error.name)) from None
+
+
+def connect(section: DaskSection, threads: int) -> Cluster:
+    """Set up the cluster that a campaign asks for. threads: of each job. Raises CampaignError."""
+    distributed: Any = import_module("distributed")
+    _quiet()
+    if section.scheduler is not None:
+        try:
+            return Cluster(distributed.Client(section.scheduler, timeout=CONNECT_S), None)
+        except (OSError, ValueError) as error:
+            raise CampaignError(
+                f"no Dask scheduler answers at {section.scheduler} within {CONNECT_S:g} s; start "
+                "it (`dask scheduler`) or correct `run.dask.scheduler`"
+            ) from error
+    try:
+        if section.cluster == "local":
+            own = _local(section, distributed)
+        else:
+            own = _queued(section, threads)
+        return Cluster(distributed.Client(own, timeout=CONNECT_S), own)
+    except (OSError, ValueError, RuntimeError) as error:  # what Dask raises where it cannot start
+        raise CampaignError(
+            f"no Dask cluster ({section.cluster}) could be started: {_reason(error)}"
+        ) from error
+
+
+def _local(section: DaskSection, distributed: Any) -> Any:
+    return distributed.LocalCluster(
+        n_workers=section.workers,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",  # pages on loopback, on any free port
+        security=True,
+        silence_logs=logging.CRITICAL,
+        memory_limit=0,  # solvers have processes of their own, which Dask does not see
+        local_directory=str(_scratch()),
+    )
+
+
+def _queued(section: DaskSection, threads: int) -> Any:
+    """A cluster whose workers are jobs of Slurm, PBS or LSF."""
+    dask_jobqueue = import_module("dask_jobqueue")
+    security = import_module("distributed.security").Security.temporary()
+    options: dict[str, Any] = {
+        "queue": section.queue,
+        "walltime": section.walltime,
+        "interface": section.interface,
+    }
+    if section.account is not None:
+        options["project" if section.cluster == "lsf" else "account"] = section.account
+    cluster = getattr(dask_jobqueue, JOB_CLUSTERS[section.cluster])(
+        cores=threads,
+        processes=1,
+        # The job has a core a thread of the solver; the worker itself does one job at a time.
+        worker_extra_args=["--nthreads", "1", "--memory-limit", "0"],
+        memory=section.memory,
+        job_name="modetune",
+        job_extra_directives=list(section.directives),
+        job_script_prologue=[*_exports(), *section.prologue],
+        local_directory=str(_scratch()),
+        log_directory=str(_scratch()),
+        shared_temp_directory=str(_scratch()),
+        protocol="tls://",
+        security=security,
+        scheduler_options={"dashboard_address": "127.0.0.1:0"},
+        silence_logs=logging.CRITICAL,
+        **{key: value for key, value in options.items() if value is not None},
+    )
+    _quiet()
+    # Asked for here, because `n_workers` and `scale` do not tell that the queue refused.
+    for _ in range(section.workers):
+        cluster.worker_spec.update(cluster.new_worker_spec())
+    try:
+        cluster.sync(cluster._correct_state)
+    except (OSError, RuntimeError):
+        cluster.worker_spec.clear()
+        cluster.workers.clear()  # what never started cannot be closed
+        _close(cluster)
+        raise
+    return cluster
+
+
+def _quiet() -> None:
+    """Dask's own log tells of workers that come and go, which the campaign bears."""
+    for name in ("distributed", "tornado", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def _close(cluster: Any) -> None:
+    # An assertion of Dask's own fails where a worker was never started.
+    with suppress(OSError, RuntimeError, AssertionError):
+        cluster.close(timeout=END_S)
+
+
+def _reason(error: Exception) -> str:
+    """An error's text on one line, the queue's own words at its end."""
+    return " ".join(line.strip() for line in str(error).splitlines() if line.strip())[:500]
+
+
+def _exports() -> list[str]:
+    """What a worker on another node must know of our environment."""
+    return [
+        f"export {name}={shlex.quote(value)}"
+        for name, value in sorted(os.environ.items())
+        if name.startswith("MODETUNE_") and name.isidentifier() and value.isprintable()
+    ]
+
+
+def _scratch() -> Path:
+    """Where Dask keeps what is its own."""
+    folder = server_home() / "dask"
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.chmod(0o700)  # keys of workers lie here
+    return folder

@@ -1,0 +1,351 @@
+"""The job engine: job -> key -> store -> solver -> result -> store. It knows no Prefect.
+
+A job's deck is edited once: what is rendered for the key is what is run, and a key that was worked
+out is remembered (`job.py`). Results are read from the store by the outcome's key.
+
+A job runs in STORE/jobs/KEY.part. A good one leaves its result in the store, and its folder only
+where the campaign keeps it (as KEY); a failed one leaves KEY.failed to look at. A lock a key lets
+two campaigns that want the same job run it once.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from modetune.adapters.process import disk_full, run_process
+from modetune.adapters.solver import Command, Program, Solver
+from modetune.core.errors import (
+    LicenceDenied,
+    ModelError,
+    ModesError,
+    NoResult,
+    NotComputed,
+    NotStored,
+    SolverCancelled,
+    SolverCrashed,
+    SolverError,
+    SolverTimeout,
+    StorageUnavailable,
+    StoreDamaged,
+)
+from modetune.core.storage.files import storage_errors
+from modetune.core.storage.keys import Json, canonical_json, content_key
+from modetune.core.storage.store import Entry, Store
+from modetune.core.updating.results import Result, finite
+from modetune.flows.jobs.deck_texts import keep_text
+from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans
+from modetune.flows.jobs.limits import CORES, Limit, Limits
+
+logger = logging.getLogger(__name__)
+R = TypeVar("R", bound=Result)
+
+#: Pauses before asking again for a licence grow by this factor up to this length, seconds.
+PAUSE_GROWTH, LONGEST_PAUSE_S = 1.5, 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class JobOutcome:
+    """What became of a job; its result stays in the store until it is asked for.
+
+    key: of the job; reused: whether the store had it; wall_s: from first try to result.
+    """
+
+    job: Job
+    key: str
+    reused: bool
+    wall_s: float
+    engine: JobEngine = field(repr=False, compare=False)
+
+    def result(self, kind: type[R]) -> R:
+        """The result, solved again if its entry was damaged. Raises what `solve` raises."""
+        engine = self.engine
+        entry = engine.store.get(self.key)
+        if entry is None:  # damaged between two breaths: once more, then it is the disk
+            engine.solve(self.job)
+            entry = engine.store.get(self.key)
+            if entry is None:
+                raise StoreDamaged(
+                    f"{engine.store.path(self.key)} was written anew and is damaged again; look "
+                    f"at the disk that holds {engine.store.folder}"
+                )
+        assert isinstance(entry.result, kind)
+        return entry.result
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """What follows from a failed job.
+
+    stopped, timeout, no_result: how often it is tried again when it was killed or broke off, ran
+    out of time, or left what is not a result. What the solver rejected, and what was too large for
+    the machine, is never tried again.
+    """
+
+    timeout_s: float
+    stopped: int
+    timeout: int
+    no_result: int
+    licence_pause_s: float
+    licence_wait_s: float
+
+    def chances(self, error: SolverError) -> int:
+        """How often a job that ended so may be tried again."""
+        if isinstance(error, NoResult):
+            return self.no_result
+        if isinstance(error, SolverTimeout):
+            return self.timeout
+        return self.stopped if isinstance(error, SolverCrashed) else 0
+
+
+class Ledger:
+    """What a campaign's solver runs cost so far, failed ones included; safe from many threads.
+
+    core_s: cores times the time that jobs held them; licence_s: licences times that time.
+    """
+
+    def __init__(self) -> None:
+        self.core_s = 0.0
+        self.licence_s = 0.0
+        self._lock = threading.Lock()
+
+    def add(self, seconds: float, limits: tuple[Limit, ...]) -> None:
+        """Count a run that held these limits."""
+        with self._lock:
+            for limit in limits:
+                if limit.name == CORES:
+                    self.core_s += limit.taken * seconds
+                else:
+                    self.licence_s += limit.taken * seconds
+
+
+class Launcher(Protocol):
+    """Starts programs elsewhere than in a process group of this machine."""
+
+    def wrapped(self, command: Command) -> Command:
+        """What is started here so that the command runs there."""
+        ...
+
+    def check(self, folder: Path, return_code: int) -> None:
+        """Raise the SolverError that the launcher, not the program, ended a job with."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class JobEngine:
+    """Solves jobs of one model against one store; safe to call from many threads.
+
+    may_run: False where the store alone may answer. elsewhere: runs a job of this key so that the
+    store has it, in place of this process, and tells whether that had it and what it took, seconds.
+    launcher: starts the programs, where not this process does.
+    """
+
+    plans: Plans
+    store: Store
+    policy: Policy
+    threads: int
+    keep_jobs: bool
+    cancelled: threading.Event
+    counter: Limits
+    limits: tuple[Limit, ...]
+    ledger: Ledger
+    may_run: bool = True
+    elsewhere: Callable[[Job, str], tuple[bool, float]] | None = None
+    launcher: Launcher | None = None
+
+    @property
+    def solver(self) -> Solver:
+        """What solves the jobs."""
+        return self.plans.solver
+
+    @property
+    def program(self) -> Program:
+        """What runs them."""
+        return self.plans.solver.program
+
+    def solve(self, job: Job) -> JobOutcome:
+        """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
+        key = self.key(job)
+        reused, wall_s = key in self.store, 0.0  # `JobOutcome.result` tells whether it is whole
+        if not reused and not self.may_run:
+            raise NotStored(f"the store has no result {key[:12]}, and no solver may run here")
+        try:
+            if not reused:
+                reused, wall_s = (self.elsewhere or self._solve_here)(job, key)
+        finally:
+            self.plans.done(job)
+        return JobOutcome(job, key, reused, wall_s, self)
+
+    def _solve_here(self, job: Job, key: str) -> tuple[bool, float]:
+        with self.store.lock(key, self._wait_for_another):
+            if key in self.store:  # another campaign was faster
+                return True, 0.0
+            plan, note = self.plans.plan(job), self.note(job).text()
+            started = time.monotonic()
+            result = self._with_retries(job, plan, note)
+            wall_s = time.monotonic() - started
+            self.store.put(
+                Entry(key, result, self.program.name, self.program.version(), wall_s),
+                plan.asked,
+                note,
+            )
+            logger.info("%s job %s solved in %.1f s", self.program.name, key[:12], wall_s)
+            return False, wall_s
+
+    def _wait_for_another(self) -> None:
+        if self.cancelled.wait(0.1):
+            raise SolverCancelled("the campaign is ending while another one runs the same job")
+
+    def key(self, job: Job) -> str:
+        """The content key of a job. Raises ModelError, SolverMissing."""
+        return self.plans.key(job)
+
+    def note(self, job: Job) -> JobNote:
+        """What is told of a job beside its result. Raises ModelError, SolverMissing."""
+        return self.plans.note(job, self.threads)
+
+    def keep_text(self) -> None:
+        """Keep the deck's text beside the results, so that it can be told where decks differ."""
+        keep_text(self.store, self.plans.model_digest(), self.plans.plan(NOMINAL).rendered)
+        self.plans.done(NOMINAL)
+
+    def derived(self, asked: Json, compute: Callable[[], R], kind: type[R]) -> R:
+        """What is computed here from results at a cost, from the store if it is there.
+
+        asked: everything that can change the numbers, keys of the results among it.
+        Raises NotComputed where the store alone may answer and has no answer.
+        """
+        text = canonical_json(asked)
+        key = content_key(text)
+        entry = self.store.get(key)
+        if entry is not None and isinstance(entry.result, kind):
+            return entry.result
+        if not self.may_run:
+            raise NotComputed(f"the store has no {key[:12]}, and nothing may be computed here")
+        with self.store.lock(key, self._wait_for_another):
+            entry = self.store.get(key)  # another campaign may have been faster
+            if entry is not None and isinstance(entry.result, kind):
+                return entry.result
+            started = time.monotonic()
+            result = compute()
+            self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), text)
+        return result
+
+    def with_threads(self, threads: int) -> JobEngine:
+        """The same engine with so many threads a job."""
+        limits = tuple(
+            replace(limit, taken=min(threads, limit.slots)) if limit.name == CORES else limit
+            for limit in self.limits
+        )
+        return replace(self, threads=threads, limits=limits)
+
+    @contextmanager
+    def all_cores(self) -> Iterator[None]:
+        """Hold all of the machine's cores for work in this process, and count its cost."""
+        limits = tuple(
+            replace(limit, taken=limit.slots) for limit in self.limits if limit.name == CORES
+        )
+        with self.counter.held(limits, self._wait_for_slot):
+            started = time.monotonic()
+            try:
+                yield
+            finally:
+                self.ledger.add(time.monotonic() - started, limits)
+
+    def _with_retries(self, job: Job, plan: JobPlan, note: str) -> Result:
+        failures: Counter[type[SolverError]] = Counter()
+        while True:
+            try:
+                return self._with_licence(job, plan, note)
+            except SolverError as error:
+                chances = self.policy.chances(error)
+                failures[type(error)] += 1
+                if failures[type(error)] > chances:
+                    raise
+                logger.warning("%s; trying again (%d of %d)", error, failures[type(error)], chances)
+
+    def _with_licence(self, job: Job, plan: JobPlan, note: str) -> Result:
+        """Run the job; where no licence is free wait and ask again, which is not a failure."""
+        waited, pause = 0.0, self.policy.licence_pause_s
+        while True:
+            try:
+                return self._run(job, plan, note)
+            except LicenceDenied as error:
+                if waited + pause > self.policy.licence_wait_s:
+                    raise LicenceDenied(
+                        f"{error}\nno licence was free for {waited:.3g} s "
+                        "(`run: licence_wait_s` in the campaign)"
+                    ) from error
+                logger.warning(
+                    "no %s licence is free; asking again in %.0f s", self.program.name, pause
+                )
+                if self.cancelled.wait(pause):
+                    raise SolverCancelled(
+                        "the campaign is ending while a job waits for a licence"
+                    ) from error
+                waited += pause
+                pause = min(PAUSE_GROWTH * pause, LONGEST_PAUSE_S)
+
+    def _wait_for_slot(self, name: str) -> None:
+        if self.cancelled.wait(0.05):
+            raise SolverCancelled(f"the campaign is ending while a job waits for {name}")
+
+    def _run(self, job: Job, plan: JobPlan, note: str) -> Result:
+        with self._job_folder(plan.key) as folder:
+            plan.rendered.write(folder)
+            (folder / NOTE_FILE).write_text(note, encoding="utf-8")
+            command = self.program.command(self.threads)
+            if self.launcher is not None:
+                command = self.launcher.wrapped(command)
+            with self.counter.held(self.limits, self._wait_for_slot):
+                started = time.monotonic()
+                try:
+                    finished = run_process(command, folder, self.policy.timeout_s, self.cancelled)
+                finally:
+                    self.ledger.add(time.monotonic() - started, self.limits)
+            try:
+                code = finished.return_code
+                if self.launcher is not None and code != 0:
+                    self.launcher.check(folder, code)
+                return finite(self.solver.read(job.values, job.analysis, folder, code))
+            except ModesError as error:  # shapes that do not fit together, numbers that are none
+                raise NoResult(
+                    f"{self.program.name} left no result in {folder}: {error}"
+                ) from error
+
+    @contextmanager
+    def _job_folder(self, key: str) -> Iterator[Path]:
+        base = self.store.folder / "jobs"
+        part, failed = base / f"{key}.part", base / f"{key}.failed"
+        with storage_errors(part):
+            for old in (part, failed):
+                shutil.rmtree(old, ignore_errors=True)
+            part.mkdir(parents=True)
+            try:
+                yield part
+            except (SolverError, ModelError) as error:
+                if disk_full(part):  # solvers end with good grace and half a file
+                    shutil.rmtree(part, ignore_errors=True)
+                    raise StorageUnavailable(
+                        f"the disk that holds {base} is full, so a solver run was cut short; "
+                        "nothing stored before was harmed; free some space and run the same "
+                        "command again: finished jobs are not repeated"
+                    ) from error
+                part.rename(failed)
+                raise type(error)(str(error).replace(str(part), str(failed))) from error
+            except BaseException:
+                shutil.rmtree(part, ignore_errors=True)
+                raise
+            if self.keep_jobs:
+                shutil.rmtree(base / key, ignore_errors=True)
+                part.rename(base / key)
+            else:
+                shutil.rmtree(part, ignore_errors=True)

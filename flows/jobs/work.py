@@ -1,0 +1,110 @@
+"""How the jobs of an iteration are carried out side by side.
+
+The updating loop hands over pieces of work with names for people and gets outcomes back in order;
+errors come back as values, because the loop decides what follows from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+from modetune.core.errors import ModetuneError
+from modetune.flows.jobs.engine import JobEngine, JobOutcome
+from modetune.flows.jobs.job import Job
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """A named piece of an iteration: the jobs it needs, none where it follows from others.
+
+    engine: of the model they are for, where that is not the execution's own.
+    """
+
+    name: str
+    jobs: tuple[Job, ...]
+    engine: JobEngine | None = None
+
+
+#: What became of a piece of work: an outcome a job, or the error that ended it.
+Done = tuple[JobOutcome, ...] | ModetuneError
+
+
+class Execution(Protocol):
+    """Runs pieces of work side by side."""
+
+    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        """Outcomes in the order of the work."""
+        ...
+
+    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        """Note work that was not needed, and why."""
+        ...
+
+
+#: What carries out the jobs of an engine, so many side by side.
+Executes = Callable[[JobEngine, int], Execution]
+
+
+class JobWatcher(Protocol):
+    """Who is told of each piece of work, as a Prefect server's pages are. It never waits."""
+
+    def began(self, iteration: str, work: Work) -> Callable[[Done], None]:
+        """A piece begins; what is returned hears how it ended."""
+        ...
+
+    def skipped(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        """Work that was not needed, and why."""
+        ...
+
+
+def solve_work(engine: JobEngine, work: Work) -> Done:
+    """Solve the jobs of one piece one after another."""
+    try:
+        return tuple((work.engine or engine).solve(job) for job in work.jobs)
+    except ModetuneError as error:
+        return error
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadExecution:
+    """A bounded pool of threads; each waits for its external solver.
+
+    told: hears what became of each piece, in the order of the work; watcher: hears of each as it
+    begins and ends.
+    """
+
+    engine: JobEngine
+    parallel: int
+    told: Callable[[Done], None] | None = None
+    watcher: JobWatcher | None = None
+
+    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        with ThreadPoolExecutor(self.parallel, thread_name_prefix="modetune") as pool:
+            futures = [pool.submit(self._solve, iteration, piece) for piece in work]
+            done: list[Done] = []
+            try:
+                for future in futures:
+                    done.append(future.result())
+                    if self.told is not None:
+                        self.told(done[-1])
+                return done
+            except BaseException:
+                self.engine.cancelled.set()
+                for future in futures:
+                    future.cancel()
+                raise
+
+    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        if self.watcher is not None:
+            self.watcher.skipped(iteration, names, reason)
+
+    def _solve(self, iteration: str, work: Work) -> Done:
+        if self.watcher is None:
+            return solve_work(self.engine, work)
+        ended = self.watcher.began(iteration, work)
+        done = solve_work(self.engine, work)
+        ended(done)
+        return done

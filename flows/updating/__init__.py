@@ -1,0 +1,1 @@
+"""Updating: evaluation, sensitivities, the loop."""

@@ -1,0 +1,106 @@
+"""What is asked of a case: its modes at a parameter set, and from where they are tracked."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.correlation.pairing import LostMode
+from modetune.core.modes import Floats, Integers
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.work import Done, Work
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.finders import ModeFinder
+
+logger = logging.getLogger(__name__)
+
+#: How often the computed range is widened in search of a lost mode.
+WIDENINGS = 2
+
+
+@dataclass(slots=True, eq=False)
+class CaseState:
+    """A case under evaluation.
+
+    campaign: the one that the case would make alone; columns: positions of its parameters among
+    all; engine: of its model; analysis: what its modal runs are asked for by now.
+    """
+
+    case: Case
+    campaign: Campaign
+    columns: Integers
+    engine: JobEngine
+    finder: ModeFinder
+    analysis: ModalAnalysis
+
+    def own(self, theta: Floats) -> Floats:
+        """The case's own parameters among all."""
+        return theta[self.columns]
+
+    def named(self, work: Work) -> Work:
+        """A piece of work under the case's name, for its engine."""
+        return Work(self.case.of(work.name), work.jobs, work.engine or self.engine)
+
+
+@dataclass(slots=True, eq=False)
+class AskedModes:
+    """A case at a parameter set, on its way to an evaluation; widened: how often so far."""
+
+    point: int
+    state: CaseState
+    theta: Floats
+    analysis: ModalAnalysis
+    widened: int = 0
+
+    def widen(self, error: LostMode, there: int) -> None:
+        """Ask for more modes. Raises the error where it is of no use.
+
+        there: modes that were found; matrices of a few unknowns have no more than they gave.
+        """
+        few = there < self.analysis.n_modes and self.state.case.solver.program.name == "matrices"
+        if self.widened == WIDENINGS or few:
+            raise error
+        self.widened += 1
+        n_modes = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
+        self.analysis = replace(self.analysis, n_modes=n_modes)
+        logger.warning("%s; widening the range to %d modes", error, n_modes)
+
+
+@dataclass(slots=True)
+class ModeTrack:
+    """Evaluation points that modes are tracked from, where the test has no shapes: the nearest one.
+
+    width: (n_parameters,), what distances are measured by; grows: whether new sets join them.
+    """
+
+    width: Floats
+    known: list[Evaluation]
+    grows: bool
+
+    def next(self, thetas: Floats, waiting: Sequence[int]) -> int:
+        """The waiting set that is nearest to one that is known."""
+        if not self.known or len(waiting) == 1:
+            return waiting[0]
+        return min(waiting, key=lambda point: self._distances(thetas[point]).min())
+
+    def nearest(self, theta: Floats) -> Evaluation | None:
+        """The known set that is nearest to a set."""
+        if len(self.known) < 2:
+            return self.known[0] if self.known else None
+        return self.known[int(np.argmin(self._distances(theta)))]
+
+    def _distances(self, theta: Floats) -> Floats:
+        known = np.stack([evaluation.theta for evaluation in self.known])
+        return np.asarray((((theta - known) / self.width) ** 2).sum(axis=1))
+
+
+#: A piece of work of a case.
+Piece = tuple[CaseState, Work]
+#: What became of pieces by what they are, for those that are asked for again.
+Ahead = dict[tuple[object, ...], Done]

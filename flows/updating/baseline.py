@@ -1,0 +1,236 @@
+"""Whether a model is still as near to its test as it was: a band round a baseline's errors.
+
+A baseline is the record of an updating campaign (campaign.h5). Each mode of the test has an error
+of its frequency and a MAC there; the model that is checked leaves the band in a mode where its
+frequency error is larger than the baseline's by more than `frequency`, or its MAC is smaller by
+more than `mac`. A model that came nearer to the test never leaves it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from modetune.core.correlation.pairing import LostMode
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats, Integers, MeasuredModes, mode_name
+from modetune.core.storage.record import RunCounts
+from modetune.core.storage.record_file import read_record
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.report.tables import Column
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.evaluators import engine_of, evaluator_of
+from modetune.flows.updating.running import job_engine
+
+#: Which model of a record: as updating left it, or as it started.
+State = Literal["updated", "initial"]
+#: A mode of a test: its configuration, empty where there is one model, and its number.
+Mode = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """How much worse a mode may be: relative frequency error, MAC; both absolute differences."""
+
+    frequency: float
+    mac: float
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far a model is from its test.
+
+    modes: the test's, configuration and number; test_hz: (n_modes,); errors: (n_modes,), relative
+    frequency errors; macs: (n_modes,), the better one of MAC and cluster MAC, NaN where no shape
+    was measured.
+    """
+
+    modes: tuple[Mode, ...]
+    test_hz: Floats
+    errors: Floats
+    macs: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ModeCheck:
+    """A mode's errors beside the baseline's; reasons: why it left the band, none within it."""
+
+    mode: int
+    configuration: str | None
+    label: Annotated[str, Column("mode")]
+    test_hz: Annotated[float, Column("test", "Hz")]
+    error: Annotated[float, Column("error", "%", "+.2f")]
+    baseline_error: Annotated[float, Column("error of the baseline", "%", "+.2f")]
+    mac: Annotated[float, Column("MAC", form=".3f")]
+    baseline_mac: Annotated[float, Column("MAC of the baseline", form=".3f")]
+    within: Annotated[bool, Column("within the band")]
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineCheck:
+    """What a check found. reason: empty where all modes stayed; runs: solver runs it took."""
+
+    modes: tuple[ModeCheck, ...]
+    reason: str
+    remarks: tuple[str, ...]
+    runs: RunCounts
+
+    @property
+    def within(self) -> bool:
+        return not self.reason
+
+
+def read_agreement(path: Path, state: State) -> Agreement:
+    """How far the model of a record is from its test. Raises CampaignError."""
+    record = read_record(path)
+    accepted = [item for item in record.iterations if item.accepted]
+    chosen = accepted[-1] if state == "updated" else accepted[0]
+    measured = chosen.pairing.measured
+    return Agreement(
+        modes=_modes(record.test, record.configurations, measured),
+        test_hz=record.test.modes.frequencies_hz[measured],
+        errors=chosen.frequency_errors,
+        macs=chosen.pairing.judged_mac,
+    )
+
+
+def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> BaselineCheck:
+    """Compare the model at the deck's values with a baseline: one modal run, the store first.
+
+    Raises CampaignError where the baseline is of other modes; SolverError, StoreError.
+    """
+    baseline = _fitting(campaign, path, state)
+    engine = job_engine(campaign)
+    own = replace(
+        campaign, cases=tuple(replace(item, eigensolver="solver") for item in campaign.cases)
+    )  # a baseline holds the solver's own modes
+    evaluator = evaluator_of(own, engine, ThreadExecution(engine, 1))
+    theta = np.ones(len(campaign.parameters))
+    try:
+        evaluation, _ = evaluator.evaluate(0, theta, None, alone=True)
+    except LostMode as error:
+        return BaselineCheck((), f"a mode is lost: {error}", (), evaluator.runs)
+    for case in campaign.cases:
+        engine_of(engine, campaign, case).keep_text()
+    found = _compared(_agreement(campaign, evaluation), baseline, band, evaluator.runs)
+    return found if found.within else _hinted(found, path, state, band)
+
+
+def check_record(
+    campaign: Campaign, record: Path, path: Path, state: State, band: Band
+) -> BaselineCheck:
+    """Compare the updated model of another record with a baseline; nothing is run.
+
+    Raises CampaignError where a record cannot be read or is of other modes.
+    """
+    baseline, now = _fitting(campaign, path, state), read_agreement(record, "updated")
+    if set(now.modes) != set(baseline.modes):
+        raise CampaignError(_other_modes(path, baseline, record, now.modes))
+    return _compared(now, baseline, band, RunCounts())
+
+
+def _fitting(campaign: Campaign, path: Path, state: State) -> Agreement:
+    """The baseline, if it is of the campaign's modes. Raises CampaignError."""
+    baseline = read_agreement(path, state)
+    test = campaign.test
+    every = _modes(test, campaign.configurations, np.arange(len(test.numbers)))
+    if set(baseline.modes) != set(every):
+        raise CampaignError(_other_modes(path, baseline, campaign.file, every))
+    return baseline
+
+
+def _modes(
+    test: MeasuredModes, configurations: tuple[str, ...], places: Integers
+) -> tuple[Mode, ...]:
+    """The test's modes at these places."""
+    of = configurations or ("",) * len(test.numbers)
+    return tuple((of[place], test.numbers[place]) for place in places.tolist())
+
+
+def _label(mode: Mode) -> str:
+    """What people call a mode behind the word "mode"."""
+    return mode_name(mode[1], mode[0]).removeprefix("mode ")
+
+
+def _other_modes(path: Path, baseline: Agreement, other: Path, modes: tuple[Mode, ...]) -> str:
+    before, now = (", ".join(map(_label, sorted(item))) for item in (baseline.modes, modes))
+    return (
+        f"{path} is a baseline of test modes {before}, but {other} has modes {now}; make a new "
+        "baseline with `modetune update`"
+    )
+
+
+def _agreement(campaign: Campaign, evaluation: Evaluation) -> Agreement:
+    measured = evaluation.pairing.measured
+    return Agreement(
+        modes=_modes(campaign.test, campaign.configurations, measured),
+        test_hz=campaign.test.modes.frequencies_hz[measured],
+        errors=evaluation.errors,
+        macs=evaluation.pairing.judged_mac,
+    )
+
+
+def _compared(now: Agreement, before: Agreement, band: Band, runs: RunCounts) -> BaselineCheck:
+    places = {mode: place for place, mode in enumerate(before.modes)}
+    modes = []
+    for place, mode in sorted(enumerate(now.modes), key=lambda item: item[1]):
+        then = places[mode]
+        modes.append(
+            _mode(
+                mode,
+                float(now.test_hz[place]),
+                (float(now.errors[place]), float(before.errors[then])),
+                (float(now.macs[place]), float(before.macs[then])),
+                band,
+            )
+        )
+    left = [mode for mode in modes if not mode.within]
+    reason = "; ".join(f"mode {mode.label}: {', '.join(mode.reasons)}" for mode in left)
+    then_hz = np.array([before.test_hz[places[mode]] for mode in now.modes])
+    remarks = (
+        ()
+        if np.array_equal(then_hz, now.test_hz)
+        else (
+            "the test's frequencies are not those of the baseline: errors are each of its own test",
+        )
+    )
+    return BaselineCheck(tuple(modes), reason, remarks, runs)
+
+
+def _mode(
+    mode: Mode, test_hz: float, errors: tuple[float, float], macs: tuple[float, float], band: Band
+) -> ModeCheck:
+    """errors, macs: now and in the baseline."""
+    reasons = []
+    if abs(errors[0]) > abs(errors[1]) + band.frequency:
+        reasons.append(
+            f"frequency error {100 * errors[0]:+.2f} %, baseline {100 * errors[1]:+.2f} %, band "
+            f"{100 * band.frequency:g} %"
+        )
+    if macs[0] < macs[1] - band.mac:
+        reasons.append(f"MAC {macs[0]:.3f}, baseline {macs[1]:.3f}, band {band.mac:g}")
+    if np.isnan(macs[0]) and not np.isnan(macs[1]):
+        reasons.append("no MAC, because the test has no shapes any more")
+    return ModeCheck(
+        mode[1], mode[0] or None, _label(mode), test_hz, *errors, *macs, not reasons, tuple(reasons)
+    )
+
+
+def _hinted(found: BaselineCheck, path: Path, state: State, band: Band) -> BaselineCheck:
+    """With a remark where it looks as if the deck was compared with the wrong model."""
+    if state == "initial":
+        return found
+    earlier = read_agreement(path, "initial")
+    initial = dict(zip(map(_label, earlier.modes), np.abs(earlier.errors).tolist(), strict=True))
+    if any(abs(mode.error) > initial[mode.label] + band.frequency for mode in found.modes):
+        return found
+    remark = (
+        "the deck is as near to its test as the model that the baseline's campaign started from: "
+        "is it the deck before updating? Then compare with --state initial"
+    )
+    return BaselineCheck(found.modes, found.reason, (*found.remarks, remark), found.runs)

@@ -1,0 +1,152 @@
+"""Modes from stored matrices and reduced models: the finders that run no solver at a set.
+
+    matrix jobs, once      K(p), M(p) for all values             `matrix_source.py`
+    each set               modes of K(theta), M(theta)           `stored_modes.py`: a factorisation
+    beside them            a reduced model around the set        `core/updating/reduced`
+    each step              the whole problem on reduced models   `foresight.py`: milliseconds
+    at the end             the solver's own modes                one modal job a case
+
+Nothing is skipped: sensitivities follow from the reduced model, which the step needs anyhow.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.errors import ModetuneError
+from modetune.core.modes import Floats, mode_set
+from modetune.core.updating.reduced import ReducedModel
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.work import Done, Work
+from modetune.flows.updating.evaluation import CaseEvaluation, Point
+from modetune.flows.updating.finders import BySolver, Columns, ModeFinder, unless_failed
+from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.stored_modes import MatrixModes
+
+logger = logging.getLogger(__name__)
+
+#: Who finds modes, in records.
+MATRICES, REDUCED = "stored matrices", "reduced_model"
+
+
+@dataclass(slots=True)
+class ByMatrices:
+    """Modes by the stored matrices of all values, derivatives by a reduced model around a set.
+
+    solver: what takes over where the matrices turn out not to be the model's (parts that they do
+    not hold, sensors whose motion does not follow from them).
+    """
+
+    campaign: Campaign
+    engine: JobEngine
+    source: MatrixSource
+    solver: BySolver
+    name: str = MATRICES
+    cheap: bool = True
+    _modes: MatrixModes | None = field(default=None, init=False)
+
+    def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
+        if self._modes is not None:
+            return []
+        return self.source.works(self.campaign.start, range(len(self.campaign.parameters)))
+
+    def modes(
+        self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
+    ) -> tuple[str, ModalResult]:
+        return self._stored(done).modal(theta, analysis)
+
+    def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
+        return self.works(theta, analysis)
+
+    def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
+        return reduced_columns(self._stored(done).reduced(point, analysis), point)
+
+    def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
+        return True
+
+    def instead(self, error: ModetuneError) -> BySolver:
+        logger.warning("%s: modes are the solver's own from now on", error)
+        self.release()
+        return self.solver
+
+    def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:
+        """The reduced model around a point. Raises ModelError, UnlikeMatrices."""
+        return self._stored(()).reduced(point, analysis)
+
+    def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
+        """As `modes`, by the newest reduced model. Raises ModesError where it has no such modes."""
+        return self._stored(()).foreseen(theta, analysis)
+
+    def release(self) -> None:
+        """Leave the factors' memory to others."""
+        self._modes = None
+
+    def _stored(self, done: Sequence[Done]) -> MatrixModes:
+        """Modes by the matrices of all values, once their jobs are done."""
+        for item in done:
+            unless_failed(item)
+        if self._modes is None:
+            self._modes = MatrixModes(self.campaign, self.engine, self.source)
+        return self._modes
+
+
+@dataclass(frozen=True, slots=True)
+class ByReduced:
+    """Modes by a reduced model around a set that was evaluated in full."""
+
+    reduced: ReducedModel
+    around: CaseEvaluation
+    name: str = REDUCED
+    cheap: bool = True
+
+    def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
+        return []
+
+    def modes(
+        self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
+    ) -> tuple[str, ModalResult]:
+        known = self.around.modal
+        eigenvalues, shapes = self.reduced.modes(theta, known.modes.n_modes)
+        modal = ModalResult(
+            eigenvalues=eigenvalues,
+            modes=mode_set(
+                np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
+                shapes,
+                known.modes.nodes,
+                known.modes.components,
+                normalisation="mass",
+            ),
+            groups=(),
+            strain_energies=np.zeros((0, eigenvalues.size)),
+            total_strain_energy=0.5 * eigenvalues,
+            mass=np.nan,
+        )
+        return self.around.key, modal
+
+    def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
+        return []
+
+    def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
+        return reduced_columns(self.reduced, point)
+
+    def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
+        return True
+
+    def instead(self, error: ModetuneError) -> ModeFinder:
+        raise error
+
+
+def reduced_columns(reduced: ReducedModel, point: Point) -> Columns:
+    """The derivatives at a point, exact within a reduced model around it."""
+    modal = point.modal
+    paired = point.pairing.computed + modal.n_rigid
+    shapes = np.real(modal.modes.mode_shapes[:, paired])
+    found = reduced.derivatives(point.theta, paired, shapes)
+    return Columns(found, (REDUCED,) * point.theta.size, (point.key,))

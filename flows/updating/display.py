@@ -1,0 +1,155 @@
+"""What a person sees of a campaign: a line an iteration, tables at the end.
+
+Progress goes to standard error, results to standard output.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from modetune.core.correlation.held_out import HeldOut
+from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.updating.judgement import trust_sentences
+from modetune.flows.report.drawing import PAGE
+from modetune.flows.report.rows import (
+    BRIEF_PARAMETERS,
+    IterationRow,
+    held_out_lines,
+    held_out_table,
+    iteration_row,
+    mode_label,
+    mode_table,
+    parameter_table,
+)
+from modetune.flows.report.tables import OUTSIDE, columns_of, show_table
+from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text
+from modetune.flows.updating.run import CampaignRun
+
+HEADER = " it   worst    mean     MAC    slope   age  new runs        s"
+
+
+def iteration_line(record: IterationRecord) -> str:
+    """One line: errors, least MAC, slope, age of the sensitivity behind the step, runs, time."""
+    row = iteration_row(record)
+    texts = {
+        column.name: column.shown(getattr(row, column.name)) for column in columns_of(IterationRow)
+    }
+    age = str(record.sensitivity_age) if record.number else "-"
+    notes = [] if record.accepted else ["not kept"]
+    if record.sensitivity_skipped:
+        notes.append("sensitivity skipped (e2)")
+    if record.decision and record.number:
+        notes.append(record.decision)
+    ran = f"{row.modal_runs}+{row.sensitivity_runs}"
+    line = (
+        f"{record.number:3d} {texts['largest_error']:>6}% {texts['mean_error']:>6}% "
+        f"{texts['least_mac']:>7} {texts['slope']:>8} {age:>5} {ran:>9} {texts['wall_s']:>8}"
+    )
+    return f"{line}  {'; '.join(notes)}".rstrip()
+
+
+class ConsoleProgress:
+    """Progress on a terminal: what is running with its time, and a line an iteration."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._live = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task: TaskID | None = None
+        self._told, self._left = False, ""
+
+    @contextlib.contextmanager
+    def shown(self) -> Iterator[ConsoleProgress]:
+        """Show the display while a campaign runs."""
+        with self._live:
+            yield self
+
+    def working(self, text: str) -> None:
+        if self._task is not None:
+            self._live.remove_task(self._task)
+        self._task = self._live.add_task(f"{text}{self._left}", total=None)
+
+    def forecast(self, forecast: Forecast) -> None:
+        """A line as soon as all costs are known, then what is left, beside what is running."""
+        left = (
+            f"left at most: {cost_text(forecast.most)}" if forecast.known else "cost not known yet"
+        )
+        self._left = f" ({left})"
+        if forecast.known and not self._told:
+            self._told = True
+            self.console.print(Text(forecast_text(forecast)), soft_wrap=True)
+
+    def iteration(self, record: IterationRecord) -> None:
+        if record.number == 0:
+            self.console.print(Text(HEADER))
+        # soft_wrap: a line stays a line where the output is not a terminal.
+        self.console.print(Text(iteration_line(record)), soft_wrap=True)
+
+
+def pairing_lines(record: CampaignRecord) -> list[str]:
+    """What pairing did that the order of frequencies does not tell, a line a mode."""
+    pairing = record.best.pairing
+    return [
+        f"test mode {mode_label(record, measured)} is elastic mode {computed + 1} of the model: "
+        f"{reason}"
+        for measured, computed, reason in zip(
+            pairing.measured.tolist(), pairing.computed.tolist(), pairing.reasons, strict=True
+        )
+        # Side by side the modes of several configurations have other positions than alone.
+        if (measured != computed and not record.configurations)
+        or not reason.startswith(("highest MAC", "no shape", "continues"))
+    ]
+
+
+def trust_lines(record: CampaignRecord) -> list[str]:
+    """How far the parameters can be trusted: the verdict, then what is flagged, a line each."""
+    if record.trust is None:
+        return []
+    flagged = [item.sentence for item in record.trust.flagged]
+    return [*trust_sentences(record.trust), *(f"- {line}" for line in flagged)]
+
+
+def show_held_out(console: Console, held: HeldOut | None) -> None:
+    """Table and sentences of modes that were held out; nothing where nothing was."""
+    show_table(console, held_out_table(held))
+    for line in held_out_lines(held):
+        console.print(Text(line, style=OUTSIDE), soft_wrap=True)
+
+
+def show_run(console: Console, run: CampaignRun) -> None:
+    """The end of a campaign: tables, the reason it ended, its cost, and where the files are."""
+    record = run.record
+    show_table(console, mode_table(record))
+    for line in pairing_lines(record):
+        console.print(Text(line), soft_wrap=True)
+    show_held_out(console, record.held_out)
+    show_table(console, parameter_table(record, BRIEF_PARAMETERS))
+    for line in trust_lines(record):
+        console.print(Text(line), soft_wrap=True)
+    runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
+    console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)
+    console.print(
+        Text(
+            f"iterations: {record.iterations[-1].number}; solver runs: {runs.modal} modal, "
+            f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store; sensitivity "
+            f"skipped by e2 in {skipped}; {record.wall_s:.1f} s, "
+            f"{runs.core_s / 60.0:.1f} core-minutes"
+            + (f", {runs.licence_s / 60.0:.1f} licence-minutes" if runs.licence_s else "")
+        ),
+        soft_wrap=True,
+    )
+    console.print(Text(f"record       {run.folder / 'campaign.h5'}"), soft_wrap=True)
+    console.print(Text(f"updated deck {run.updated_deck}"), soft_wrap=True)
+    if (page := run.folder / PAGE).exists():
+        console.print(Text(f"report       {page}"), soft_wrap=True)

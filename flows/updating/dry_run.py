@@ -1,0 +1,176 @@
+"""A dry run: what a campaign would run, without running it.
+
+The updating loop is deterministic, so it is replayed for as long as the store answers every job.
+Where it lacks one the replay ends, and the jobs of that iteration are told: which the store has,
+which would be run, and for each of these the nearest stored result and what differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from modetune.core.errors import NotComputed, NotStored
+from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.explain import (
+    AskedJob,
+    Nearest,
+    Texts,
+    asked_by_note,
+    nearest,
+    stored_jobs,
+)
+from modetune.flows.jobs.job import NOMINAL, Job
+from modetune.flows.jobs.work import Done, Work, solve_work
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.starting import read_earlier, start_of
+from modetune.flows.updating.updating import Updating
+
+#: So many of the newest results are compared with a job in search of the nearest.
+COMPARED = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedJob:
+    """A job of an iteration and what it is for.
+
+    asked: what it would be run for, None where the store has its result; nearest: of a job that
+    would be run, where anything is stored.
+    """
+
+    iteration: str
+    name: str
+    job: Job
+    key: str
+    asked: AskedJob | None
+    nearest: Nearest | None = None
+
+    @property
+    def stored(self) -> bool:
+        return self.asked is None
+
+
+@dataclass(frozen=True, slots=True)
+class DryRun:
+    """What a campaign would do.
+
+    answered: jobs of all iterations before that the store answers; iterations: those replayed;
+    jobs: of the iteration where the store's answers end, empty where they last to the campaign's
+    end; ended: its record then.
+    """
+
+    answered: int
+    iterations: tuple[IterationRecord, ...]
+    jobs: tuple[PlannedJob, ...]
+    ended: CampaignRecord | None
+
+    @property
+    def runs(self) -> tuple[PlannedJob, ...]:
+        """The jobs that would be run first."""
+        return tuple(item for item in self.jobs if not item.stored)
+
+
+@dataclass
+class Replay:
+    """An execution that lets the store answer and keeps what it cannot answer."""
+
+    engine: JobEngine
+    answered: int = 0
+    planned: list[PlannedJob] = field(default_factory=list)
+
+    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        """Outcomes from the store. Raises NotStored where a job has none."""
+        pieces = [
+            [
+                planned_job(piece.engine or self.engine, iteration, piece.name, job)
+                for job in piece.jobs
+            ]
+            for piece in work
+        ]
+        jobs = [item for piece in pieces for item in piece]
+        if not all(item.stored for item in jobs):
+            self.planned = _each_once(jobs)
+            raise NotStored(f"{iteration} would run jobs")
+        self.answered += len(jobs)
+        return [solve_work(self.engine, piece) for piece in work]
+
+    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        pass
+
+
+class _NoProgress:
+    """Progress that nobody watches."""
+
+    def working(self, text: str) -> None:
+        pass
+
+    def iteration(self, record: IterationRecord) -> None:
+        pass
+
+
+def planned_job(engine: JobEngine, iteration: str, name: str, job: Job) -> PlannedJob:
+    """A job and whether the store has its result."""
+    key = engine.key(job)
+    if key in engine.store:
+        return PlannedJob(iteration, name, job, key, None)
+    asked = asked_by_note(key, engine.note(job), engine.plans.plan(job).asked)
+    return PlannedJob(iteration, name, job, key, asked)
+
+
+def dry_run(campaign: Campaign, folder: Path) -> DryRun:
+    """Replay a campaign on its store and tell the first jobs that would be run.
+
+    folder: its run folder, where a run before may have left its record. Raises SolverMissing
+    (keys hold the solver's version), ModelError, ModesError, StoreError.
+    """
+    engine = replace(job_engine(campaign), may_run=False)
+    campaign = start_of(campaign, engine, read_earlier(folder))
+    while True:
+        replay = Replay(engine)
+        evaluator = evaluator_of(campaign, engine, replay)
+        updating = Updating(campaign, evaluator, _NoProgress(), lambda record: None)
+        ended = None
+        try:
+            ended = updating.run()
+        except NotComputed:  # what comes next is computed here; no solver run can be told yet
+            break
+        except NotStored:
+            if not replay.planned:  # a damaged entry was set aside: once more, without it
+                continue
+        break
+    stored = stored_jobs(engine.store, COMPARED) if replay.planned else []
+    texts = _texts(engine) if stored else None
+    jobs = tuple(
+        replace(item, nearest=nearest(item.asked, stored, texts)) if item.asked and texts else item
+        for item in replay.planned
+    )
+    return DryRun(replay.answered, tuple(updating.iterations), jobs, ended)
+
+
+def _texts(engine: JobEngine) -> Texts:
+    """Texts of decks: this campaign's own, and those that the store keeps, each read once."""
+    known: dict[str, Text | None] = {}
+    with suppress(OSError):  # no room for a temporary copy: the explanation is shorter
+        nominal = engine.plans.plan(NOMINAL).rendered
+        known[engine.plans.model_digest()] = deck_text(nominal)
+
+    def text(digest: str) -> Text | None:
+        if digest not in known:
+            known[digest] = kept_text(engine.store, digest)
+        return known[digest]
+
+    return text
+
+
+def _each_once(jobs: Sequence[PlannedJob]) -> list[PlannedJob]:
+    """The jobs without those that an earlier one of the same key makes."""
+    first: dict[str, PlannedJob] = {}
+    for item in jobs:
+        first.setdefault(item.key, item)
+    return list(first.values())

@@ -1,0 +1,286 @@
+"""An evaluated parameter set: in each case its modes, which answer the test, and how far they are.
+
+What a set gives in all cases is put together for the step: residuals and sensitivities are stacked,
+frequencies of all cases first and then shapes of all, as `core/updating/residual` has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.correlation.held_out import (
+    HeldOut,
+    judge_held_out,
+    pair_held_out,
+    track_held_out,
+)
+from modetune.core.correlation.pairing import (
+    Pairing,
+    pair_by_order,
+    pair_by_shape,
+    pair_by_tracking,
+)
+from modetune.core.correlation.repeated import rotation_to_test
+from modetune.core.modes import Floats, Integers, ModeSet
+from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
+from modetune.core.updating.estimation import Step
+from modetune.core.updating.residual import Residual, Weighting, residual
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.case import Case, node_base, side_by_side
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Where derivatives are taken: parameter values, the modes there, and which are paired.
+
+    key: of the modes' result.
+    """
+
+    theta: Floats
+    key: str
+    modal: ModalResult
+    pairing: Pairing
+
+
+@dataclass(frozen=True, slots=True)
+class CaseEvaluation:
+    """A model state compared with the test of its case.
+
+    theta: the case's own parameters. modal: at the nodes that pairing and derivatives need; seen:
+    its elastic modes as the test's sensors see them; field: the elastic modes at every node that
+    was asked for; held_out: where the test's held-out modes are among them; solved_by: the program
+    that found the modes.
+    """
+
+    theta: Floats
+    key: str
+    modal: ModalResult
+    seen: ModeSet
+    field: ModeSet
+    pairing: Pairing
+    residual: Residual
+    errors: Floats
+    held_out: Pairing | None
+    solved_by: str
+
+    @property
+    def point(self) -> Point:
+        return Point(self.theta, self.key, self.modal, self.pairing)
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """A parameter set compared with the tests of all cases.
+
+    parts: in each case, in the campaign's order. seen, pairing, residual, errors: of all of them
+    side by side.
+    """
+
+    theta: Floats
+    parts: tuple[CaseEvaluation, ...]
+    seen: ModeSet
+    pairing: Pairing
+    residual: Residual
+    errors: Floats
+
+    @property
+    def key(self) -> str:
+        """The keys of the results that the modes are from."""
+        return " ".join(part.key for part in self.parts)
+
+    @property
+    def solved_by(self) -> str:
+        """The programs that found the modes."""
+        return "+".join(dict.fromkeys(part.solved_by for part in self.parts))
+
+    def agrees(self, tolerances: Tolerances) -> bool:
+        """Whether e1 holds; members of a cluster of close modes are judged by its space."""
+        return agrees(self.errors, self.pairing.judged_mac, tolerances)
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix:
+    """A sensitivity matrix.
+
+    values: (n_residuals, n_parameters); methods: how each column was computed; keys: of the jobs
+    behind it; age: iterations since; missing: positions of columns that are unavailable, zero in
+    values.
+    """
+
+    values: Floats
+    methods: tuple[str, ...]
+    keys: tuple[str, ...]
+    age: int
+    missing: tuple[int, ...] = ()
+
+    @property
+    def methods_had(self) -> tuple[str, ...]:
+        """How each column was computed, `missing` where it was not."""
+        return tuple(
+            "missing" if column in self.missing else method
+            for column, method in enumerate(self.methods)
+        )
+
+
+def compare(
+    case: Case,
+    weighting: Weighting,
+    theta: Floats,
+    key: str,
+    result: ModalResult,
+    previous: CaseEvaluation | None,
+    solved_by: str,
+) -> CaseEvaluation:
+    """Pair the modes of a model state with the test of its case. Raises LostMode, ModesError.
+
+    solved_by: the program that found them. Measured shapes decide where there are some; else the
+    pairs of `previous` are tracked, and at first the order of frequencies decides. Where shapes
+    count, repeated modes are turned to lie as the test's.
+    """
+    test, modal = case.test, result.at(case.nodes)
+    seen = case.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
+    if test.has_shapes:
+        pairing = pair_by_shape(test.modes, seen)
+        rotation = rotation_to_test(test.modes, seen, pairing)
+        if rotation is not None and weighting.shape_weight > 0.0:
+            result = result.turned(rotation)
+            modal = result.at(case.nodes)
+            seen = case.sensors.observe(modal.elastic)
+            pairing = pair_by_shape(test.modes, seen)
+    elif previous is None:
+        others = () if case.held_out is None else case.held_out.modes.frequencies_hz
+        pairing = pair_by_order(test.modes, seen, others)
+    else:
+        pairing = pair_by_tracking(previous.pairing, previous.modal.elastic, modal.elastic)
+    return CaseEvaluation(
+        theta=theta,
+        key=key,
+        modal=modal,
+        seen=seen,
+        field=result.elastic,
+        pairing=pairing,
+        residual=residual(test.modes, seen, pairing, weighting),
+        errors=frequency_errors(test.modes, seen, pairing),
+        held_out=_held_out(case, seen, pairing, previous),
+        solved_by=solved_by,
+    )
+
+
+def _held_out(
+    case: Case, seen: ModeSet, pairing: Pairing, previous: CaseEvaluation | None
+) -> Pairing | None:
+    """Where the modes that are only judged by are; a lost one is not an error."""
+    held = case.held_out
+    if held is None:
+        return None
+    if held.has_shapes or previous is None or previous.held_out is None:
+        return pair_held_out(held, case.test, seen, pairing)
+    return track_held_out(previous.held_out, previous.seen, seen, pairing)
+
+
+def judged(
+    case: Case, weighting: Weighting, initial: CaseEvaluation, updated: CaseEvaluation
+) -> HeldOut | None:
+    """The modes that are only judged by, before and after; None where there are none."""
+    if case.held_out is None or initial.held_out is None or updated.held_out is None:
+        return None
+    return judge_held_out(
+        case.held_out,
+        weighting.frequency_deviation,
+        (initial.seen, initial.held_out),
+        (updated.seen, updated.held_out),
+    )
+
+
+def whole_evaluation(
+    cases: Sequence[Case], theta: Floats, parts: Sequence[CaseEvaluation]
+) -> Evaluation:
+    """What a set gives in all cases as one, each by the weight of its case."""
+    rows = part_rows(parts)
+    weights = [case.weight * part.residual.weights for case, part in zip(cases, parts, strict=True)]
+    return Evaluation(
+        theta=theta,
+        parts=tuple(parts),
+        seen=_all_seen(cases, parts),
+        pairing=_all_pairs(cases, parts),
+        residual=Residual(
+            values=_merged([part.residual.values for part in parts], rows),
+            weights=_merged(weights, rows),
+            variances=_merged([part.residual.variances for part in parts], rows),
+            n_frequencies=sum(part.residual.n_frequencies for part in parts),
+        ),
+        errors=np.concatenate([part.errors for part in parts]),
+    )
+
+
+def part_rows(parts: Sequence[CaseEvaluation]) -> list[Integers]:
+    """Of each case the rows it has in the whole residual."""
+    n_frequencies = [part.residual.n_frequencies for part in parts]
+    n_shapes = [part.residual.values.size - n for part, n in zip(parts, n_frequencies, strict=True)]
+    rows, first, shape = [], 0, sum(n_frequencies)
+    for frequencies, shapes in zip(n_frequencies, n_shapes, strict=True):
+        rows.append(np.r_[first : first + frequencies, shape : shape + shapes])
+        first, shape = first + frequencies, shape + shapes
+    return rows
+
+
+def _merged(values: Sequence[Floats], rows: Sequence[Integers]) -> Floats:
+    merged = np.zeros(sum(item.size for item in values))
+    for own, place in zip(values, rows, strict=True):
+        merged[place] = own
+    return merged
+
+
+def _all_seen(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> ModeSet:
+    """The modes of all cases, each at its own sensors."""
+    if len(parts) == 1:
+        return parts[0].seen
+    seen = [
+        part.seen if case.test.has_shapes else part.seen.rows([])
+        for case, part in zip(cases, parts, strict=True)
+    ]
+    return side_by_side(seen, node_base([case.test for case in cases]))
+
+
+def _all_pairs(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> Pairing:
+    """The pairs of all cases, positions counted through both sides."""
+    if len(parts) == 1:
+        return parts[0].pairing
+    measured, computed, reasons = [], [], []
+    n_measured = n_computed = 0
+    for case, part in zip(cases, parts, strict=True):
+        measured.append(part.pairing.measured + n_measured)
+        computed.append(part.pairing.computed + n_computed)
+        reasons += [f"{reason} ({case.name})" for reason in part.pairing.reasons]
+        n_measured += part.pairing.measured.size
+        n_computed += part.seen.n_modes
+    return Pairing(
+        np.concatenate(measured),
+        np.concatenate(computed),
+        np.concatenate([part.pairing.mac for part in parts]),
+        np.concatenate([part.pairing.subspace_mac for part in parts]),
+        tuple(reasons),
+    )
+
+
+def expects_agreement(step: Step, evaluation: Evaluation, tolerances: Tolerances) -> bool:
+    """Whether the linear model promises that e1 will hold after a step.
+
+    Then the modal job goes alone: sensitivities computed beside it would most likely be in vain.
+    """
+    rows = part_rows(evaluation.parts)
+    return all(
+        _expects(step.predicted[own], part, tolerances)
+        for part, own in zip(evaluation.parts, rows, strict=True)
+    )
+
+
+def _expects(predicted: Floats, part: CaseEvaluation, tolerances: Tolerances) -> bool:
+    n_frequencies = part.residual.n_frequencies
+    errors = 0.5 * predicted[:n_frequencies]  # z is of eigenvalues: twice the frequency's
+    shapes = predicted[n_frequencies:]
+    mac = 1.0 - (shapes.reshape(n_frequencies, -1) ** 2).sum(axis=1)
+    return agrees(errors, mac if shapes.size else part.pairing.judged_mac, tolerances)

@@ -1,0 +1,246 @@
+"""What a campaign will cost: core-minutes, licence-minutes and time, from what jobs cost before.
+
+A job costs what the stored results of the same model and kind of analysis cost (their median);
+where there are none, those of earlier states of the deck, found by the model's name. How many
+iterations a campaign takes nobody knows, so besides the iteration that comes next the most is
+told: all iterations used up, and in each a new sensitivity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from modetune.core.storage.keys import Json
+from modetune.core.storage.record import IterationRecord
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import Job, JobNote, analysis_kind, read_note
+from modetune.flows.jobs.limits import CORES
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.report.tables import json_object
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.updating import Progress
+
+#: So many of the newest results are looked at, before the start and after an iteration.
+NEWEST, NEWEST_LATER = 100, 20
+#: A change of the parameters by which jobs that come once are told from those of each iteration.
+ELSEWHERE = 1.001
+
+
+@dataclass(frozen=True, slots=True)
+class Price:
+    """What one job costs: seconds from start to result, and cores times seconds."""
+
+    wall_s: float
+    core_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What some jobs cost; unknown: how many of them have no price and are left out of the sums."""
+
+    jobs: int
+    unknown: int
+    core_s: float
+    licence_s: float
+    wall_s: float
+
+    def plus(self, other: Cost, times: int = 1) -> Cost:
+        return Cost(
+            self.jobs + times * other.jobs,
+            self.unknown + times * other.unknown,
+            self.core_s + times * other.core_s,
+            self.licence_s + times * other.licence_s,
+            self.wall_s + times * other.wall_s,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What lies before a campaign.
+
+    coming: of the first iteration, nothing once that is done; further: of each iteration after
+    it at most; iterations: how many of these there may be.
+    """
+
+    coming: Cost
+    further: Cost
+    iterations: int
+
+    @property
+    def most(self) -> Cost:
+        return self.coming.plus(self.further, self.iterations)
+
+    @property
+    def known(self) -> bool:
+        """Whether every job has a price."""
+        return self.most.unknown == 0
+
+
+NOTHING = Cost(0, 0, 0.0, 0.0, 0.0)
+
+
+class Forecaster:
+    """Watches a campaign in somebody's place and tells what is still to come."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        engine: JobEngine,
+        progress: Progress,
+        tell: Callable[[Forecast], None],
+    ) -> None:
+        self.progress = progress
+        self.tell = tell
+        self._campaign = campaign
+        self._engine = engine
+        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+        # By matrices there are jobs at the start and one at the end, whatever the iterations.
+        self._iterations = campaign.update.max_iterations if evaluator.steps_run else 0
+        first = _jobs(evaluator, campaign, 1.0)
+        if campaign.update.max_iterations == 0:
+            first = first[:1]  # the modal job goes alone
+        self._digest = engine.plans.model_digest()
+        self._prices: dict[str, Price] = {}
+        self._missing = [job for job in first if engine.key(job) not in engine.store]
+        self._further = [job for job in _jobs(evaluator, campaign, ELSEWHERE) if job not in first]
+        self.first = self._forecast(self._missing, 0)
+        tell(self.first)
+
+    def working(self, text: str) -> None:
+        self.progress.working(text)
+
+    def iteration(self, record: IterationRecord) -> None:
+        self.progress.iteration(record)
+        self.tell(self._forecast([], record.number))
+
+    def _forecast(self, coming: Sequence[Job], number: int) -> Forecast:
+        newest = NEWEST_LATER if self._prices else NEWEST
+        self._prices |= job_prices(self._engine, self._digest, newest)
+        price = job_cost(self._engine, self._prices, self._campaign.parallel)
+        return Forecast(
+            coming=price(coming),
+            further=price(self._further),
+            iterations=max(self._iterations - number, 0),
+        )
+
+
+def _jobs(evaluator: Evaluator, campaign: Campaign, factor: float) -> list[Job]:
+    """The jobs of an iteration, each once."""
+    jobs: list[Job] = []
+    for work in evaluator.planned(factor * campaign.start):
+        jobs += [job for job in work.jobs if job not in jobs]
+    return jobs
+
+
+def job_prices(engine: JobEngine, digest: str, newest: int = NEWEST) -> dict[str, Price]:
+    """Prices by kind of analysis, as far as the newest results in the store tell.
+
+    digest: of the model, `Plans.model_digest`.
+    """
+    solver, name = engine.solver.program.name, engine.solver.deck.summary.name
+    noted = [(read_note(item.note), item.wall_s) for item in engine.store.holdings(newest)]
+    ours = [(note, wall_s) for note, wall_s in noted if note and note.solver == solver]
+    by_name = _medians([item for item in ours if item[0].model == name])
+    return by_name | _medians([item for item in ours if item[0].model_digest == digest])
+
+
+def _medians(noted: Sequence[tuple[JobNote, float]]) -> dict[str, Price]:
+    prices = {}
+    for kind in {note.analysis for note, _ in noted}:
+        of_kind = [
+            (wall_s, note.threads * wall_s) for note, wall_s in noted if note.analysis == kind
+        ]
+        prices[kind] = Price(
+            median(wall_s for wall_s, _ in of_kind), median(core_s for _, core_s in of_kind)
+        )
+    return prices
+
+
+def job_cost(
+    engine: JobEngine, prices: Mapping[str, Price], parallel: int
+) -> Callable[[Sequence[Job]], Cost]:
+    """What prices jobs that go side by side, so many at a time."""
+    licences = sum(limit.taken for limit in engine.limits if limit.name != CORES)
+
+    def cost(jobs: Sequence[Job]) -> Cost:
+        found = [prices.get(analysis_kind(job.analysis)) for job in jobs]
+        known = [price for price in found if price is not None]
+        return Cost(
+            jobs=len(jobs),
+            unknown=len(found) - len(known),
+            core_s=sum(price.core_s for price in known),
+            licence_s=licences * sum(price.wall_s for price in known),
+            wall_s=side_by_side([price.wall_s for price in known], parallel),
+        )
+
+    return cost
+
+
+def side_by_side(walls_s: Sequence[float], parallel: int) -> float:
+    """How long jobs of these times take, so many at a time, the longest first."""
+    ends = [0.0] * max(parallel, 1)
+    for wall_s in sorted(walls_s, reverse=True):
+        ends[ends.index(min(ends))] += wall_s
+    return max(ends)
+
+
+def cost_text(cost: Cost) -> str:
+    """A cost in words."""
+    number = f"{cost.jobs} job{'' if cost.jobs == 1 else 's'}"
+    if cost.jobs == 0:
+        return "nothing to run"
+    if cost.unknown == cost.jobs:
+        return f"{number} of a cost that is not known (none of their kind is stored yet)"
+    licences = f", {_minutes(cost.licence_s)} licence-minutes" if cost.licence_s else ""
+    without = f", without {cost.unknown} of unknown cost" if cost.unknown else ""
+    return (
+        f"{number}, {_minutes(cost.core_s)} core-minutes{licences}, {_time(cost.wall_s)}{without}"
+    )
+
+
+def forecast_text(forecast: Forecast) -> str:
+    """A forecast in one line."""
+    return (
+        f"forecast: first iteration {cost_text(forecast.coming)}; all {forecast.iterations} "
+        f"further ones at most {cost_text(NOTHING.plus(forecast.further, forecast.iterations))}"
+    )
+
+
+def told_forecast(forecast: Forecast) -> dict[str, Json]:
+    """A forecast as JSON; a cost that is not known is null."""
+    return json_object(
+        forecast,
+        "known",
+        first_iteration=_told(forecast.coming),
+        each_further=_told(forecast.further),
+        further_iterations=forecast.iterations,
+        most=_told(forecast.most),
+    )
+
+
+def _told(cost: Cost) -> dict[str, Json]:
+    known = cost.unknown == 0
+    return json_object(
+        cost,
+        "jobs",
+        jobs_of_unknown_cost=cost.unknown,
+        core_minutes=round(cost.core_s / 60.0, 4) if known else None,
+        licence_minutes=round(cost.licence_s / 60.0, 4) if known else None,
+        wall_s=round(cost.wall_s, 3) if known else None,
+    )
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60.0:.2g}" if seconds < 600.0 else f"{seconds / 60.0:.0f}"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"about {seconds:.0f} s"
+    return (
+        f"about {seconds / 60.0:.0f} min" if seconds < 5400.0 else f"about {seconds / 3600:.1f} h"
+    )

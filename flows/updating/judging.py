@@ -1,0 +1,183 @@
+"""How far a campaign's answer can be trusted: worked out at its end, and told to machines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from modetune.core.modes import Floats
+from modetune.core.storage.keys import Json
+from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.updating.estimation import LCurve, StepProblem, l_curve
+from modetune.core.updating.identifiability import identifiability, remaining_step
+from modetune.core.updating.judgement import (
+    combination_sentences,
+    judge_parameters,
+    short_sentences,
+    trust_sentences,
+)
+from modetune.core.updating.trust import StartSpread, Trust, with_concerns
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.report.form_verdict import record_verdict
+from modetune.flows.report.tables import json_object
+from modetune.flows.updating.evaluation import Matrix
+
+#: Collinear subsets that the summary names.
+NAMED = 10
+
+
+def campaign_trust(
+    campaign: Campaign,
+    iterations: Sequence[IterationRecord],
+    matrix: Matrix | None,
+    standard_errors: Floats,
+    agrees: bool,
+) -> Trust | None:
+    """What the newest sensitivity and the test say of the parameters; None without a sensitivity.
+
+    standard_errors: (n_parameters,); agrees: whether e1 is met.
+    """
+    if matrix is None:
+        return None
+    last = [iteration for iteration in iterations if iteration.accepted][-1]
+    parameters, factor = campaign.parameters, 1.0
+    if campaign.update.step == "pulled_to_initial" and np.isfinite(last.regularisation):
+        factor = last.regularisation
+    found = identifiability(
+        matrix.values,
+        last.residual.weights,
+        parameters.standard_deviations,
+        last.parameters,
+        factor,
+    )
+    return Trust(
+        parameters=judge_parameters(
+            parameters,
+            last.parameters,
+            iterations[0].parameters,
+            standard_errors,
+            found,
+            matrix.missing,
+        ),
+        identifiability=found,
+        agrees=agrees,
+        unseen=combination_sentences(parameters.names, found),
+        curve=_curve(campaign, iterations),
+        regularisation=last.regularisation,
+        age=matrix.age,
+        concerns=_short(campaign, last, matrix, standard_errors) if agrees else (),
+    )
+
+
+def checked(record: CampaignRecord) -> CampaignRecord:
+    """The record of an update that has ended, its trust judged by what is left and held out too."""
+    if record.trust is None:
+        return record
+    trust, found = record.trust, record_verdict(record)
+    if found is not None and found.form.suspected:
+        trust = replace(with_concerns(trust, found.sentence), times_noise=found.form.times_noise)
+    elif found is not None and found.form.overstated:
+        trust = replace(trust, notes=(*trust.notes, found.sentence))
+    return replace(record, trust=with_concerns(trust, *_worse(record)))
+
+
+def _worse(record: CampaignRecord) -> tuple[str, ...]:
+    """A sentence where held-out modes got worse."""
+    held = record.held_out
+    if held is None or not held.any_worse:
+        return ()
+    names = held.only(held.worse).names
+    return (
+        f"{len(names)} of {held.numbers.size} held-out modes got worse by updating "
+        f"({', '.join(names)}): the parameters may have been bent to fit the others.",
+    )
+
+
+def _short(
+    campaign: Campaign, last: IterationRecord, matrix: Matrix, standard_errors: Floats
+) -> tuple[str, ...]:
+    if campaign.update.step == "pulled_to_initial":
+        return ()  # its answer is not the least misfit, and its standard errors know that
+    remaining = remaining_step(
+        matrix.values,
+        last.residual.values,
+        last.residual.weights,
+        campaign.parameters.standard_deviations,
+    )
+    return short_sentences(campaign.parameters.names, remaining, standard_errors)
+
+
+def _curve(campaign: Campaign, iterations: Sequence[IterationRecord]) -> LCurve | None:
+    """The L-curve of the last step that was kept."""
+    kept = [iteration for iteration in iterations if iteration.accepted]
+    if len(kept) < 2:
+        return None
+    before, last = kept[-2].residual, kept[-1]
+    n = len(campaign.parameters)
+    fits = last.sensitivity.shape == (before.values.size, n)
+    if not fits or not last.sensitivity.any() or not before.values[before.weights > 0.0].any():
+        return None
+    free = np.full(n, np.inf)
+    return l_curve(
+        StepProblem(
+            sensitivity=last.sensitivity,
+            residual=before.values,
+            weights=before.weights,
+            parameter_weights=campaign.parameters.standard_deviations**-2,
+            offset=np.zeros(n),
+            lower=-free,
+            upper=free,
+        )
+    )
+
+
+def trust_summary(trust: Trust | None) -> Json:
+    """The key `trust` of `modetune update --json`; null where no sensitivity was computed."""
+    if trust is None:
+        return None
+    found, names = trust.identifiability, [item.name for item in trust.parameters]
+    subsets = zip(
+        found.collinearity.members.tolist(), found.collinearity.indices.tolist(), strict=True
+    )
+    return json_object(
+        trust,
+        "verdict regularisation",
+        sentences=trust_sentences(trust),
+        condition=found.condition,
+        singular_values=found.singular_values,
+        parameters_told=found.n_told,
+        collinearity_index=found.collinearity.whole,
+        collinear_subsets=[
+            {"parameters": [names[place] for place in row if place >= 0], "index": index}
+            for row, index in list(subsets)[:NAMED]
+        ],
+        unseen_combinations=[
+            json_object(item, "changes seen", parameters=[names[place] for place in item.members])
+            for item in found.unseen
+        ],
+        l_curve_corner=trust.curve and trust.curve.corner,
+        sensitivity_age=trust.age,
+        parameters=[
+            json_object(
+                item, "name test_share standard_error on_bound collinear_with flags sentence"
+            )
+            for item in trust.parameters
+        ],
+        **({} if trust.spread is None else {"starts": _told_starts(trust.spread)}),
+    )
+
+
+def _told_starts(spread: StartSpread) -> Json:
+    columns = zip(
+        spread.starts, spread.updated, spread.misfits, spread.outcomes, spread.minima, strict=True
+    )
+    heads = ("start", "updated", "misfit", "outcome", "place")
+    return json_object(
+        spread,
+        "seed chosen differ",
+        places=int(spread.minima.max(initial=-1)) + 1,
+        fit_as_well=spread.rivals,
+        runs=[dict(zip(heads, run, strict=True)) for run in columns],
+    )

@@ -1,0 +1,280 @@
+"""The stiffness and mass matrices of a campaign's model as functions of its parameters.
+
+Where the matrices are sums of powers of each parameter, the jobs of `matrix_plan` go to the solver
+once in the life of a model; what follows from them, `core/updating/parameter_matrices`, takes their
+place in the store: it is as large as two of them, whatever the number of parameters. Where they are
+not (Poisson's ratio, two parameters that scale the same thing), the same is made for one set of
+values at a time, from jobs around it, and only its derivatives there are the model's. A model that
+was given as matrices has its own parts, and needs no job.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from scipy import sparse
+
+from modetune.adapters.solver import MatrixAnalysis, Solver
+from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.pardiso import is_available
+from modetune.core.modes import Floats
+from modetune.core.parameters import ParameterSet
+from modetune.core.storage.keys import Json, canonical_json, content_key
+from modetune.core.updating.matrix_samples import differences, remainder, separate
+from modetune.core.updating.parameter_matrices import (
+    ParameterMatrices,
+    Powers,
+    fit_powers,
+    parameter_matrices,
+)
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.matrix_plan import (
+    MatrixPlan,
+    Sampling,
+    plan,
+    sampling,
+    scale_together,
+    unsuitable,
+)
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.work import Work
+
+logger = logging.getLogger(__name__)
+
+#: Raised by hand when the same matrices are taken apart in another way.
+VERSION = 2
+#: Models of fewer elements are solved by the solver itself as fast.
+SMALL = 2000
+#: Upper triangles of stiffness and mass.
+Triangles = tuple[sparse.csr_array, sparse.csr_array]
+NOTHING = sparse.csr_array((0, 0))
+
+
+@dataclass(frozen=True)
+class MatrixSource:
+    """Where a model's matrices come from; step: relative, of differences where there are no powers.
+
+    Each model has a source of its own. The matrices at a set are those of `columns`, positions of
+    parameters; of a model that is known `everywhere` they are the same for all sets and columns.
+    """
+
+    engine: JobEngine
+    parameters: ParameterSet
+    step: float
+
+    @cached_property
+    def everywhere(self) -> bool:
+        """Whether K and M follow for all values from the same jobs."""
+        if self._given is not None:
+            return True
+        pairs = list(zip(self.parameters.parameters, self._samplings, strict=True))
+        powers = all(item.powers for item in self._samplings)
+        return powers and not any(scale_together(*both) for both in combinations(pairs, 2))
+
+    def jobs(self, theta: Floats, columns: Sequence[int]) -> tuple[Job, ...]:
+        """The jobs that have to go before `matrices`, the model's own first.
+
+        None where the store has what they gave, or the model is matrices.
+        """
+        if self._given is not None:
+            return ()
+        if self.everywhere and self.key(theta, columns) in self.engine.store:
+            return ()
+        return self._jobs(self._plan(theta, columns))
+
+    def works(self, theta: Floats, columns: Sequence[int]) -> list[Work]:
+        """The same, a piece of work each."""
+        jobs = self.jobs(theta, columns)
+        return [
+            Work(f"matrices {place} of {len(jobs)}", (job,)) for place, job in enumerate(jobs, 1)
+        ]
+
+    def key(self, theta: Floats, columns: Sequence[int]) -> str:
+        """The content key of the matrices at a set."""
+        if self._given is not None or self.everywhere:
+            return self._key_everywhere
+        return content_key(canonical_json(self._asked(self._plan(theta, columns))))
+
+    def stored(self, columns: Sequence[int]) -> tuple[str, ...]:
+        """Keys of what the store has in place of jobs behind these columns."""
+        return (self._key_everywhere,) if columns and self.everywhere and not self._given else ()
+
+    def matrices(
+        self, theta: Floats, columns: Sequence[int], wide: bool = False
+    ) -> ParameterMatrices:
+        """The matrices at a set, from jobs that have gone before.
+
+        wide: of parameters without powers those by the wider pair. Raises ModelError where the
+        jobs' matrices do not fit together.
+        """
+        if self._given is not None:
+            return self._given
+        chosen = self._plan(theta, columns)
+        if not self.everywhere:
+            return self._take_apart(chosen, wide)
+        return self.engine.derived(
+            self._asked(chosen), lambda: self._take_apart(chosen, wide), ParameterMatrices
+        )
+
+    def last_matrices(self, theta: Floats, columns: Sequence[int]) -> ParameterMatrices:
+        """As `matrices`; results of jobs leave the store, which has what was made of them."""
+        jobs = self.jobs(theta, columns)
+        found = self.matrices(theta, columns)
+        for job in jobs:
+            self.engine.store.drop(self.engine.key(job))
+        return found
+
+    def without_powers(self, columns: Sequence[int]) -> list[int]:
+        """Those of these columns whose derivatives are differences of pairs of matrices."""
+        if self._given is not None:
+            return []
+        return [column for column in columns if not self._samplings[column].powers]
+
+    def written(self, theta: Floats) -> Floats:
+        """The relative values (n_parameters,) that an edited deck would really hold."""
+        solver = self.engine.solver
+        pairs = zip(self.parameters.parameters, theta.tolist(), strict=True)
+        return np.array([solver.deck.written(item, value) for item, value in pairs])
+
+    @cached_property
+    def _given(self) -> ParameterMatrices | None:
+        own = self.engine.solver.deck.summary.matrices
+        return None if own is None else own(self.parameters.parameters)
+
+    @cached_property
+    def _samplings(self) -> tuple[Sampling, ...]:
+        solver = self.engine.solver
+        return tuple(sampling(solver, item, self.step) for item in self.parameters.parameters)
+
+    @cached_property
+    def _elements(self) -> frozenset[int]:
+        cells = self.engine.solver.deck.mesh().cells
+        return frozenset(number for item in cells for number in item.elements.tolist())
+
+    @cached_property
+    def _plan_everywhere(self) -> MatrixPlan:
+        samplings = dict(enumerate(self._samplings))
+        return plan(self.parameters.initial, samplings, self._elements)
+
+    @cached_property
+    def _key_everywhere(self) -> str:
+        if self._given is None:
+            return content_key(canonical_json(self._asked(self._plan_everywhere)))
+        model = Job(self.parameters.values(self.parameters.initial), MatrixAnalysis())
+        targets = [list(item.targets) for item in self.parameters.parameters]
+        return content_key(canonical_json({"given": self.engine.key(model), "targets": targets}))
+
+    def _plan(self, theta: Floats, columns: Sequence[int]) -> MatrixPlan:
+        if self.everywhere:
+            return self._plan_everywhere
+        samplings = {column: self._samplings[column] for column in columns}
+        return plan(theta, samplings, self._elements)
+
+    def _asked(self, chosen: MatrixPlan) -> Json:
+        """Everything that the matrices depend on."""
+        return {
+            "parameter matrices": VERSION,
+            "jobs": [self.engine.key(job) for job in self._jobs(chosen)],
+            "columns": [list(sample.columns) for sample in chosen.samples],
+            "rest": list(chosen.rest),
+        }
+
+    def _jobs(self, chosen: MatrixPlan) -> tuple[Job, ...]:
+        thetas = [np.array(chosen.base), *(sample.values for sample in chosen.samples)]
+        return tuple(Job(self.parameters.values(theta), MatrixAnalysis()) for theta in thetas)
+
+    def _take_apart(self, chosen: MatrixPlan, wide: bool) -> ParameterMatrices:
+        first, *others = self._jobs(chosen)
+        base, reference = self._result(first), self.written(np.array(chosen.base))
+        sampled: dict[int, list[tuple[float, Triangles]]] = {}
+        for sample, job in zip(chosen.samples, others, strict=True):
+            values = self.written(sample.values)
+            changed = differences(base, self._result(job))
+            for column, pair in self._separated(base, changed, sample.columns).items():
+                sampled.setdefault(column, []).append((float(values[column]), pair))
+        stiffness: list[Powers] = []
+        mass: list[Powers] = []
+        for column, found in sampled.items():
+            if not self._samplings[column].powers:
+                found = found[2:] if wide else found[:2]
+            for place, into in enumerate((stiffness, mass)):
+                uppers = [pair[place] for _, pair in found]
+                if not all(upper is NOTHING for upper in uppers):
+                    into.append(
+                        self._powers(
+                            column, [value for value, _ in found], uppers, float(reference[column])
+                        )
+                    )
+        if chosen.rest:
+            taken = [(float(reference[item.column]), item.uppers[0]) for item in stiffness]
+            left = remainder(base.upper_stiffness, taken)
+            apart = self._separated(base, (left, NOTHING), chosen.rest)
+            stiffness += [
+                Powers(column, (1,), (sparse.csr_array(pair[0] / float(reference[column])),))
+                for column, pair in apart.items()
+            ]
+        return parameter_matrices(base, reference, stiffness, mass)
+
+    def _powers(
+        self, column: int, values: list[float], uppers: list[sparse.csr_array], reference: float
+    ) -> Powers:
+        """What goes with the powers of a parameter, or its slope between the first two values."""
+        powers = self._samplings[column].powers
+        if powers:
+            return Powers(column, powers, fit_powers(uppers, values, reference, powers))
+        slope = (uppers[0] - uppers[1]) / (values[0] - values[1])
+        return Powers(column, (1,), (sparse.csr_array(slope),))
+
+    def _separated(
+        self, base: MatrixResult, changed: Triangles, columns: Sequence[int]
+    ) -> dict[int, Triangles]:
+        """What of a job's change of stiffness and mass each of its columns made."""
+        if len(columns) == 1 and self._samplings[columns[0]].affected is None:
+            return {columns[0]: changed}
+        found = {column: [NOTHING, NOTHING] for column in columns}
+        wholes = (base.upper_stiffness, base.upper_mass)
+        for place, (upper, whole) in enumerate(zip(changed, wholes, strict=True)):
+            nodes: dict[int, frozenset[int]] = {}
+            for column in columns:
+                affected = self._samplings[column].affected
+                if affected is not None and (affected.stiffness, affected.mass)[place]:
+                    nodes[column] = affected.nodes
+            if nodes:
+                parts = separate(upper, base.nodes, list(nodes.values()), whole)
+                for column, part in zip(nodes, parts, strict=True):
+                    found[column][place] = part
+        return {column: (pair[0], pair[1]) for column, pair in found.items()}
+
+    def _result(self, job: Job) -> MatrixResult:
+        return self.engine.solve(job).result(MatrixResult)
+
+
+def modes_source(campaign: Campaign, engine: JobEngine) -> MatrixSource | None:
+    """Where the matrices come from whose modes stand for the solver's; None where none do."""
+    if campaign.case.eigensolver == "solver":
+        return None
+    solver, parameters = campaign.case.solver, campaign.parameters
+    reason = None
+    if campaign.case.eigensolver == "auto":  # first: the rest takes a look at the whole deck
+        reason = _slower(solver, campaign.run.engine)
+    if reason is None:
+        reason = unsuitable(solver, parameters.parameters, campaign.sensitivity.method)
+    if reason is not None:
+        logger.info("modes are the solver's own: %s", reason)
+        return None
+    return MatrixSource(engine, parameters, campaign.sensitivity.step)
+
+
+def _slower(solver: Solver, place: str) -> str | None:
+    """Why the solver itself is as fast, None where it is not."""
+    if solver.deck.summary.n_elements < SMALL:
+        return f"it is as fast below {SMALL} elements"
+    if place != "local":
+        return "jobs run on other machines"
+    return None if is_available() else "MKL's PARDISO is not installed"

@@ -1,0 +1,63 @@
+"""Modes of a campaign's model at chosen parameter values: the Python API of `modetune modes`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.units import KILOGRAMS
+from modetune.flows.jobs.job import Job
+from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.running import job_engine
+
+
+@dataclass(frozen=True, slots=True)
+class ModalSummary:
+    """The `--json` object of `modetune modes`; frequencies_hz: (n_modes,), rigid ones first."""
+
+    frequencies_hz: Floats
+    rigid_modes: int
+    mass: float
+    mass_kg: float
+    solver: str
+    solver_version: str
+
+
+def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
+    """NAME=VALUE texts over the campaign's initial values. Raises CampaignError."""
+    values = campaign.parameters.values(campaign.parameters.initial)
+    for setting in settings:
+        name, separator, text = setting.partition("=")
+        if not separator or name not in values:
+            raise CampaignError(
+                f"--at {setting!r}: expected NAME=VALUE with NAME of {', '.join(values)}"
+            )
+        try:
+            values[name] = float(text)
+        except ValueError:
+            raise CampaignError(f"--at {setting!r}: {text!r} is not a number") from None
+        if not 0.0 < values[name] < 1e6:
+            raise CampaignError(f"--at {setting!r}: a relative value above zero is expected")
+    return values
+
+
+def model_modes(campaign: Campaign, values: Mapping[str, float]) -> ModalResult:
+    """The modes of the model, from the store or the solver. Raises SolverError, StoreError."""
+    job = Job(values, campaign_analysis(campaign))
+    return job_engine(campaign).solve(job).result(ModalResult)
+
+
+def modal_summary(campaign: Campaign, result: ModalResult) -> ModalSummary:
+    """What `modetune modes` tells; mass in the deck's unit and in kg, NaN where there is none."""
+    return ModalSummary(
+        frequencies_hz=result.modes.frequencies_hz,
+        rigid_modes=result.n_rigid,
+        mass=result.mass,  # a model of rotations alone has none
+        mass_kg=result.mass * KILOGRAMS[campaign.case.units],
+        solver=campaign.solver_name,
+        solver_version=campaign.solver_version(),
+    )

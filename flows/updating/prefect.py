@@ -1,0 +1,242 @@
+"""A campaign on the pages of a Prefect server: a flow run, its pieces as task runs, its tables.
+
+The campaign runs by itself and tells a process beside it what happens (`poster.py`); that one
+knows the server. Telling never waits: not for the server to start, not for a slow one, not at the
+end, where the other process goes on by itself. So whatever becomes of a server, the campaign's
+result, its exit code and its time stay the same, and no thread is left when the interpreter ends.
+
+States tell what became of a piece: Cached (the store had the result), Skipped (e2), Derived (no job
+was needed), Failed.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import select
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from modetune.core.errors import CampaignStopped, ModetuneError
+from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.updating.criteria import Tolerances
+from modetune.flows.jobs.work import Done, Work
+from modetune.flows.updating.artifacts import Sheet, progress_sheets
+from modetune.flows.updating.display import iteration_line
+from modetune.flows.updating.updating import Progress
+
+logger = logging.getLogger(__name__)
+
+#: The process beside a campaign.
+COMMAND = (sys.executable, "-P", "-m", "modetune.flows.updating.poster")
+#: Seconds that the end of a campaign waits for a server that answers to hear of it.
+END_S = 5.0
+#: ... and for the first word of the process beside, where it has said none yet.
+FIRST_WORD_S = 3.0
+#: Bytes that may wait for a process that does not read.
+MOST_WAITING = 16_000_000
+
+
+class Pages:
+    """The pages of one campaign's run, from `Pages(name)` to `ended` or `failed`.
+
+    name: of the campaign; flow_run: the run that the server started, or None to make one.
+    Any thread may tell; nothing here raises but what a mistake of ours raises.
+    """
+
+    def __init__(self, name: str, flow_run: str | None = None) -> None:
+        self.name = name
+        self._guard = threading.Lock()
+        self._unsent = bytearray()
+        try:
+            self._beside: subprocess.Popen[bytes] | None = subprocess.Popen(
+                COMMAND,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._beside = None
+            logger.warning("Prefect's pages lack this run: no process can be started (%s)", error)
+            return
+        assert self._beside.stdin is not None
+        os.set_blocking(self._beside.stdin.fileno(), False)
+        self._tell({"name": name, "flow_run": flow_run, "parent": os.getpid()})
+
+    def began(self, iteration: str, work: Work) -> Callable[[Done], None]:
+        """A piece of work begins; what is returned hears how it ended."""
+        task, name = str(uuid4()), f"{iteration} / {work.name}"
+        began = time.monotonic()
+        times: dict[str, str | float] = {"start_time": _now()}
+        self._task(task, name, "RUNNING", "Running", "", times)
+
+        def ended(done: Done) -> None:
+            times.update(end_time=_now(), total_run_time=time.monotonic() - began)
+            self._task(task, name, *became(done), times)
+
+        return ended
+
+    def skipped(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        """Pieces that e2 made unnecessary."""
+        for name in names:
+            times = {"start_time": _now(), "end_time": _now()}
+            self._task(str(uuid4()), f"{iteration} / {name}", "COMPLETED", "Skipped", reason, times)
+
+    def sheet(self, sheet: Sheet) -> None:
+        """A table, a text or a number of the run; a later one of the same key replaces it."""
+        self._tell({"sheet": sheet.told()})
+
+    def log(self, text: str, level: int = logging.INFO) -> None:
+        """A line of the run's log."""
+        self._tell({"log": {"level": level, "message": text, "timestamp": _now()}})
+
+    def ended(self, record: CampaignRecord, folder: Path) -> None:
+        """The campaign has come to its end, and its record is in this folder."""
+        name = record.status.replace("_", " ").capitalize()
+        self.end("COMPLETED", name, record.reason, folder)
+
+    def failed(self, error: BaseException) -> None:
+        """The campaign was broken off."""
+        if isinstance(error, KeyboardInterrupt | CampaignStopped):
+            self.end("CANCELLED", "Cancelled", "stopped by the user")
+        elif isinstance(error, ModetuneError):
+            self.end("FAILED", "Failed", str(error))
+        else:
+            self.end("CRASHED", "Crashed", f"{type(error).__name__}: {error}")
+
+    def end(self, kind: str, name: str, message: str, folder: Path | None = None) -> None:
+        """The run's last state. Waits a little for a server that answers, and for no other."""
+        if self._beside is None:
+            return
+        place = None if folder is None else str(folder.resolve())
+        self._tell({"end": {"type": kind, "name": name, "message": message, "folder": place}})
+        beside, self._beside = self._beside, None
+        assert beside.stdin is not None
+        assert beside.stdout is not None
+        deadline = time.monotonic() + END_S
+        with beside.stdout, beside.stdin:
+            said = _said(beside.stdout.fileno(), b"", time.monotonic() + FIRST_WORD_S, b"")
+            while self._unsent and b"up\n" in said and time.monotonic() < deadline:
+                self._write(beside.stdin.fileno())
+                time.sleep(0.01)
+            if b"up\n" in said:
+                said = _said(beside.stdout.fileno(), said, deadline, b"ended\n")
+        try:
+            beside.wait(END_S)  # it left at once for a process of its own
+        except subprocess.TimeoutExpired:
+            beside.kill()
+            beside.wait()
+        for line in said.decode().splitlines():
+            kind, _, text = line.partition(" ")
+            if kind == "warning":
+                logger.warning("%s", text)
+
+    def _task(
+        self,
+        task: str,
+        name: str,
+        kind: str,
+        state: str,
+        message: str,
+        times: Mapping[str, str | float],
+    ) -> None:
+        self._tell(
+            {
+                "task": {
+                    "id": task,
+                    "name": name,
+                    "key": name.partition(" / ")[2].split()[0],
+                    "type": kind,
+                    "state": state,
+                    "message": message,
+                    "at": _now(),
+                    "times": times,
+                }
+            }
+        )
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        with self._guard:
+            if self._beside is None or len(self._unsent) > MOST_WAITING:
+                return
+            assert self._beside.stdin is not None
+            self._unsent += json.dumps(message).encode() + b"\n"
+            self._write(self._beside.stdin.fileno())
+
+    def _write(self, pipe: int) -> None:
+        """Write what the pipe takes now."""
+        try:
+            while self._unsent:
+                del self._unsent[: os.write(pipe, self._unsent)]
+        except BlockingIOError:
+            pass
+        except OSError:  # it is gone: the server was none
+            self._unsent.clear()
+
+
+@contextmanager
+def shown(name: str, flow_run: str | None = None) -> Iterator[Pages]:
+    """The pages of a campaign that ends in here; one that is broken off is told as such."""
+    pages = Pages(name, flow_run)
+    try:
+        yield pages
+    except BaseException as error:
+        pages.failed(error)
+        raise
+
+
+class PagesProgress:
+    """A campaign's progress that its pages hear of too."""
+
+    def __init__(self, watcher: Progress, pages: Pages, tolerances: Tolerances) -> None:
+        self.watcher = watcher
+        self.pages = pages
+        self.tolerances = tolerances
+        self._iterations: list[IterationRecord] = []
+
+    def working(self, text: str) -> None:
+        self.watcher.working(text)
+
+    def iteration(self, record: IterationRecord) -> None:
+        self.watcher.iteration(record)
+        self._iterations.append(record)
+        self.pages.log(iteration_line(record))
+        for sheet in progress_sheets(self.pages.name, self.tolerances, self._iterations):
+            self.pages.sheet(sheet)
+
+
+def became(done: Done) -> tuple[str, str, str]:
+    """Type, name and message of the state of a piece of work that has ended."""
+    if isinstance(done, ModetuneError):
+        return "FAILED", "Failed", str(done)
+    if not done:
+        return "COMPLETED", "Derived", "follows from the modal job"
+    keys = ", ".join(outcome.key[:12] for outcome in done)
+    if all(outcome.reused for outcome in done):
+        return "COMPLETED", "Cached", keys
+    return "COMPLETED", "Completed", f"{keys} in {sum(item.wall_s for item in done):.1f} s"
+
+
+def _said(pipe: int, said: bytes, deadline: float, wanted: bytes) -> bytes:
+    """What stands in a pipe by the time that it holds what is wanted, ends, or is overdue."""
+    while not (said and wanted in said):
+        ready, _, _ = select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))
+        piece = os.read(pipe, 65536) if ready else b""
+        if not piece:
+            break
+        said += piece
+    return said
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat()

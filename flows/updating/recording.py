@@ -1,0 +1,139 @@
+"""What a campaign leaves: its record, and the summary that people and machines read."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from modetune import __version__
+from modetune.core.modes import Floats
+from modetune.core.storage.keys import Json
+from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.core.updating.estimation import parameter_covariance
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.report.form_verdict import verdict_summary
+from modetune.flows.report.rows import held_out_rows, mode_rows, parameter_rows
+from modetune.flows.report.tables import json_object
+from modetune.flows.updating.evaluation import Matrix
+from modetune.flows.updating.judging import campaign_trust, trust_summary
+from modetune.flows.updating.showing import sensor_places, shown_surface
+
+#: Packages whose arithmetic a campaign's numbers depend on, beside the solver's.
+PACKAGES = ("numpy", "scipy", "h5py")
+
+
+def campaign_record(
+    campaign: Campaign,
+    iterations: Sequence[IterationRecord],
+    matrix: Matrix | None,
+    status: str,
+    reason: str,
+    runs: RunCounts,
+    wall_s: float,
+) -> CampaignRecord:
+    """The record of a campaign as it stands; standard errors are by its newest matrix."""
+    accepted, only = [item for item in iterations if item.accepted], campaign.only
+    errors, correlation = _trust(campaign, accepted[-1], matrix)
+    return CampaignRecord(
+        name=campaign.name,
+        campaign_text=campaign.text,
+        settings=campaign.settings,
+        modetune_version=__version__,
+        solver=campaign.solver_name,
+        solver_version=campaign.solver_version(),
+        parameters=campaign.parameters,
+        deck_values=np.array(
+            [campaign.deck_value(item) for item in campaign.parameters.parameters]
+        ),
+        test=campaign.test,
+        iterations=tuple(iterations),
+        status=status,
+        reason=reason,
+        updated=accepted[-1].parameters,
+        standard_errors=errors,
+        correlation=correlation,
+        runs=runs,
+        wall_s=wall_s,
+        surface=None if only is None else shown_surface(only),
+        geometry=None if only is None else only.measurement.geometry,
+        sensors=only.sensors if only is not None and only.sensors.n_sensors else None,
+        places=None if only is None else sensor_places(only),
+        frfs=None if only is None else only.measurement.frfs,
+        units=campaign.cases[0].units,
+        e1_frequency=campaign.tolerances.frequency,
+        e1_mac=campaign.tolerances.mac,
+        e2=campaign.update.e2,
+        configurations=campaign.configurations,
+        versions=_versions(),
+        # A large deck takes a moment to digest, so only the record that stays tells it.
+        deck_digest="" if status == "running" else _deck_digest(campaign),
+        trust=None
+        if status == "running"
+        else campaign_trust(campaign, iterations, matrix, errors, status == "converged"),
+    )
+
+
+@cache
+def _versions() -> tuple[str, ...]:
+    python = f"Python {platform.python_version()}"
+    return (python, *(f"{name} {version(name)}" for name in PACKAGES), platform.platform())
+
+
+def _deck_digest(campaign: Campaign) -> str:
+    """SHA-256 and name of each deck's file, as `sha256sum` tells them; includes are not in it."""
+    files = [file for each in campaign.cases if (file := each.solver.deck.summary.file) is not None]
+    try:
+        told = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
+    except OSError:  # moved since it was read
+        return ""
+    return "; ".join(dict.fromkeys(told))
+
+
+def _trust(
+    campaign: Campaign, last: IterationRecord, matrix: Matrix | None
+) -> tuple[Floats, Floats]:
+    """Standard errors (n,) and correlation (n, n) of the parameters from measurement variances."""
+    n = len(campaign.parameters)
+    if matrix is None:
+        return np.full(n, np.nan), np.full((n, n), np.nan)
+    prior, weights = None, last.residual.weights
+    if campaign.update.step in ("pseudo_inverse", "minimum_norm"):
+        weights = (weights > 0.0).astype(np.float64)
+    if campaign.update.step == "pulled_to_initial":
+        factor = last.regularisation if np.isfinite(last.regularisation) else 1.0
+        prior = factor * campaign.parameters.standard_deviations**-2
+    covariance = parameter_covariance(matrix.values, last.residual.variances, weights, prior)
+    errors = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(errors, errors)
+    return errors, correlation
+
+
+def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
+    """The `--json` object of `modetune update`."""
+    return json_object(
+        record,
+        "status reason",
+        iterations=record.iterations[-1].number,
+        solver_runs=record.runs,
+        parameters=parameter_rows(record),
+        modes=mode_rows(record),
+        mean_error_initial=np.abs(record.iterations[0].frequency_errors).mean(),
+        mean_error_updated=np.abs(record.best.frequency_errors).mean(),
+        held_out=held_out_rows(record.held_out),
+        sensitivity_skipped=sum(item.sensitivity_skipped for item in record.iterations),
+        wall_s=round(record.wall_s, 3),
+        core_minutes=round(record.runs.core_s / 60.0, 4),
+        licence_minutes=round(record.runs.licence_s / 60.0, 4),
+        run_dir=run_dir,
+        solver=record.solver,
+        solver_version=record.solver_version,
+        trust=trust_summary(record.trust),
+        model_form=verdict_summary(record),
+    )

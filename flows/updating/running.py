@@ -1,0 +1,154 @@
+"""Running a campaign from its file to its run folder: the Python API behind `modetune update`."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from modetune.core.errors import CampaignRunning
+from modetune.core.storage.files import check_writable, locked, storage_errors
+from modetune.core.storage.record_file import write_record
+from modetune.flows.campaign.campaign import Campaign, cores
+from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.jobs.engine import JobEngine, Ledger, Policy
+from modetune.flows.jobs.job import Plans
+from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
+from modetune.flows.jobs.prefect_server import server_home
+from modetune.flows.jobs.slurm import on_slurm
+from modetune.flows.jobs.work import Executes, Execution, ThreadExecution
+from modetune.flows.report.drawing import draw_report
+from modetune.flows.updating.evaluators import engine_of, evaluator_of
+from modetune.flows.updating.forecast import Forecast, Forecaster
+from modetune.flows.updating.prefect import Pages, PagesProgress
+from modetune.flows.updating.run import CampaignRun
+from modetune.flows.updating.starting import read_earlier, start_of
+from modetune.flows.updating.updating import Progress, Updating
+
+
+def job_engine(campaign: Campaign) -> JobEngine:
+    """The engine that solves the jobs of a campaign's first case."""
+    run, solver = campaign.run, campaign.cases[0].solver
+    limits = [Limit(CORES, max(cores(), 0 if run.here else campaign.threads), campaign.threads)]
+    if solver.program.name in run.licences:
+        limits.append(Limit(solver.program.name, run.licences[solver.program.name], 1))
+    engine = JobEngine(
+        plans=Plans(solver),
+        store=campaign.store,
+        policy=Policy(
+            timeout_s=run.timeout_s,
+            stopped=run.retries.stopped,
+            timeout=run.retries.timeout,
+            no_result=run.retries.no_result,
+            licence_pause_s=run.licence_pause_s,
+            licence_wait_s=run.licence_wait_s,
+        ),
+        threads=campaign.threads,
+        keep_jobs=run.keep_jobs,
+        cancelled=threading.Event(),
+        counter=MachineLimits(server_home() / "limits" if run.here else None),
+        limits=tuple(limits),
+        ledger=Ledger(),
+    )
+    return on_slurm(engine, run.slurm, campaign.name) if run.engine == "slurm" else engine
+
+
+def update_campaign(
+    campaign: Campaign,
+    folder: Path,
+    progress: Progress,
+    pages: Pages | None = None,
+    forecast: Callable[[Forecast], None] | None = None,
+    executes: Executes | None = None,
+) -> CampaignRun:
+    """Update a campaign's model and leave record and updated deck in its run folder.
+
+    pages: on a Prefect server, that show the run; the caller tells them its end.
+    forecast: is told before the start and after each iteration what is still to come.
+    executes: carries out the jobs of an iteration; threads unless told.
+    Raises SolverError, ModesError, StoreError.
+    """
+    campaign.solver_version()  # a missing solver is told before anything else starts
+    check_writable(campaign.store.folder, STORE_REMEDY)
+    check_writable(folder, "name another place for run folders with --runs")
+    with (folder / ".lock").open("w") as lock:
+        if not locked(lock):
+            raise CampaignRunning(
+                f"another run of this campaign is under way in {folder}; wait for it, or name "
+                "another place for run folders with --runs"
+            )
+        with solving_engine(campaign) as engine:
+            return _update(campaign, engine, folder, progress, pages, forecast, executes)
+
+
+@contextmanager
+def solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
+    """The engine that solves a campaign's jobs where the campaign says."""
+    if campaign.run.engine != "dask":
+        yield job_engine(campaign)
+        return
+    from modetune.flows.updating.dask import on_dask
+
+    with on_dask(campaign, job_engine) as engine:
+        yield engine
+
+
+def _update(
+    campaign: Campaign,
+    engine: JobEngine,
+    folder: Path,
+    progress: Progress,
+    pages: Pages | None,
+    forecast: Callable[[Forecast], None] | None,
+    executes: Executes | None,
+) -> CampaignRun:
+    campaign = start_of(campaign, engine, read_earlier(folder))
+    # What an earlier run left stays until this one has come to its end.
+    unfinished = folder / "campaign.unfinished.h5"
+    try:
+        if pages is not None:
+            engine = _counted(engine, campaign)
+            progress = PagesProgress(progress, pages, campaign.tolerances)
+        execution: Execution = ThreadExecution(engine, campaign.parallel, watcher=pages)
+        if executes is not None:
+            execution = executes(engine, campaign.parallel)
+        # What several models cost side by side nobody has worked out yet.
+        if len(campaign.cases) > 1:
+            forecast = None
+        forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
+        updating = Updating(
+            campaign,
+            evaluator_of(campaign, engine, execution),
+            forecaster or progress,
+            lambda record: write_record(unfinished, record),
+        )
+        record = updating.run()
+    except BaseException:
+        engine.cancelled.set()  # jobs of other threads end with the campaign
+        raise
+    for case in campaign.cases:
+        engine_of(engine, campaign, case).keep_text()
+    values = campaign.parameters.values(record.updated)
+    deck = campaign.write_updated(values, folder / "updated")
+    with storage_errors(unfinished):
+        unfinished.replace(folder / "campaign.h5")
+    if campaign.report.page:
+        progress.working("drawing the report")
+        page = draw_report(record, folder)
+    else:
+        page = None
+    return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)
+
+
+def _counted(engine: JobEngine, campaign: Campaign) -> JobEngine:
+    """The engine, its licences counted by a server of the user's own, which other machines may use
+    too."""
+    url = os.environ.get("PREFECT_API_URL")
+    if not url or not campaign.run.here:
+        return engine
+    from modetune.flows.jobs.server_limits import ServerLimits
+
+    return replace(engine, counter=ServerLimits(engine.counter, url))

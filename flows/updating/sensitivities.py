@@ -1,0 +1,249 @@
+"""Sensitivity methods: which jobs a column needs, and how the column follows from their results.
+
+One interface for all: `shared` and `plan` name the jobs, the execution runs them all at once,
+`assemble` makes derivatives of the paired modes from the results. `auto` gives each parameter the
+cheapest method that is exact for what the residual compares:
+
+1. strain_energy, no job at all: stiffness-linear parameters, frequencies only. The energies of
+   the modal run must balance (2 U / lambda = 1); where they do not (reduced elements keep their
+   hourglass energy to themselves) the column goes to the next method.
+2. semi_analytic, a few matrix jobs for all parameters: frequencies, and shapes where the matrices'
+   unknowns are found at the sensors.
+3. solver, one job for all columns: what the solver derives itself (Nastran's SOL 200).
+4. finite_difference, one modal job a parameter: anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
+from modetune.core.correlation.pairing import Pairing, pair_by_tracking
+from modetune.core.correlation.repeated import repeated_modes, rotation_onto
+from modetune.core.errors import ModesError
+from modetune.core.modes import Floats
+from modetune.core.parameters import Parameter, ParameterSet
+from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.core.updating.sensitivity import stack_derivatives, strain_energy_derivative
+from modetune.flows.campaign.schema import SensitivitySection
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.work import Work
+from modetune.flows.updating.evaluation import Point
+from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.semi_analytic import SemiAnalytic
+
+Exact = Literal["strain_energy", "semi_analytic", "solver", "finite_difference"]
+
+#: Printed energies have seven digits; a balance worse than this is a missing energy.
+BALANCE_TOLERANCE = 1e-4
+
+
+class UnbalancedEnergies(ModesError):
+    """The strain energies of the groups are not those of the modes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivities:
+    """The methods of a campaign bound to its model; `columns` are positions of parameters."""
+
+    source: MatrixSource
+    settings: SensitivitySection
+    with_shapes: bool
+    modal: ModalAnalysis
+
+    @property
+    def engine(self) -> JobEngine:
+        return self.source.engine
+
+    @property
+    def parameters(self) -> ParameterSet:
+        return self.source.parameters
+
+    def method(self, parameter: Parameter) -> Exact:
+        """The method of a parameter's column."""
+        if self.settings.method != "auto":
+            return self.settings.method
+        if not self.with_shapes and self._has_energies(parameter):
+            return "strain_energy"
+        return self.without_energies(parameter)
+
+    def without_energies(self, parameter: Parameter) -> Exact:
+        """The cheapest method that needs no strain energies.
+
+        Matrices are asked where they are linear in the parameter: then they are exact, once and
+        for all. Where they are not, two runs for matrices cost more than one for modes, and a
+        thickness moves the unknowns of shells (see `semi_analytic.py`).
+        """
+        solver = self.engine.solver
+        shapes_found = solver.deck.summary.solid_shapes or not self.with_shapes
+        linear = solver.deck.is_linear(parameter)
+        if solver.program.capabilities.matrices and shapes_found and linear:
+            return "semi_analytic"
+        return "solver" if self._by_solver else "finite_difference"
+
+    @property
+    def _by_solver(self) -> bool:
+        has = self.engine.solver.program.capabilities
+        return has.shape_sensitivities if self.with_shapes else has.frequency_sensitivities
+
+    def _has_energies(self, parameter: Parameter) -> bool:
+        solver = self.engine.solver
+        return solver.program.capabilities.strain_energies and bool(
+            solver.deck.energy_sets(parameter)
+        )
+
+    def methods(self) -> tuple[Exact, ...]:
+        """The method of each column."""
+        return tuple(self.method(parameter) for parameter in self.parameters.parameters)
+
+    def plan(self, theta: Floats, column: int, method: Exact) -> tuple[Job, ...]:
+        """The jobs that a column alone needs beyond the modal run."""
+        if method != "finite_difference":
+            return ()
+        return tuple(Job(values, self.modal) for values in self._perturbed(theta, column))
+
+    def shared(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
+        """What several columns need: the solver's sensitivities, the model's matrices."""
+        works = []
+        if "solver" in methods:
+            job = self._solver_job(theta, methods)
+            works.append(Work("sensitivities of the solver", (job,)))
+        columns = _columns(methods, "semi_analytic")
+        return [*works, *self.source.works(theta, columns)] if columns else works
+
+    def assemble(
+        self, point: Point, methods: Sequence[Exact], columns: Sequence[int]
+    ) -> ModeDerivatives:
+        """Derivatives of the paired modes for these columns, in their order.
+
+        Raises UnbalancedEnergies and UnlikeMatrices where a method cannot be believed here.
+        """
+        own = self._of_solver(point, methods) if "solver" in methods else {}
+        own |= self._of_matrices(point, [c for c in columns if methods[c] == "semi_analytic"])
+        derivatives = []
+        for column in columns:
+            if column in own:
+                derivatives.append(own[column])
+            elif methods[column] == "strain_energy":
+                derivatives.append(self._strain_energy(point, column))
+            else:
+                derivatives.append(self._finite_difference(point, column))
+        return stack_derivatives(derivatives)
+
+    def _of_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
+        if not columns:
+            return {}
+        method = SemiAnalytic(self.source, self.with_shapes, self.modal)
+        found = method.derivatives(point, columns)
+        return {column: found.column(place) for place, column in enumerate(columns)}
+
+    # strain energies
+
+    def _strain_energy(self, point: Point, column: int) -> ModeDerivatives:
+        balance = point.modal.energy_balance[point.pairing.computed]
+        if (np.abs(balance - 1.0) > BALANCE_TOLERANCE).any():
+            raise UnbalancedEnergies(
+                f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
+                "eigenvalues say: the solver leaves some out (reduced elements); use `auto`, "
+                "semi_analytic or finite_difference"
+            )
+        energies = point.modal.elastic_energies(self.parameters.names[column])
+        values = strain_energy_derivative(
+            energies[point.pairing.computed], float(point.theta[column])
+        )
+        return ModeDerivatives(values[:, None], np.zeros((0, values.size, 1)))
+
+    # the solver's own
+
+    def _solver_job(self, theta: Floats, methods: Sequence[Exact]) -> Job:
+        names = [
+            name
+            for name, method in zip(self.parameters.names, methods, strict=True)
+            if method == "solver"
+        ]
+        nodes = self.modal.nodes if self.with_shapes else ()
+        return Job(
+            self.parameters.values(theta),
+            SensitivityAnalysis(self.modal.n_modes, tuple(names), nodes),
+        )
+
+    def _of_solver(self, point: Point, methods: Sequence[Exact]) -> dict[int, ModeDerivatives]:
+        """Columns of the paired modes from the solver's derivatives of all modes."""
+        job = self._solver_job(point.theta, methods)
+        result = self.engine.solve(job).result(ModeDerivatives)
+        modes = point.pairing.computed + point.modal.n_rigid
+        columns = _columns(methods, "solver")
+        return {
+            column: ModeDerivatives(result.eigenvalues[modes], result.mode_shapes[:, modes]).column(
+                place
+            )
+            for place, column in enumerate(columns)
+        }
+
+    # finite differences
+
+    def _perturbed(self, theta: Floats, column: int) -> list[Mapping[str, float]]:
+        step = self.settings.step
+        return [
+            self.parameters.values(_scaled(theta, column, 1.0 + sign * step))
+            for sign in self._signs
+        ]
+
+    @property
+    def _signs(self) -> tuple[float, ...]:
+        return (1.0, -1.0) if self.settings.difference == "central" else (1.0,)
+
+    def _written(self, column: int, value: float) -> float:
+        return self.engine.solver.deck.written(self.parameters.parameters[column], value)
+
+    def _finite_difference(self, point: Point, column: int) -> ModeDerivatives:
+        base = point.modal.elastic
+        ends = [self._at(point, values) for values in self._perturbed(point.theta, column)]
+        paired = base.select(point.pairing.computed)
+        here = (paired.eigenvalues, np.real(paired.mode_shapes))
+        low = here if len(ends) == 1 else ends[1]
+        factors = [1.0 + sign * self.settings.step for sign in self._signs]
+        moved = [self._written(column, factor * float(point.theta[column])) for factor in factors]
+        here_value = self._written(column, float(point.theta[column]))
+        width = moved[0] - (moved[1] if len(ends) > 1 else here_value)
+        shapes = (ends[0][1] - low[1]) / width
+        return ModeDerivatives(
+            ((ends[0][0] - low[0]) / width)[:, None],
+            shapes[:, :, None] if self.with_shapes else np.zeros((0, shapes.shape[1], 1)),
+        )
+
+    def _at(self, point: Point, values: Mapping[str, float]) -> tuple[Floats, Floats]:
+        """Eigenvalues and shapes of the paired modes in a perturbed model, re-paired and signed."""
+        result = self.engine.solve(Job(values, self.modal)).result(ModalResult)
+        base, moved = point.modal.elastic, result.elastic
+        paired = point.pairing.computed
+        # With all members of repeated modes, of which the test may have one.
+        sets = [item for item in repeated_modes(base.eigenvalues) if np.isin(item, paired).any()]
+        members = np.concatenate(sets)
+        unknown = np.full(members.size, np.nan)
+        all_of_them = Pairing(members, members, unknown, unknown, ("",) * members.size)
+        again = pair_by_tracking(all_of_them, base, moved)
+        before, after = base.select(members), moved.select(again.computed)
+        rotation = rotation_onto(
+            np.real(after.mode_shapes), np.real(before.mode_shapes), before.eigenvalues
+        )
+        places = np.searchsorted(members, paired)
+        # Of a repeated mode that the step splits: what the shapes that it had would be.
+        eigenvalues = after.eigenvalues @ rotation**2
+        return eigenvalues[places], (np.real(after.mode_shapes) @ rotation)[:, places]
+
+
+def _columns(methods: Sequence[Exact], method: Exact) -> list[int]:
+    return [column for column, item in enumerate(methods) if item == method]
+
+
+def _scaled(theta: Floats, column: int, factor: float) -> Floats:
+    """Parameter values with one of them multiplied."""
+    moved = theta.copy()
+    moved[column] *= factor
+    return moved

@@ -1,0 +1,153 @@
+"""An updating campaign: the loop, and the record that grows with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.judging import checked
+from modetune.flows.updating.loop import Loop, Noted
+from modetune.flows.updating.recording import campaign_record
+from modetune.flows.updating.showing import shown_field
+
+
+class Progress(Protocol):
+    """Who watches a campaign."""
+
+    def working(self, text: str) -> None:
+        """What is being computed now."""
+        ...
+
+    def iteration(self, record: IterationRecord) -> None:
+        """An iteration is complete."""
+        ...
+
+
+class Unwatched:
+    """Watches nothing."""
+
+    def working(self, text: str) -> None:
+        return
+
+    def iteration(self, record: IterationRecord) -> None:
+        return
+
+    def points(self, done: int, total: int, ran: int, failed: int) -> None:
+        return
+
+
+class Updating:
+    """A campaign under way. `run` carries it to its end."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        evaluator: Evaluator,
+        progress: Progress,
+        save: Callable[[CampaignRecord], None],
+    ) -> None:
+        self.campaign = campaign
+        self.evaluator = evaluator
+        self.progress = progress
+        self.save = save
+        self.iterations: list[IterationRecord] = []
+        self.matrix: Matrix | None = None
+        self.kept: list[Evaluation] = []
+        self.started = self.lap = time.monotonic()
+        self.counted = RunCounts()
+
+    def run(self) -> CampaignRecord:
+        """Update until e1 holds, nothing more is gained, or the iterations are used up."""
+        end = Loop(self.campaign, self.evaluator, self).run()
+        self.matrix = end.matrix
+        held_out = self.evaluator.held_out(self.kept[0], self.kept[-1])
+        record = checked(replace(self._record(end.status, end.reason), held_out=held_out))
+        at_bounds = self.campaign.parameters.at_bounds(record.updated)
+        if at_bounds:
+            record = replace(record, reason=f"{end.reason}; on a bound: {', '.join(at_bounds)}")
+        self.save(record)
+        return record
+
+    def working(self, text: str) -> None:
+        self.progress.working(text)
+
+    def noted(self, trial: Noted) -> None:
+        """Keep an evaluation point in the record."""
+        evaluation, step, matrix = trial.evaluation, trial.step, trial.matrix
+        now, parameters = time.monotonic(), self.campaign.parameters
+        runs, wall_s = self.evaluator.runs.since(self.counted), now - self.lap
+        self.counted, self.lap = self.evaluator.runs, now
+        record = IterationRecord(
+            number=trial.number,
+            parameters=evaluation.theta,
+            step=step.change if step else np.zeros(len(parameters)),
+            computed=evaluation.seen,
+            pairing=evaluation.pairing,
+            frequency_errors=evaluation.errors,
+            residual=evaluation.residual,
+            sensitivity=matrix.values if matrix else np.zeros((0, len(parameters))),
+            sensitivity_methods=matrix.methods_had if matrix else (),
+            sensitivity_keys=matrix.keys if matrix else (),
+            sensitivity_age=matrix.age if matrix else 0,
+            sensitivity_skipped=trial.skipped,
+            slope=trial.slope,
+            accepted=trial.accepted,
+            decision=trial.decision,
+            regularisation=step.regularisation if step else np.nan,
+            condition=step.condition if step else np.nan,
+            modal_key=evaluation.key,
+            runs=runs,
+            wall_s=wall_s,
+            field=shown_field(self.campaign, evaluation),
+            solved_by=evaluation.solved_by,
+        )
+        self.iterations.append(record)
+        self.matrix = trial.newest
+        if trial.accepted:
+            self.kept = [*self.kept[:1], evaluation]
+        self.progress.iteration(record)
+        self.save(self._record("running", ""))
+
+    def confirmed(self, evaluation: Evaluation) -> None:
+        """Put the solver's own modes in place of those of the last accepted set."""
+        place = max(n for n, record in enumerate(self.iterations) if record.accepted)
+        before, runs = self.iterations[place], self.evaluator.runs
+        apart = float(np.max(np.abs(evaluation.errors - before.frequency_errors)))
+        said = f"confirmed by {evaluation.solved_by}: frequencies within {apart:.1e}"
+        now = time.monotonic()
+        self.iterations[place] = replace(
+            before,
+            computed=evaluation.seen,
+            pairing=evaluation.pairing,
+            frequency_errors=evaluation.errors,
+            residual=evaluation.residual,
+            modal_key=evaluation.key,
+            decision="; ".join(filter(None, (before.decision, said))),
+            runs=before.runs.plus(runs.since(self.counted)),
+            wall_s=before.wall_s + now - self.lap,
+            field=shown_field(self.campaign, evaluation),
+            solved_by=evaluation.solved_by,
+        )
+        self.counted, self.lap = runs, now
+        self.kept[-1] = evaluation
+        self.progress.working(said)
+        self.save(self._record("running", ""))
+
+    def _record(self, status: str, reason: str) -> CampaignRecord:
+        return campaign_record(
+            self.campaign,
+            self.iterations,
+            self.matrix,
+            status,
+            reason,
+            self.evaluator.runs,
+            time.monotonic() - self.started,
+        )

@@ -1,0 +1,491 @@
+"""Updating by stored matrices against updating by ccx's own modes, on small decks, for real."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import weakref
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modetune.adapters.calculix.solver import JOB, CalculixProgram, EditedCalculix, calculix_solver
+from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Rendered
+from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.errors import CampaignError
+from modetune.core.parameters import Parameter, Quantity, Values
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.store import Store
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.updating.foresight import ReducedForesight
+from modetune.flows.updating.matrix_source import modes_source
+from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.stored_modes import MatrixModes
+from tests.adapters.ccx_decks import bar, plate, wall
+from tests.adapters.test_solver_contract import run
+from tests.command_line import run_command
+from tests.flows.conftest import recased
+
+pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+
+STORED = "model.eigensolver=pardiso"
+OWN = "model.eigensolver=solver"
+#: No noise: the truth can be met to the digits that ccx prints (eigenvalues: seven).
+E1 = 1e-6
+DENSITY = "2.7e-9"
+NAMED = "*MATERIAL, NAME={0}\n*ELASTIC\n70000., 0.3\n*DENSITY\n2.7e-9\n"
+CLAMPED = "*BOUNDARY\n{0},1,6\n{2},1,6\n"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A deck, what of it is updated (name, quantity, target) and the true relative values."""
+
+    deck: str
+    parameters: tuple[tuple[str, Quantity, str], ...]
+    truth: tuple[float, ...]
+    nodes: tuple[int, ...]
+    shape_weight: float = 0.0
+    n_modes: int = 6
+
+    @property
+    def values(self) -> Values:
+        return {item[0]: value for item, value in zip(self.parameters, self.truth, strict=True)}
+
+
+def row_of_materials() -> str:
+    """Nine C3D8I bricks in a row, three of each of three materials; held at one end."""
+    text = bar("C3D8I", bricks=9).replace("NAME=A\n", "NAME=A1\n")
+    text = text.replace("*SOLID SECTION, ELSET=V, MATERIAL=A\n", "")
+    for place in (1, 2, 3):
+        text += NAMED.format(f"A{place}") if place > 1 else ""
+        text += f"*ELSET, ELSET=V{place}, GENERATE\n{3 * place - 2}, {3 * place}\n"
+        text += f"*SOLID SECTION, ELSET=V{place}, MATERIAL=A{place}\n"
+    return text
+
+
+def joint() -> str:
+    """Two plates of S4 that meet at a right angle in nodes 4, 8, 12, each of its own material."""
+    upright = wall((4, 8, 12), 30.0).replace("MATERIAL=A", "MATERIAL=B")
+    return plate("S4", held=CLAMPED) + NAMED.format("B") + upright
+
+
+MODULI: tuple[tuple[str, Quantity, str], ...] = tuple(
+    (f"E_{place}", "youngs_modulus", f"material: A{place}") for place in (1, 2, 3)
+)
+BAR = Case(row_of_materials(), MODULI, (1.15, 0.9, 1.1), tuple(range(5, 41)))
+JOINT = Case(
+    joint(),
+    (("E_A", "youngs_modulus", "material: A"), ("E_B", "youngs_modulus", "material: B")),
+    (1.1, 0.88),
+    (2, 3, 4, 6, 7, 8, 10, 11, 12, 100, 101, 102, 110, 111, 112),
+    shape_weight=1.0,
+    n_modes=5,
+)
+THICKNESS = replace(
+    JOINT,
+    parameters=(("E_A", "youngs_modulus", "material: A"), ("t_U", "thickness", "elset: U")),
+    truth=(1.08, 0.93),
+    shape_weight=0.0,
+)
+#: The same with shells of the wall that are not rectangles.
+SKEW = THICKNESS.deck.replace("101, 30.0, 10.0, 10.0", "101, 30.5, 11.0, 9.0").replace(
+    "111, 30.0, 10.0, 20.0", "111, 29.5, 8.5, 21.0"
+)
+
+
+def written(case: Case, folder: Path) -> Path:
+    """The campaign file of a case, with what a test of the true model would give."""
+    folder.mkdir(parents=True)
+    (folder / "part.inp").write_text(case.deck)
+    parameters = tuple(
+        Parameter(
+            name,
+            quantity,
+            "elset" if quantity == "thickness" else "material",
+            (target.split(": ")[1],),
+            0.5,
+            2.0,
+            0.2,
+        )
+        for name, quantity, target in case.parameters
+    )
+    jobs = folder / "truth"
+    jobs.mkdir()
+    solver = calculix_solver(folder / "part.inp", parameters)
+    result = run(solver, case.values, ModalAnalysis(case.n_modes, case.nodes), jobs)
+    assert isinstance(result, ModalResult)
+    write_modes_csv(folder / "part.csv", range(1, case.n_modes + 1), result.modes)
+    items = "".join(
+        f"  - {{name: {name}, quantity: {quantity}, {target}}}\n"
+        for name, quantity, target in case.parameters
+    )
+    (folder / "part.yaml").write_text(
+        "name: part\nmodel: {deck: part.inp, solver: calculix, units: mm-t-s}\n"
+        f"test: {{modes: part.csv}}\nparameters:\n{items}"
+        f"residuals: {{frequency_weight: 1.0, shape_weight: {case.shape_weight}}}\n"
+        "update:\n  step: weighted_least_squares\n"
+        f"  e1: {{frequency: {E1}, mac: 0.99}}\n  e2: 0.0\n"
+        "  max_iterations: 12\n  step_limit: 0.5\nreport: {page: false}\n"
+    )
+    return folder / "part.yaml"
+
+
+@pytest.fixture(scope="module")
+def bar_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(BAR, tmp_path_factory.mktemp("stored") / "bar")
+
+
+@pytest.fixture(scope="module")
+def joint_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(JOINT, tmp_path_factory.mktemp("stored") / "joint")
+
+
+@pytest.fixture(autouse=True)
+def own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))  # limits of this test alone
+
+
+def update(file: Path, place: Path, watcher: Any, *settings: str) -> CampaignRecord:
+    """The campaign's record; its store is in `place`."""
+    campaign = load_campaign(file, [f"store={place / 'store'}", *settings])
+    return updated(campaign, place, watcher)
+
+
+def updated(campaign: Campaign, place: Path, watcher: Any) -> CampaignRecord:
+    runs = len(list(place.glob("run*")))
+    return update_campaign(campaign, place / f"run{runs}", watcher).record
+
+
+def apart(record: CampaignRecord) -> float:
+    """What the record says of how far the matrices' frequencies were from the solver's own."""
+    (found,) = re.findall(r"confirmed by calculix: frequencies within (\S+)", record.best.decision)
+    return float(found)
+
+
+def check_ways_agree(
+    case: Case, stored: CampaignRecord, own: CampaignRecord, jobs: int, tolerance: float
+) -> None:
+    """Both end at the truth; the stored way ran so many matrix jobs and one modal job."""
+    assert stored.status == own.status == "converged", (stored.reason, own.reason)
+    np.testing.assert_allclose(own.updated, case.truth, rtol=tolerance)
+    np.testing.assert_allclose(stored.updated, case.truth, rtol=tolerance)
+    assert (stored.runs.sensitivity, stored.runs.modal) == (jobs, 1)
+    assert stored.best.solved_by == "calculix"
+    assert all(item.solved_by == "stored matrices" for item in stored.iterations[:-1])
+    # Both have the digits of one ccx: eigenvalues are printed with seven, matrices with more.
+    assert apart(stored) < 1e-6
+
+
+@pytest.fixture(scope="module")
+def bar_stored(bar_file: Path) -> CampaignRecord:
+    """The bar's campaign by stored matrices; its store is beside the campaign's file."""
+    silent = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
+    return update(bar_file, bar_file.parent, silent, STORED)
+
+
+def test_three_moduli_end_where_the_solver_takes_them(
+    bar_file: Path, bar_stored: CampaignRecord, tmp_path: Path, watcher: Any
+) -> None:
+    own = update(bar_file, tmp_path, watcher, OWN)
+    # Two matrix jobs: the base and the middle part; the outer ones are what these leave.
+    # e1 lets frequencies be 1e-6 off, moduli twice that, times a condition of a few.
+    check_ways_agree(BAR, bar_stored, own, jobs=2, tolerance=1e-5)
+
+
+def test_the_last_record_has_the_solvers_own_numbers(
+    bar_file: Path, bar_stored: CampaignRecord
+) -> None:
+    entry = Store(bar_file.parent / "store").get(bar_stored.best.modal_key)
+    assert entry is not None
+    assert entry.solver == "calculix"
+    assert isinstance(entry.result, ModalResult)
+    frequencies = entry.result.elastic.frequencies_hz
+    np.testing.assert_array_equal(bar_stored.best.computed.frequencies_hz, frequencies)
+
+
+def test_the_same_campaign_again_runs_nothing_and_ends_on_the_same_bits(
+    bar_file: Path, bar_stored: CampaignRecord, watcher: Any
+) -> None:
+    again = update(bar_file, bar_file.parent, watcher, STORED)
+    assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
+    assert np.array_equal(again.updated, bar_stored.updated)
+    assert np.array_equal(again.best.frequency_errors, bar_stored.best.frequency_errors)
+    assert [item.decision for item in again.iterations] == [
+        item.decision for item in bar_stored.iterations
+    ]
+
+
+def test_a_short_last_step_goes_to_the_solver_without_another_solution(
+    bar_file: Path, tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solved: list[int] = []
+    real = ModeSolver.solve
+
+    def counting(self: ModeSolver, *given: Any) -> Any:
+        solved.append(1)
+        return real(self, *given)
+
+    monkeypatch.setattr(ModeSolver, "solve", counting)
+    record = update(bar_file, tmp_path, watcher, STORED)
+    assert record.status == "converged"
+    assert len(record.iterations) == len(solved) + 1
+    assert record.best.solved_by == "calculix"
+    assert record.runs.modal == 1
+    assert apart(record) < 1e-6
+
+
+def test_factors_have_left_memory_when_the_solver_has_the_last_word(
+    bar_file: Path, tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held: list[weakref.ref[MatrixModes]] = []
+    left: list[bool] = []
+    begin, confirm = MatrixModes.__init__, ReducedForesight._confirmed
+
+    def begun(self: MatrixModes, *given: Any) -> None:
+        begin(self, *given)
+        held.append(weakref.ref(self))
+
+    def confirmed(self: ReducedForesight, *given: Any) -> Any:
+        left.append(all(each() is None for each in held))
+        return confirm(self, *given)
+
+    monkeypatch.setattr(MatrixModes, "__init__", begun)
+    monkeypatch.setattr(ReducedForesight, "_confirmed", confirmed)
+    assert update(bar_file, tmp_path, watcher, STORED).status == "converged"
+    assert (len(held), left) == (1, [True])
+
+
+def test_matrices_of_the_jobs_do_not_stay_beside_what_was_made_of_them(
+    bar_file: Path, bar_stored: CampaignRecord, tmp_path: Path
+) -> None:
+    fresh, store = (
+        load_campaign(bar_file, [f"store={folder / 'store'}", STORED])
+        for folder in (tmp_path, bar_file.parent)
+    )
+    source, kept = (modes_source(item, job_engine(item)) for item in (fresh, store))
+    assert source is not None
+    assert kept is not None
+    start, columns = fresh.start, range(3)
+    jobs = source.jobs(start, columns)
+    assert len(jobs) == 2
+    assert kept.key(start, columns) in store.store
+    assert kept.jobs(start, columns) == ()
+    assert not any(kept.engine.key(job) in store.store for job in jobs)
+
+
+def test_a_spring_beside_the_bricks_is_none_of_their_parts(tmp_path: Path, watcher: Any) -> None:
+    # It takes part of the stiffness, so what one modulus leaves is not the others' alone.
+    spring = "*ELEMENT, TYPE=SPRING1, ELSET=K\n200, 40\n*SPRING, ELSET=K\n3\n1000.\n"
+    case = replace(BAR, deck=BAR.deck + spring)
+    file = written(case, tmp_path / "case")
+    stored = update(file, tmp_path / "stored", watcher, STORED)
+    own = update(file, tmp_path / "own", watcher, OWN)
+    check_ways_agree(case, stored, own, jobs=3, tolerance=1e-5)
+
+
+def test_modulus_and_density_share_their_job(tmp_path: Path, watcher: Any) -> None:
+    density: tuple[str, Quantity, str] = ("rho_3", "density", "material: A3")
+    case = replace(BAR, parameters=(MODULI[2], density), truth=(0.9, 1.1))
+    file = written(case, tmp_path / "case")
+    stored = update(file, tmp_path / "stored", watcher, STORED)
+    own = update(file, tmp_path / "own", watcher, OWN)
+    # The base, and one job for both.
+    check_ways_agree(case, stored, own, jobs=2, tolerance=1e-5)
+
+
+def test_shells_with_sensors_in_the_corner_end_where_the_solver_takes_them(
+    joint_file: Path, tmp_path: Path, watcher: Any
+) -> None:
+    stored = update(joint_file, tmp_path / "stored", watcher, STORED)
+    # Shapes of shells go by finite differences there, which do not know the matrices at all.
+    own = update(joint_file, tmp_path / "own", watcher, OWN)
+    # The plates share the corner's nodes; their moduli make up the model.
+    check_ways_agree(JOINT, stored, own, jobs=2, tolerance=1e-5)
+    seen = set(stored.best.computed.nodes.tolist())
+    assert {4, 8, 12} <= seen
+    # Shapes as ccx prints them: seven digits.
+    assert stored.best.pairing.mac.min() > 1.0 - 1e-6
+
+
+@pytest.mark.parametrize(
+    "deck",
+    [
+        pytest.param(
+            THICKNESS.deck,
+            id="rectangles",
+        ),
+        pytest.param(SKEW, id="skew"),
+    ],
+)
+def test_a_thickness_beside_a_modulus_ends_where_the_solver_takes_it(
+    deck: str, tmp_path: Path, watcher: Any
+) -> None:
+    case = replace(THICKNESS, deck=deck)
+    file = written(case, tmp_path / "case")
+    stored = update(file, tmp_path / "stored", watcher, STORED)
+    own = update(file, tmp_path / "own", watcher, OWN)
+    # The base, a modulus, four powers of the thickness.
+    check_ways_agree(case, stored, own, jobs=6, tolerance=1e-5)
+
+
+def test_auto_takes_the_solver_for_a_small_model_without_a_word(
+    bar_file: Path, tmp_path: Path, watcher: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    record = update(bar_file, tmp_path, watcher)
+    assert record.status == "converged"
+    assert {item.solved_by for item in record.iterations} == {"calculix"}
+    # One modal job a set; its strain energies are all that moduli need.
+    assert (record.runs.modal, record.runs.sensitivity) == (len(record.iterations), 0)
+    assert not [entry for entry in caplog.records if entry.levelname == "WARNING"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        (
+            "parameters=[{name: nu, quantity: poissons_ratio, material: A1}]",
+            "the matrices are not polynomials in nu",
+        ),
+        (
+            "sensitivity.method=finite_difference",
+            "sensitivities are asked for by finite_difference",
+        ),
+    ],
+    ids=["Poisson's ratio", "finite differences"],
+)
+def test_stored_matrices_that_cannot_be_had_are_refused_in_one_sentence(
+    bar_file: Path, tmp_path: Path, setting: str, said: str
+) -> None:
+    store = f"store={tmp_path / 'store'}"
+    with pytest.raises(CampaignError) as caught:
+        load_campaign(bar_file, [store, STORED, setting])
+    (problem,) = str(caught.value).splitlines()
+    assert said in problem
+    assert "use `auto`" in problem
+    assert "part.yaml" in problem
+    # The same campaign is fine by `auto`, which takes the solver.
+    campaign = load_campaign(bar_file, [store, setting])
+    assert modes_source(campaign, job_engine(campaign)) is None
+
+
+@dataclass(frozen=True)
+class HeavyMatrices(CalculixProgram):
+    """CalculiX whose matrix jobs, and they alone, have materials that are 1 % heavier."""
+
+    def render(self, deck: EditedCalculix, analysis: Analysis) -> Rendered:
+        rendered = super().render(deck, analysis)
+
+        def write(folder: Path) -> None:
+            rendered.write(folder)
+            if isinstance(analysis, MatrixAnalysis):
+                job = folder / f"{JOB}.inp"
+                text = job.read_text()
+                assert DENSITY in text
+                job.write_text(text.replace(DENSITY, "2.727e-9"))
+
+        return replace(rendered, write=write)
+
+
+def test_matrices_of_another_model_are_found_out_and_the_solver_goes_on(
+    bar_file: Path, tmp_path: Path, watcher: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    campaign = load_campaign(bar_file, [f"store={tmp_path / 'store'}", STORED])
+    solver = campaign.case.solver
+    heavy = replace(solver, program=HeavyMatrices("ccx"))
+    record = updated(recased(campaign, solver=heavy), tmp_path, watcher)
+    warnings = [entry.getMessage() for entry in caplog.records if entry.levelname == "WARNING"]
+    # Frequencies go with the root of the density: 1.01^0.5 = 1.00499.
+    assert warnings == [
+        "the solver's own frequencies differ by 5.0e-03: modes are the solver's own from now on"
+    ]
+    assert record.status == "converged"
+    np.testing.assert_allclose(record.updated, BAR.truth, rtol=1e-4)
+    makers = [item.solved_by for item in record.iterations]
+    turn = makers.index("calculix")
+    assert 0 < turn < len(makers) - 1
+    assert set(makers[:turn]) <= {"stored matrices", "reduced_model"}
+    assert set(makers[turn:]) == {"calculix"}
+    # Moduli that fit the heavy model are those of the truth, 1 % higher.
+    there = record.iterations[turn].parameters
+    np.testing.assert_allclose(there, 1.01 * np.array(BAR.truth), rtol=1e-4)
+    # The confirming run had no strain energies, which the solver's own sensitivities are made of.
+    assert record.runs.modal == len(makers) - turn + 1
+
+
+def test_a_dry_run_tells_the_matrix_jobs_of_a_fresh_store(bar_file: Path, tmp_path: Path) -> None:
+    told = told_dry_run(bar_file, tmp_path / "store")
+    assert told["status"] == "would run"
+    assert [item["name"] for item in told["jobs"]] == ["matrices 1 of 2", "matrices 2 of 2"]
+    assert not any(item["stored"] for item in told["jobs"])
+    assert told["runs"] == 2
+    assert not (tmp_path / "store").exists()
+
+
+def test_a_dry_run_after_the_campaign_has_nothing_to_run(
+    bar_file: Path, bar_stored: CampaignRecord
+) -> None:
+    told = told_dry_run(bar_file, bar_file.parent / "store")
+    assert (told["status"], told["runs"], told["jobs"]) == ("complete", 0, [])
+    assert told["reason"] == bar_stored.reason
+
+
+def told_dry_run(file: Path, store: Path) -> Any:
+    """What `modetune update --dry-run --json` prints."""
+    done = run_command(
+        file.parent,
+        "update",
+        str(file),
+        "--dry-run",
+        "--json",
+        "--runs",
+        str(file.parent / "none"),
+        "--set",
+        f"store={store}",
+        "--set",
+        STORED,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def side_by_side(folder: Path, eigensolver: str) -> Path:
+    """A campaign of the bar as it is and on a spring, with one set of moduli."""
+    spring = "*ELEMENT, TYPE=SPRING1, ELSET=K\n200, 40\n*SPRING, ELSET=K\n3\n1000.\n"
+    decks = {"plain": BAR.deck, "sprung": BAR.deck + spring}
+    for name, deck in decks.items():
+        written(replace(BAR, deck=deck), folder / name)
+    model = f"solver: calculix, units: mm-t-s, eigensolver: {eigensolver}"
+    items = "".join(
+        f"  - name: {name}\n    model: {{deck: {name}/part.inp, {model}}}\n"
+        f"    test: {{modes: {name}/part.csv}}\n"
+        for name in decks
+    )
+    text = (folder / "plain" / "part.yaml").read_text()
+    one = "model: {deck: part.inp, solver: calculix, units: mm-t-s}\ntest: {modes: part.csv}\n"
+    assert one in text
+    file = folder / "both.yaml"
+    file.write_text(text.replace(one, f"configurations:\n{items}"))
+    return file
+
+
+def test_each_configuration_has_matrices_of_its_own(tmp_path: Path, watcher: Any) -> None:
+    stored = update(side_by_side(tmp_path / "a", "pardiso"), tmp_path / "stored", watcher)
+    own = update(side_by_side(tmp_path / "b", "solver"), tmp_path / "own", watcher)
+    assert stored.status == own.status == "converged", (stored.reason, own.reason)
+    np.testing.assert_allclose(own.updated, BAR.truth, rtol=1e-5)
+    np.testing.assert_allclose(stored.updated, BAR.truth, rtol=1e-5)
+    # Matrix jobs of the plain bar (2) and of the sprung one (3), and each solver's last word.
+    assert (stored.runs.sensitivity, stored.runs.modal) == (2 + 3, 2)
+    assert stored.best.solved_by == "calculix"
+    assert all(item.solved_by == "stored matrices" for item in stored.iterations[:-1])
+    assert apart(stored) < 1e-6
+    # The solver's way runs both models at every set, and takes moduli from their energies.
+    assert (own.runs.sensitivity, own.runs.modal) == (0, 2 * len(own.iterations))
