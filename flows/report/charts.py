@@ -1,285 +1,377 @@
-"""Charts of the report's page, by Plotly; the same things as `figures.py` draws for print.
+"""The charts of a campaign: what its report shows, its pictures for print, and what demos draw.
 
-Colours are those of `figures.py`: test black, before light blue, after vermilion, everywhere.
-Text and grid get the page's colours in the browser, so that one chart serves light and dark.
+Each is described once (`chart`); `campaign_charts` names all that a record gives.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
-from modetune.core.frf import Complexes
 from modetune.core.modes import COMPONENTS, Floats, common_dofs
-from modetune.core.record import CampaignRecord
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.updating.trust import Trust
+from modetune.flows.report.chart import (
+    AFTER,
+    BEFORE,
+    GREY,
+    PARAMETER_COLOURS,
+    TEST,
+    Axis,
+    Bars,
+    Chart,
+    Curve,
+    HeatMap,
+    Panel,
+    Rule,
+    Towers,
+    names_of,
+    positions,
+    tick_step,
+)
 from modetune.flows.report.comparison import (
-    ModeRow,
     SensorAgreement,
-    mode_label,
+    fresh_matrices,
+    mac_table,
     residual_norm,
     scaled_test,
+    sensor_agreement,
 )
-from modetune.flows.report.markup import chart_text
-from modetune.flows.report.palette import AFTER, BEFORE, PARAMETER_COLOURS, TEST
+from modetune.flows.report.responses import UNITS, ResponseCurve, response_pairs
+from modetune.flows.report.rows import mode_labels, mode_rows
+
+PAIR = "test mode {column}, computed mode {row}: MAC {value:.3f}"
+#: Lines of a response function that are drawn; finer ones are left out evenly.
+MOST_LINES = 2000
 
 
-def mac_maps(before: Floats, after: Floats, numbers: Sequence[str]) -> go.Figure:
-    """MAC tables before and after side by side, their values written in while there is room."""
-    figure = make_subplots(1, 2, subplot_titles=("before", "after"), horizontal_spacing=0.09)
-    columns = list(numbers)
-    few = before.size <= 150
-    for place, mac in enumerate((before, after), start=1):
-        figure.add_heatmap(
-            z=mac, x=columns, y=[str(row + 1) for row in range(mac.shape[0])],
-            zmin=0.0, zmax=1.0, coloraxis="coloraxis", row=1, col=place,
-            texttemplate="%{z:.2f}" if few else None, textfont={"size": 10},
-            hovertemplate="test mode %{x}, computed mode %{y}: MAC %{z:.3f}<extra></extra>",
-            xgap=1, ygap=1,
-        )  # fmt: skip
-    figure.update_xaxes(title_text="test mode", type="category", showgrid=False)
-    figure.update_yaxes(type="category", showgrid=False)
-    figure.update_yaxes(title_text="computed mode", row=1, col=1)
-    figure.update_layout(
-        height=150 + 30 * max(7, before.shape[0]), margin={"l": 56, "r": 8, "t": 32, "b": 46},
-        coloraxis={"colorscale": "Viridis", "cmin": 0, "cmax": 1,
-                   "colorbar": {"title": "MAC", "thickness": 12}},
-    )  # fmt: skip
-    return figure
+def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
+    """Name and chart of everything the record gives, one after the other."""
+    first, last, title = record.iterations[0], record.best, record.name
+    if record.test.has_shapes and mac_table(record, last).size:
+        tables = [("before", mac_table(record, first)), ("after", mac_table(record, last))]
+        numbers = mode_labels(record)
+        yield "mac", mac_towers(title, tables, numbers)
+        yield "mac_map", mac_maps(title, tables, numbers)
+    rows = mode_rows(record)
+    hz = [
+        np.array([getattr(row, name) for row in rows])
+        for name in ("test_hz", "initial_hz", "updated_hz")
+    ]
+    yield "frequencies", frequencies(title, [row.label for row in rows], *hz)
+    yield "parameters", parameter_histories(record)
+    if len(record.parameters) > 1 and np.isfinite(record.correlation).any():
+        yield "estimates", estimates(record)
+    if matrices := fresh_matrices(record):
+        yield "sensitivities", sensitivities(record, matrices)
+    yield "convergence", convergence(record)
+    found = sensor_agreement(record)
+    if found is not None and record.test.has_shapes:
+        yield "comac", comac(title, found)
+        yield "sensor_shapes", sensor_shapes(record)
+    if record.trust is not None and record.trust.curve is not None:
+        yield "l_curve", l_curve(record.trust)
+    for place, pair in enumerate(response_pairs(record)):
+        lines = slice(None, None, -(-pair.frequencies_hz.size // MOST_LINES))
+        curves = (
+            ResponseCurve("test", "test", pair.measured[lines]),
+            ResponseCurve("before", f"before, FRAC {pair.fracs[0]:.2f}", pair.before[lines]),
+            ResponseCurve("after", f"after, FRAC {pair.fracs[1]:.2f}", pair.after[lines]),
+        )
+        unit = UNITS[record.frfs.kind] if record.frfs else ""
+        yield f"response_{place}", responses(pair.title, unit, pair.frequencies_hz[lines], curves)
 
 
-def frequency_lines(rows: Sequence[ModeRow]) -> go.Figure:
-    """Computed over measured frequencies with the 45-degree line, and the errors beside it."""
-    figure = make_subplots(1, 2, column_widths=[0.46, 0.54], horizontal_spacing=0.11)
-    test = [row.test_hz for row in rows]
-    largest = 1.06 * max(max(row.test_hz, row.before_hz, row.after_hz) for row in rows)
-    figure.add_scatter(x=[0, largest], y=[0, largest], mode="lines", name="equal", hoverinfo="skip",
-                       line={"color": "#8a8f98", "width": 1}, row=1, col=1)  # fmt: skip
-    labels = [chart_text(row.label) for row in rows]
-    for name, values, colour, symbol in (
-        ("before", [row.before_hz for row in rows], BEFORE, "circle"),
-        ("after", [row.after_hz for row in rows], AFTER, "x-thin"),
+def write_pictures(
+    record: CampaignRecord, folder: Path, form: Literal["png", "svg"]
+) -> tuple[Path, ...]:
+    """Write every chart that the record gives. Raises StorageUnavailable."""
+    from modetune.flows.report.matplotlib_charts import save
+
+    return tuple(save(chart, folder / f"{name}.{form}") for name, chart in campaign_charts(record))
+
+
+def mac_towers(
+    title: str, tables: Sequence[tuple[str, Floats]], numbers: Sequence[object]
+) -> Chart:
+    """MAC matrices as bars in space, side by side.
+
+    tables: heading and MAC (n_computed, n_measured); numbers: of the measured modes.
+    """
+    panels = tuple(
+        Panel((Towers(mac, PAIR, "MAC"),), *_mode_axes(mac, numbers), heading)
+        for heading, mac in tables
+    )
+    return Chart(title, "MAC as bars", panels, len(panels), (4.9, 4.2))
+
+
+def mac_maps(title: str, tables: Sequence[tuple[str, Floats]], numbers: Sequence[object]) -> Chart:
+    """The same as maps, their values written in while there is room."""
+    panels = tuple(
+        Panel((HeatMap(mac, PAIR, "MAC"),), *_mode_axes(mac, numbers), heading)
+        for heading, mac in tables
+    )
+    n_rows, n_columns = tables[0][1].shape
+    size = max(2.8, 1.4 + 0.42 * n_columns), max(2.6, 1.0 + 0.36 * n_rows)
+    return Chart(title, "MAC before and after", panels, len(panels), size)
+
+
+def _mode_axes(mac: Floats, numbers: Sequence[object]) -> tuple[Axis, Axis]:
+    rows = range(1, mac.shape[0] + 1)
+    return Axis("test mode", names_of(numbers)), Axis("computed mode", names_of(rows))
+
+
+def frequencies(
+    title: str, numbers: Sequence[object], test_hz: Floats, before_hz: Floats, after_hz: Floats
+) -> Chart:
+    """Computed over measured frequencies with the 45-degree line, and their errors.
+
+    numbers: of the modes, (n_modes,), like the frequencies.
+    """
+    names, largest = (
+        names_of(numbers),
+        1.06 * float(max(map(np.max, (test_hz, before_hz, after_hz)))),
+    )
+    ends, span = np.array([0.0, largest]), (0.0, largest)
+    points, bars = [Curve("equal", ends, ends, GREY, width=1.0)], []
+    for name, values, colour, mark in (
+        ("before", before_hz, BEFORE, "o"),
+        ("after", after_hz, AFTER, "x"),
     ):
-        figure.add_scatter(
-            x=test, y=values, mode="markers", name=name, text=labels, legendgroup=name,
-            marker={"color": colour, "size": 10, "symbol": symbol,
-                    "line": {"color": colour, "width": 2.5 if name == "after" else 0}},
-            hovertemplate="mode %{text}: test %{x:.3f} Hz, " + name + " %{y:.3f} Hz<extra></extra>",
-            row=1, col=1,
-        )  # fmt: skip
-        errors = [100 * (row.error_before if name == "before" else row.error_after) for row in rows]
-        figure.add_bar(
-            x=labels, y=errors, name=name, marker_color=colour, legendgroup=name, showlegend=False,
-            hovertemplate="mode %{x}, " + name + ": %{y:+.2f} %<extra></extra>", row=1, col=2,
-        )  # fmt: skip
-    figure.update_xaxes(title_text="test, Hz", range=[0, largest], row=1, col=1)
-    figure.update_yaxes(title_text="computed, Hz", range=[0, largest], row=1, col=1)
-    figure.update_xaxes(title_text="test mode", type="category", row=1, col=2)
-    figure.update_yaxes(title_text="frequency error, %", zeroline=True, row=1, col=2)
-    figure.update_layout(height=380, margin={"l": 56, "r": 8, "t": 30, "b": 46}, bargap=0.3,
-                         legend={"orientation": "h", "y": 1.1})  # fmt: skip
-    return figure
+        told = tuple(
+            f"mode {number}: test {x:.3f} Hz, {name} {y:.3f} Hz"
+            for number, x, y in zip(names, test_hz, values, strict=True)
+        )
+        points.append(
+            Curve(
+                name,
+                test_hz,
+                values,
+                colour,
+                "",
+                mark,
+                told=told,
+                written=names if name == "after" else (),
+            )
+        )
+        bars.append(Bars(name, 100.0 * (values / test_hz - 1.0), colour))
+    panels = (
+        Panel(tuple(points), Axis("test, Hz", span=span), Axis("computed, Hz", span=span)),
+        Panel(tuple(bars), Axis("test mode", names), Axis("frequency error, %")),
+    )
+    return Chart(title, "frequencies against the test and their errors", panels, 2, (5.2, 4.2))
 
 
-def parameter_histories(record: CampaignRecord) -> go.Figure:
+def parameter_histories(record: CampaignRecord) -> Chart:
     """Values relative to the deck over the iterations; those not kept are open and unconnected."""
-    figure = go.Figure()
+    items = []
     kept = [item for item in record.iterations if item.accepted]
     tried = [item for item in record.iterations if not item.accepted]
     for place, name in enumerate(record.parameters.names):
         colour = PARAMETER_COLOURS[place % len(PARAMETER_COLOURS)]
-        for items, mode, symbol in (
-            (kept, "lines+markers", "circle"),
-            (tried, "markers", "circle-open"),
-        ):
-            if not items:
-                continue
-            figure.add_scatter(
-                x=[item.number for item in items],
-                y=[float(item.parameters[place]) for item in items],
-                mode=mode, name=chart_text(name), legendgroup=str(place), showlegend=items is kept,
-                line={"color": colour}, marker={"color": colour, "symbol": symbol, "size": 7},
-                hovertemplate="%{fullData.name}: %{y:.4f}"
-                + ("" if items is kept else " (not kept)") + "<extra></extra>",
-            )  # fmt: skip
-    figure.update_xaxes(title_text="iteration", dtick=_tick(record))
-    figure.update_yaxes(title_text="value relative to the deck")
-    figure.update_layout(height=360, margin={"l": 56, "r": 8, "t": 12, "b": 46}, hovermode="x")
-    return figure
+        for which, said in ((kept, ""), (tried, " (not kept)")):
+            values = np.array([item.parameters[place] for item in which])
+            told = tuple(f"{name}: {value:.4f}{said}" for value in values)
+            numbers = np.array([item.number for item in which])
+            if which:
+                items.append(
+                    Curve(
+                        name,
+                        numbers,
+                        values,
+                        colour,
+                        "" if said else "-",
+                        "ring" if said else "o",
+                        size=5.0,
+                        told=told,
+                    )
+                )
+    panel = Panel(tuple(items), _iteration_axis(record), Axis("value relative to the deck"))
+    return Chart(record.name, "parameters by iteration", (panel,), size=(6.4, 4.2))
 
 
-def correlation_map(names: Sequence[str], correlation: Floats) -> go.Figure:
-    """Correlation of the parameters' estimates, (n_parameters, n_parameters)."""
-    figure = go.Figure(
-        go.Heatmap(
-            z=correlation, x=list(names), y=list(names), zmin=-1, zmax=1, colorscale="RdBu",
-            texttemplate="%{z:.2f}" if len(names) <= 12 else None, textfont={"size": 11},
-            hovertemplate="%{y} and %{x}: %{z:+.3f}<extra></extra>", xgap=1, ygap=1,
-            colorbar={"thickness": 12},
-        )
-    )  # fmt: skip
-    figure.update_xaxes(type="category", showgrid=False)
-    figure.update_yaxes(type="category", autorange="reversed", showgrid=False)
-    figure.update_layout(height=150 + 28 * max(6, len(names)),
-                         margin={"l": 8, "r": 8, "t": 12, "b": 8})  # fmt: skip
-    figure.update_xaxes(automargin=True)
-    figure.update_yaxes(automargin=True)
-    return figure
+def estimates(record: CampaignRecord) -> Chart:
+    """Correlation of the parameters' estimates."""
+    names = record.parameters.names
+    heat = HeatMap(record.correlation, "{row} and {column}: {value:+.3f}", "", -1.0, 1.0, "RdBu")
+    panel = Panel((heat,), Axis(names=names, slant=40), Axis(names=names, turned=True))
+    side = max(3.4, 1.6 + 0.4 * len(names))
+    return Chart(record.name, "correlation of the parameters", (panel,), size=(side + 0.8, side))
 
 
-def sensitivity_bars(
-    numbers: Sequence[str], names: Sequence[str], matrices: Sequence[tuple[int, Floats]]
-) -> go.Figure:
-    """Normalised sensitivities, a chart a mode, a bar a parameter (as thesis, figures 49 to 51).
+def sensitivities(record: CampaignRecord, matrices: Sequence[tuple[int, Floats]]) -> Chart:
+    """Normalised sensitivities, a panel a mode, a bar a parameter (as thesis, figures 49 to 51).
 
     matrices: iteration and (n_modes, n_parameters), the first and the last one.
     """
-    across = min(3, len(numbers))
-    down = -(-len(numbers) // across)
-    # Names of parameters stand slanted below each chart, and the next one's title below them.
-    below = 34 + 5 * max(len(name) for name in names)
-    height = 64 + down * (150 + below)
-    gap = min(0.9 / max(down - 1, 1), (26.0 + below) / height)
-    figure = make_subplots(
-        down, across, subplot_titles=[f"mode {number}" for number in numbers], shared_yaxes=True,
-        vertical_spacing=gap if down > 1 else 0.0, horizontal_spacing=0.03,
-    )  # fmt: skip
-    colours = (BEFORE, AFTER)
-    for place, (iteration, values) in enumerate(matrices):
-        for mode in range(len(numbers)):
-            figure.add_bar(
-                x=list(names), y=values[mode], name=f"at iteration {iteration}",
-                marker_color=colours[place], legendgroup=str(place), showlegend=mode == 0,
-                hovertemplate="%{x}: %{y:+.4f}<extra></extra>",
-                row=mode // across + 1, col=mode % across + 1,
-            )  # fmt: skip
-    figure.update_xaxes(type="category", tickangle=-40, tickfont={"size": 10})
-    figure.update_yaxes(title_text="(df/f) / (dp/p)", col=1, title_font={"size": 11})
-    figure.update_layout(height=height, margin={"l": 62, "r": 8, "t": 64, "b": below}, bargap=0.3,
-                         legend={"orientation": "h", "yref": "container", "y": 0.995,
-                                 "yanchor": "top", "x": 0})  # fmt: skip
-    return figure
+    labels, colours = [row.label for row in mode_rows(record)], (BEFORE, AFTER)
+    panels = tuple(
+        Panel(
+            tuple(
+                Bars(f"at iteration {iteration}", values[mode], colours[place])
+                for place, (iteration, values) in enumerate(matrices)
+            ),
+            Axis(names=record.parameters.names, slant=40),
+            Axis("(df/f) / (dp/p)"),
+            f"mode {label}",
+        )
+        for mode, label in enumerate(labels)
+    )
+    return Chart(
+        record.name,
+        "normalised sensitivities of each mode",
+        panels,
+        min(3, len(panels)),
+        (3.2, 2.1),
+        same_y=True,
+    )
 
 
-def convergence(record: CampaignRecord) -> go.Figure:
+def convergence(record: CampaignRecord) -> Chart:
     """Residual and slope over the iterations; e2's line, and where it skipped a sensitivity."""
-    figure = make_subplots(1, 2, horizontal_spacing=0.12, subplot_titles=(
-        "residual |z|", "slope |Δz| / L"))  # fmt: skip
-    items = record.iterations
-    for chosen, name, symbol in (
-        ([item for item in items if item.accepted], "kept", "circle"),
-        ([item for item in items if not item.accepted], "not kept", "x"),
-    ):
-        if not chosen:
-            continue
-        shown: dict[str, Any] = {
-            "x": [item.number for item in chosen], "name": name, "legendgroup": name,
-            "mode": "lines+markers" if name == "kept" else "markers",
-            "line": {"color": AFTER}, "marker": {"symbol": symbol, "size": 8, "color": AFTER},
-        }  # fmt: skip
-        figure.add_scatter(y=[residual_norm(item) for item in chosen], row=1, col=1, **shown)
-        slopes = [item.slope if item.slope > 0.0 else None for item in chosen]
-        figure.add_scatter(y=slopes, row=1, col=2, showlegend=False, **shown)
+    items, norms, slopes = record.iterations, [], []
+    for name, line, mark, kept in (("kept", "-", "o", True), ("not kept", "", "x", False)):
+        chosen = [item for item in items if item.accepted is kept]
+        numbers = np.array([item.number for item in chosen])
+        if chosen:
+            norm = np.array([residual_norm(item) for item in chosen])
+            slope = np.array([item.slope for item in chosen])
+            norms.append(Curve(name, numbers, _above_zero(norm), AFTER, line, mark))
+            slopes.append(Curve(name, numbers, _above_zero(slope), AFTER, line, mark))
     skipped = [item for item in items if item.sensitivity_skipped]
     if skipped:
-        figure.add_scatter(
-            x=[item.number for item in skipped], y=[item.slope for item in skipped],
-            mode="markers", name="sensitivity skipped (e2)", row=1, col=2,
-            marker={"symbol": "circle-open", "size": 16, "color": TEST, "line": {"width": 2}},
-        )  # fmt: skip
-    if record.e2 > 0.0:
-        figure.add_hline(y=record.e2, line={"dash": "dot", "width": 1.2, "color": "#8a8f98"},
-                         annotation={"text": f"e2 = {record.e2:g}"}, row=1, col=2)  # fmt: skip
-    figure.update_xaxes(
-        title_text="iteration", dtick=_tick(record), range=[-0.3, items[-1].number + 0.3]
+        slopes.append(
+            Curve(
+                "sensitivity skipped (e2)",
+                np.array([item.number for item in skipped]),
+                _above_zero(np.array([item.slope for item in skipped])),
+                TEST,
+                "",
+                "ring",
+                size=13.0,
+            )
+        )
+    rules = (Rule(f"e2 = {record.e2:g}", record.e2),) if record.e2 > 0.0 else ()
+    axis = _iteration_axis(record)
+    panels = (
+        Panel(tuple(norms), axis, Axis(log=True), "residual |z|"),
+        Panel((*slopes, *rules), axis, Axis(log=True), "slope |Δz| / L"),
     )
-    figure.update_yaxes(type="log", tickformat="~g")
-    figure.update_layout(height=350, margin={"l": 60, "r": 8, "t": 40, "b": 46},
-                         legend={"orientation": "h", "y": -0.2})  # fmt: skip
-    return figure
+    return Chart(record.name, "residual, slope", panels, 2, (4.2, 3.2))
 
 
-def sensor_marks(found: SensorAgreement) -> go.Figure:
+def comac(title: str, found: SensorAgreement) -> Chart:
     """COMAC of each sensor before and after."""
-    figure = go.Figure()
-    for name, values, colour, symbol in (
-        ("before", found.before, BEFORE, "circle"),
-        ("after", found.after, AFTER, "x-thin"),
-    ):
-        figure.add_scatter(
-            x=list(found.labels), y=values, name=name, mode="markers",
-            marker={"color": colour, "symbol": symbol, "size": 7,
-                    "line": {"color": colour, "width": 2 if name == "after" else 0}},
-            hovertemplate="%{x}, " + name + ": %{y:.3f}<extra></extra>",
-        )  # fmt: skip
-    figure.update_xaxes(type="category", automargin=True, tickangle=-90, tickfont={"size": 10})
-    figure.update_yaxes(title_text="COMAC", range=[scale_foot(found) - 0.02, 1.02])
-    figure.update_layout(height=330, margin={"l": 56, "r": 8, "t": 30, "b": 60},
-                         legend={"orientation": "h", "y": 1.12})  # fmt: skip
-    return figure
+    at = positions(found.labels)
+    items = tuple(
+        Curve(
+            name,
+            at,
+            values,
+            colour,
+            "",
+            mark,
+            size=6.0,
+            told=tuple(
+                f"{label}, {name}: {value:.3f}"
+                for label, value in zip(found.labels, values, strict=True)
+            ),
+        )
+        for name, values, colour, mark in (
+            ("before", found.before, BEFORE, "o"),
+            ("after", found.after, AFTER, "x"),
+        )
+    )
+    y = Axis("COMAC", span=(found.scale_foot - 0.02, 1.02))
+    panel = Panel(items, Axis(names=found.labels, slant=90), y)
+    return Chart(
+        title,
+        "COMAC of each sensor",
+        (panel,),
+        size=(max(6.4, min(0.14 * len(found.labels), 16.0)), 3.4),
+    )
 
 
-def scale_foot(found: SensorAgreement) -> float:
-    """Where the scale of a COMAC starts: below the least, at 0.8 at most."""
-    return min(0.8, float(np.floor(10 * min(found.before.min(), found.after.min())) / 10))
-
-
-def response_overlay(
-    unit: str, frequencies_hz: Floats, curves: Sequence[tuple[str, str, Complexes]]
-) -> go.Figure:
-    """Response functions over each other: kind (test, before, after), label, (n_lines,) each."""
-    figure = go.Figure()
-    looks = {
-        "test": (TEST, "solid", 2.0),
-        "before": (BEFORE, "solid", 1.3),
-        "after": (AFTER, "dash", 1.6),
-    }
-    for kind, label, values in curves:
-        colour, dash, width = looks[kind]
-        figure.add_scatter(x=frequencies_hz, y=np.abs(values), mode="lines", name=label,
-                           line={"color": colour, "dash": dash, "width": width},
-                           hovertemplate="%{x:.2f} Hz: %{y:.3g}<extra></extra>")  # fmt: skip
-    figure.update_xaxes(title_text="Hz")
-    figure.update_yaxes(title_text=unit, type="log", exponentformat="power")
-    figure.update_layout(height=330, margin={"l": 64, "r": 8, "t": 26, "b": 46},
-                         legend={"orientation": "h", "y": 1.13})  # fmt: skip
-    return figure
-
-
-def sensor_shapes(record: CampaignRecord) -> go.Figure:
-    """Shapes of test and model over the sensors, a chart a mode, where none has a place in space.
-
-    All have the scale of a test's shape of length one.
-    """
+def sensor_shapes(record: CampaignRecord) -> Chart:
+    """Shapes of test and model over the sensors, a panel a mode; a test's shape has length one."""
     first, last = record.iterations[0], record.best
     test, before = scaled_test(record, first)
-    curves = (("test", test, TEST), ("before", before, BEFORE),
-              ("after", scaled_test(record, last)[1], AFTER))  # fmt: skip
+    after = scaled_test(record, last)[1]
     rows, _ = common_dofs(record.test.modes, first.computed)
     modes = record.test.modes
-    labels = [f"{modes.nodes[row]}.{COMPONENTS[modes.components[row] - 1]}" for row in rows]
-    n, across = test.shape[1], min(3, test.shape[1])
-    down = -(-n // across)
-    numbers = [chart_text(mode_label(record, record.test.numbers[place]))
-               for place in first.pairing.measured]  # fmt: skip
-    figure = make_subplots(down, across, subplot_titles=[f"mode {number}" for number in numbers],
-                           vertical_spacing=0.3 / down, horizontal_spacing=0.05)  # fmt: skip
-    for name, shapes, colour in curves:
-        for mode in range(n):
-            figure.add_scatter(
-                x=labels, y=shapes[:, mode], name=name, legendgroup=name, showlegend=mode == 0,
-                line={"color": colour, "width": 3 if name == "test" else 1.6},
-                row=mode // across + 1, col=mode % across + 1,
-            )  # fmt: skip
-    figure.update_xaxes(type="category", tickfont={"size": 10})
-    figure.update_layout(height=90 + 220 * down, margin={"l": 40, "r": 8, "t": 64, "b": 40},
-                         legend={"orientation": "h", "yref": "container", "y": 0.995,
-                                 "yanchor": "top", "x": 0})  # fmt: skip
-    return figure
+    labels = tuple(f"{modes.nodes[row]}.{COMPONENTS[modes.components[row] - 1]}" for row in rows)
+    panels = tuple(
+        Panel(
+            tuple(
+                Curve(name, positions(labels), shapes[:, mode], colour, width=width)
+                for name, shapes, colour, width in (
+                    ("test", test, TEST, 2.6), ("before", before, BEFORE, 1.5),
+                    ("after", after, AFTER, 1.5),
+                )
+            ),
+            Axis(names=labels, slant=90), title=f"mode {row.label}",
+        )
+        for mode, row in enumerate(mode_rows(record))
+    )  # fmt: skip
+    return Chart(record.name, "shapes over the sensors", panels, min(3, len(panels)), (3.6, 2.4))
 
 
-def _tick(record: CampaignRecord) -> int:
-    return max(1, record.iterations[-1].number // 12)
+def l_curve(trust: Trust) -> Chart:
+    """Size of the step over what it leaves, for all factors; the corner and the factor taken."""
+    curve = trust.curve
+    assert curve is not None
+    told = tuple(
+        f"factor {factor:.3g}: left {left:.3g}, size {size:.3g}"
+        for factor, left, size in zip(curve.factors, curve.misfits, curve.sizes, strict=True)
+    )
+    items = [Curve("all factors", curve.misfits, curve.sizes, GREY, told=told)]
+    points = [("corner", curve.corner, TEST, "ring")]
+    if trust.regularisation > 0.0:
+        points.append(("taken", trust.regularisation, AFTER, "x"))
+    for name, factor, colour, mark in points:
+        at = [int(np.argmin(np.abs(np.log(curve.factors / factor))))]
+        items.append(
+            Curve(
+                f"{name}: {factor:.3g}",
+                curve.misfits[at],
+                curve.sizes[at],
+                colour,
+                "",
+                mark,
+                size=9.0,
+            )
+        )
+    panel = Panel(
+        tuple(items),
+        Axis("residual left, in standard deviations", log=True),
+        Axis("size of the step, in deviations", log=True),
+    )
+    return Chart("L-curve of the last step", "L-curve of the last step", (panel,))
+
+
+def responses(title: str, unit: str, lines_hz: Floats, curves: Sequence[ResponseCurve]) -> Chart:
+    """Magnitudes of response functions over frequency, one over the other.
+
+    lines_hz: (n_lines,); unit: of the response, for the axis.
+    """
+    looks = {"test": (TEST, "-", 2.0), "before": (BEFORE, "-", 1.3), "after": (AFTER, "--", 1.5)}
+    items = []
+    for curve in curves:
+        colour, line, width = looks[curve.kind]
+        items.append(Curve(curve.label, lines_hz, np.abs(curve.values), colour, line, width=width))
+    span = (float(lines_hz[0]), float(lines_hz[-1]))
+    panel = Panel(tuple(items), Axis("Hz", span=span), Axis(unit, log=True))
+    return Chart(title, title, (panel,), size=(7.2, 3.6))
+
+
+def _above_zero(values: Floats) -> Floats:
+    """What a logarithmic axis can show."""
+    return np.where(values > 0.0, values, np.nan)
+
+
+def _iteration_axis(record: CampaignRecord) -> Axis:
+    last = record.iterations[-1].number
+    return Axis("iteration", step=tick_step(last), span=(-0.3, last + 0.3))

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.correlation import comac, ecomac
+from modetune.core.correlation.correlation import comac, ecomac
+from modetune.core.correlation.pairing import mac_or_zero
 from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers, common_dofs
-from modetune.core.numbering import mode_name
-from modetune.core.pairing import mac_or_zero
-from modetune.core.record import CampaignRecord, IterationRecord
+from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.flows.report.rows import mode_rows
 
 #: Correlation of two estimated parameters from which the test can hardly tell them apart.
 ENTANGLED = 0.95
@@ -23,27 +23,6 @@ FALLEN_MAC = 0.05
 ODD_COMAC, GOOD_COMAC = 0.8, 0.95
 #: ... or with an ECOMAC above this: on average it differs by 30 % of the largest motion.
 ODD_ECOMAC = 0.15
-
-
-@dataclass(frozen=True, slots=True)
-class ModeRow:
-    """A measured mode and its partner before and after; errors are relative, a MAC may be NaN.
-
-    label: what people call it behind the word "mode".
-    """
-
-    number: int
-    label: str
-    test_hz: float
-    before_hz: float
-    after_hz: float
-    error_before: float
-    error_after: float
-    mac_before: float
-    mac_after: float
-    partner_before: int
-    partner_after: int
-    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,35 +42,17 @@ class SensorAgreement:
         names = zip(self.nodes.tolist(), self.components.tolist(), strict=True)
         return tuple(f"{node}.{COMPONENTS[part - 1]}" for node, part in names)
 
+    @property
+    def scale_foot(self) -> float:
+        """Where the scale of a COMAC starts: below the least, at 0.8 at most."""
+        return min(0.8, float(np.floor(10 * min(self.before.min(), self.after.min())) / 10))
 
-def mode_label(record: CampaignRecord, number: int) -> str:
-    """What a measured mode is called behind the word "mode": 3, or 3 of its configuration."""
-    return mode_name(record.configurations, number).removeprefix("mode ")
-
-
-def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
-    """Every measured mode, in the order of the pairs."""
-    first, last, rows = record.iterations[0], record.best, []
-    for pair in range(first.pairing.measured.size):
-        before, after = int(first.pairing.computed[pair]), int(last.pairing.computed[pair])
-        measured = int(first.pairing.measured[pair])
-        rows.append(
-            ModeRow(
-                number=record.test.numbers[measured],
-                label=mode_label(record, record.test.numbers[measured]),
-                test_hz=float(record.test.modes.frequencies_hz[measured]),
-                before_hz=float(first.computed.frequencies_hz[before]),
-                after_hz=float(last.computed.frequencies_hz[after]),
-                error_before=float(first.frequency_errors[pair]),
-                error_after=float(last.frequency_errors[pair]),
-                mac_before=float(first.pairing.mac[pair]),
-                mac_after=float(last.pairing.mac[pair]),
-                partner_before=before + 1,
-                partner_after=after + 1,
-                reason=last.pairing.reasons[pair],
-            )
-        )
-    return tuple(rows)
+    def least_of_points(self, nodes: Integers, values: Floats) -> list[float]:
+        """The least of each test point's sensors; values: those of before or of after."""
+        least = dict.fromkeys(nodes.tolist(), 1.0)
+        for node, value in zip(self.nodes.tolist(), values.tolist(), strict=True):
+            least[node] = min(least.get(node, 1.0), value)
+        return [least[node] for node in nodes.tolist()]
 
 
 def mac_table(record: CampaignRecord, item: IterationRecord) -> Floats:
@@ -173,8 +134,9 @@ def model_scales(record: CampaignRecord, item: IterationRecord) -> Floats:
     safe = np.where(squares > 0.0, squares, 1.0)
     signs = np.where(np.sum(test * model, axis=0) < 0.0, -1.0, 1.0)
     # Of a shape with nothing in common the nearest scale is zero: it keeps its own length then.
-    return np.asarray(signs * np.fmax(np.abs(np.sum(test * model, axis=0)) / safe,
-                                      0.1 / np.sqrt(safe)))  # fmt: skip
+    return np.asarray(
+        signs * np.fmax(np.abs(np.sum(test * model, axis=0)) / safe, 0.1 / np.sqrt(safe))
+    )
 
 
 def remarks(record: CampaignRecord) -> tuple[str, ...]:
@@ -205,33 +167,35 @@ def remarks(record: CampaignRecord) -> tuple[str, ...]:
 def _mode_remarks(record: CampaignRecord) -> list[str]:
     found = []
     for row in mode_rows(record):
-        if abs(row.error_after) > record.e1_frequency:
+        if abs(row.error_updated) > record.e1_frequency:
             found.append(
-                f"Mode {row.label} is {100 * row.error_after:+.2f} % off in frequency, beyond the "
-                f"campaign's {100 * record.e1_frequency:g} %."
+                f"Mode {row.label} is {100 * row.error_updated:+.2f} % off in frequency, beyond "
+                f"the campaign's {100 * record.e1_frequency:g} %."
             )
-        elif abs(row.error_after) > abs(row.error_before) + 1e-3:
+        elif abs(row.error_updated) > abs(row.error_initial) + 1e-3:
             found.append(
                 f"Mode {row.label} was nearer to the test before "
-                f"({100 * row.error_before:+.2f} %, now {100 * row.error_after:+.2f} %)."
+                f"({100 * row.error_initial:+.2f} %, now {100 * row.error_updated:+.2f} %)."
             )
-        if row.mac_after < DOUBTFUL_MAC:
-            found.append(f"Mode {row.label} has a MAC of {row.mac_after:.2f} only: {row.reason}.")
-        if row.mac_after < row.mac_before - FALLEN_MAC:
+        if row.mac_updated < DOUBTFUL_MAC:
+            found.append(
+                f"Mode {row.label} has a MAC of {row.mac_updated:.2f} only: {row.pairing}."
+            )
+        if row.mac_updated < row.mac_initial - FALLEN_MAC:
             found.append(
                 f"Mode {row.label} was nearer before in shape: its MAC fell from "
-                f"{row.mac_before:.3f} to {row.mac_after:.3f}."
+                f"{row.mac_initial:.3f} to {row.mac_updated:.3f}."
             )
-        if row.partner_before != row.partner_after:
+        if row.elastic_mode_initial != row.elastic_mode:
             found.append(
-                f"Test mode {row.label} is the model's elastic mode {row.partner_after} now; it "
-                f"was mode {row.partner_before} before."
+                f"Test mode {row.label} is the model's elastic mode {row.elastic_mode} now; it "
+                f"was mode {row.elastic_mode_initial} before."
             )
     return found
 
 
 def _sensor_remarks(record: CampaignRecord) -> list[str]:
-    """Sensors that stand out where most agree; where most do not, it is no matter of a sensor."""
+    """Sensors that stand out where most agree; where most do not, no sensor is at fault."""
     agreement, item = sensor_agreement(record), record.best
     if agreement is None or not np.median(agreement.after) > GOOD_COMAC:
         return []
@@ -246,11 +210,15 @@ def _sensor_remarks(record: CampaignRecord) -> list[str]:
         f" (COMAC {value:.2f}, ECOMAC {difference:.2f}): "
         f"{'turned round' if turned else 'turned round, swapped, or mounted elsewhere'}?"
         for label, value, difference, turned, odd in zip(
-            agreement.labels, agreement.after, differences, against & ~low,
-            low | (differences > ODD_ECOMAC), strict=True,
+            agreement.labels,
+            agreement.after,
+            differences,
+            against & ~low,
+            low | (differences > ODD_ECOMAC),
+            strict=True,
         )
         if odd
-    ]  # fmt: skip
+    ]
 
 
 def entangled(record: CampaignRecord) -> list[tuple[str, str, float]]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+from jinja2 import TemplateError
+
 from modetune.core.errors import ModetuneError
-from modetune.core.record import CampaignRecord
+from modetune.core.storage.record import CampaignRecord
 
 logger = logging.getLogger(__name__)
 
@@ -14,9 +16,18 @@ logger = logging.getLogger(__name__)
 PAGE = "report.html"
 #: Whatever may go wrong while something is drawn; the campaign's result stands without it.
 FAILURES = (
-    ModetuneError, OSError, ImportError, ArithmeticError, AttributeError, LookupError, MemoryError,
-    RuntimeError, TypeError, ValueError,
-)  # fmt: skip
+    ModetuneError,
+    OSError,
+    ImportError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TemplateError,
+    TypeError,
+    ValueError,
+)
 
 
 def draw_report(record: CampaignRecord, folder: Path) -> Path | None:
@@ -29,6 +40,9 @@ def draw_report(record: CampaignRecord, folder: Path) -> Path | None:
         logger.warning(
             "the report of %s could not be drawn (%s: %s); the record and the updated deck are "
             "not touched by that, `modetune report %s` tries again",
-            record.name, type(error).__name__, error, folder,
-        )  # fmt: skip
+            record.name,
+            type(error).__name__,
+            error,
+            folder,
+        )
         return None

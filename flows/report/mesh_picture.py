@@ -16,7 +16,7 @@ from vtkmodules.vtkCommonCore import vtkLogger
 
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
-from modetune.core.store import writing
+from modetune.core.storage.files import writing
 from modetune.core.surface import display_surface
 
 #: Nodes of the model's surface that are drawn at most.

@@ -10,61 +10,55 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import shlex
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
-from modetune.core.keys import Json
-from modetune.core.record import CampaignRecord
-from modetune.core.store import writing
-from modetune.flows.report import charts, provenance, sections, space_charts
-from modetune.flows.report.comparison import (
-    fresh_matrices,
-    mac_table,
-    mode_label,
-    mode_rows,
-    sensor_agreement,
+from modetune.core.storage.files import writing
+from modetune.core.storage.keys import Json
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.updating.judgement import trust_sentences
+from modetune.flows.report.comparison import remarks, sensor_agreement
+from modetune.flows.report.form_verdict import record_verdict
+from modetune.flows.report.headline import headline, number, percent
+from modetune.flows.report.rows import (
+    LONG_PARAMETERS,
+    held_out_lines,
+    held_out_table,
+    iteration_table,
+    key_table,
+    mode_table,
+    pair_table,
+    parameter_table,
+    run_table,
+    start_table,
+    trust_table,
 )
-from modetune.flows.report.held_out import held_out_section
-from modetune.flows.report.markup import Html, chart_text, element, joined, markup, paragraph
-from modetune.flows.report.responses import response_charts
-from modetune.flows.report.scene import Scene, scene
-from modetune.flows.report.scene_data import told_scene
-from modetune.flows.report.trust import l_curve_chart, trust_words
+from modetune.flows.report.scene import Scene, scene, told_scene
+from modetune.flows.report.tables import signed
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 HERE = Path(__file__).resolve().parent
+#: How each verdict looks.
+MOOD = {"trusted": "good", "trusted with reservations": "fair", "not to be trusted": "outside"}
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """A part of the page: its anchor, title, and content."""
-
-    anchor: str
-    title: str
-    content: Html
-
-
 class Drawn:
-    """The charts of a page, each under the name of its place."""
+    """A chart of the page: its title, what it shows, for who cannot see it, and Plotly's JSON."""
 
-    def __init__(self) -> None:
-        self.figures: dict[str, str] = {}
-
-    def place(self, name: str, figure: go.Figure, told: str) -> Html:
-        """A place for a chart; told: what it shows, for who cannot see it."""
-        figure.update_layout(template="none")
-        self.figures[name] = figure.to_json()
-        height = int(figure.layout.height or 400)
-        return Html(
-            f'<div class="chart" id="chart-{name}" data-chart="{name}" role="img" '
-            f'aria-label="{markup(told)}" style="min-height:{height}px"></div>'
-        )
+    title: str
+    told: str
+    height: int
+    figure: Json
 
 
 def write_page(record: CampaignRecord, path: Path) -> Path:
@@ -77,186 +71,163 @@ def write_page(record: CampaignRecord, path: Path) -> Path:
 
 def page(record: CampaignRecord) -> str:
     """The report of a campaign as HTML."""
-    drawn, shown = Drawn(), scene(record)
-    parts = [part for part in _sections(record, drawn, shown) if part.content.source]
-    data = {"charts": {name: json.loads(text) for name, text in drawn.figures.items()},
-            "scene": told_scene(shown) if shown else None}  # fmt: skip
-    contents = joined([
-        Html(f'<li><a href="#{part.anchor}">{markup(part.title)}</a></li>') for part in parts
-    ])  # fmt: skip
-    body = joined([
-        Html(f'<section id="{part.anchor}"><h2>{markup(part.title)}</h2>{part.content.source}'
-             "</section>")
-        for part in parts
-    ])  # fmt: skip
+    shown = scene(record)
+    charts = _charts(record, shown)
     scripts = (_plotly(), _asset("page.js"), _asset("shapes.js"))
-    return (
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
-        f'<meta http-equiv="Content-Security-Policy" content="{_policy(scripts)}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{markup(record.name)} - modetune report</title>\n"
-        f"<style>{_asset('page.css')}</style>\n</head>\n<body>\n"
-        f"<header><div><p class=\"kind\">modetune report</p><h1>{markup(record.name)}</h1>"
-        f"<p class=\"sub\">{markup(_subtitle(record))}</p></div></header>\n"
-        f"<div class=\"columns\"><nav><p>Contents</p><ol>{contents.source}</ol></nav>\n"
-        f"<main>{body.source}</main></div>\n"
-        f'<script type="application/json" id="data">{_json(data)}</script>\n'
-        + "".join(f"<script>{script}</script>\n" for script in scripts)
-        + "</body>\n</html>\n"
-    )  # fmt: skip
+    pairing = [pair_table(record, item) for item in record.iterations]
+    text = (
+        _templates()
+        .get_template("page.html")
+        .render(
+            record=record,
+            headline=headline(record),
+            points=remarks(record),
+            tolerance=_tolerance(record),
+            held_out_lines=[f"{line}." for line in held_out_lines(record.held_out)],
+            trust=_trust(record),
+            tables={
+                "modes": mode_table(record),
+                "held_out": held_out_table(record.held_out),
+                "parameters": parameter_table(record, LONG_PARAMETERS),
+                "trust": record.trust and trust_table(record.trust),
+                "starts": start_table(record),
+                "iterations": iteration_table(record.iterations),
+                "pairing": pairing,
+                "runs": run_table(record),
+                "jobs": key_table(record),
+            },
+            best_pairs=pair_table(record, record.best).title,
+            charts=charts,
+            scene=shown,
+            facts=_facts(record),
+            command=" ".join(
+                [
+                    "modetune update CAMPAIGN.yaml",
+                    *(f"--set {shlex.quote(s)}" for s in record.settings),
+                ]
+            ),
+            data={
+                "charts": {name: drawn.figure for name, drawn in charts.items()},
+                "scene": told_scene(shown) if shown else None,
+            },
+            style=Markup(_asset("page.css")),
+            scripts=[Markup(script) for script in scripts],
+            policy=Markup(_policy(scripts)),
+        )
+    )
+    return text.lstrip()  # nothing may stand before the document's type
 
 
-def _subtitle(record: CampaignRecord) -> str:
+@cache
+def _templates() -> Environment:
+    made = Environment(
+        loader=FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["signed"] = signed
+    return made
+
+
+def _charts(record: CampaignRecord, shown: Scene | None) -> dict[str, Drawn]:
+    """Every chart of the page under its name; those in space one for each state."""
+    from modetune.flows.report.charts import campaign_charts
+    from modetune.flows.report.plotly_charts import plotly_figure, points_in_space
+
+    found = {}
+    for name, chart in campaign_charts(record):
+        if name == "mac":
+            for place, panel in enumerate(chart.panels):
+                told = f"MAC {panel.title} as bars"
+                figure = plotly_figure(chart.alone(place))
+                found[f"mac-{panel.title}"] = _drawn(chart.title, told, figure)
+        elif name != "sensor_shapes" or shown is None:
+            found[name] = _drawn(chart.title, chart.told, plotly_figure(chart))
+    agreement = sensor_agreement(record)
+    if "comac" in found and agreement is not None and shown is not None and shown.nodes.size:
+        for state, values in (("before", agreement.before), ("after", agreement.after)):
+            least = agreement.least_of_points(shown.nodes, values)
+            points = [
+                f"test point {node}: {value:.3f}"
+                for node, value in zip(shown.nodes.tolist(), least, strict=True)
+            ]
+            figure = points_in_space(
+                shown.coordinates,
+                shown.edges,
+                shown.points,
+                least,
+                points,
+                "COMAC",
+                agreement.scale_foot,
+            )
+            found[f"comac-{state}"] = _drawn("", f"COMAC {state} updating on the sensors", figure)
+    return found
+
+
+def _drawn(title: str, told: str, figure: go.Figure) -> Drawn:
+    figure.update_layout(template="none")
+    return Drawn(title, told, int(figure.layout.height or 400), json.loads(figure.to_json()))
+
+
+def _tolerance(record: CampaignRecord) -> str:
+    if not np.isfinite(record.e1_frequency):
+        return ""
+    mac = "" if not record.test.has_shapes else f" and a MAC of at least {record.e1_mac:g}"
     return (
-        f"{record.solver} {record.solver_version} · {len(record.parameters)} parameters · "
-        f"{len(record.test.numbers)} measured modes · modetune {record.modetune_version}"
+        f"The campaign asks for frequencies within {percent(record.e1_frequency, 3, sign=False)}"
+        f"{mac} (e1); what is outside is marked."
     )
 
 
-def _sections(record: CampaignRecord, drawn: Drawn, shown: Scene | None) -> list[Section]:
-    """All sections; those with nothing to tell are empty."""
+def _trust(record: CampaignRecord) -> dict[str, Any] | None:
+    """The verdict with its reasons, and the numbers behind them; None where there is none."""
+    trust = record.trust
+    if trust is None:
+        return None
+    verdict, *more = trust_sentences(trust)
+    found, form = trust.identifiability, record_verdict(record)
+    if form is not None and form.sentence in (*trust.concerns, *trust.notes):
+        form = None  # it is among the sentences
+    numbers = (
+        "Singular values of the weighted sensitivity (standard deviations of the test by which one "
+        "deviation of a combination of parameters moves it; below 1 the test knows less than was "
+        f"known beforehand): {', '.join(number(value, '.3g') for value in found.singular_values)}; "
+        f"condition {number(found.condition, '.3g')}; collinearity index of all parameters "
+        f"{number(found.collinearity.whole, '.3g')}."
+    )
+    return {
+        "verdict": verdict,
+        "mood": MOOD[trust.verdict],
+        "more": more,
+        "numbers": numbers,
+        "form": form and form.sentence,
+        "suspected": form and form.form.suspected,
+    }
+
+
+def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
+    """What is needed to get the same numbers again, beside the campaign."""
+    spread = None if record.trust is None else record.trust.spread
+    drawn = (
+        "none are used: the same inputs give the same steps"
+        if spread is None
+        else (f"starts 2 to {len(spread.outcomes)}, drawn with seed {spread.seed}; steps use none")
+    )
+    # Records of before have a digest of the job's content, without a file's name.
+    is_file = " " in record.deck_digest
+    deck = "deck, as sha256sum tells it" if is_file else "content key of the deck"
     return [
-        Section("summary", "Summary", sections.headline(record)),
-        Section("remarks", "Points to look at", sections.points_to_look_at(record)),
-        Section("modes", "Modes", _modes(record, drawn)),
-        Section("held-out", "Held out", held_out_section(record)),
-        Section("correlation", "Correlation of shapes", _correlation(record, drawn)),
-        Section("shapes", "Mode shapes", _shapes(record, drawn, shown)),
-        Section("sensors", "Agreement of sensors", _sensors(record, drawn, shown)),
-        Section("parameters", "Parameters", _parameters(record, drawn)),
-        Section("trust", "How far this can be trusted", _trust(record, drawn)),
-        Section("sensitivities", "Sensitivities", _sensitivities(record, drawn)),
-        Section("convergence", "Convergence", _convergence(record, drawn)),
-        Section("responses", "Frequency responses", _responses(record, drawn)),
-        Section("pairing", "Pairing", sections.pairing_tables(record)),
-        Section("runs", "Solver runs", provenance.runs_table(record)),
-        Section("repeat", "To repeat it", provenance.repetition(record)),
+        ("modetune", record.modetune_version),
+        ("solver", f"{record.solver} {record.solver_version}"),
+        ("ran with", ", ".join(record.versions) or "not recorded"),
+        ("units", record.units or "not recorded"),
+        *([(deck, record.deck_digest)] if record.deck_digest else []),
+        ("first modal job", record.iterations[0].modal_key),
+        ("modal job of the updated model", record.best.modal_key),
+        ("random numbers", drawn),
     ]
-
-
-def _modes(record: CampaignRecord, drawn: Drawn) -> Html:
-    figure = charts.frequency_lines(mode_rows(record))
-    chart = drawn.place("frequencies", figure, "frequencies against the test and their errors")
-    return sections.modes_table(record) + sections.tolerance_note(record) + chart
-
-
-def _correlation(record: CampaignRecord, drawn: Drawn) -> Html:
-    before, after = (mac_table(record, item) for item in (record.iterations[0], record.best))
-    if before.size == 0 or not record.test.has_shapes:
-        return Html("")
-    numbers = [chart_text(mode_label(record, number)) for number in record.test.numbers]
-    bars = [
-        element("figure", element("figcaption", name) + drawn.place(
-            f"mac-{name}", space_charts.mac_bars(mac, numbers), f"MAC {name} as bars"))
-        for name, mac in (("before", before), ("after", after))
-    ]  # fmt: skip
-    maps = drawn.place("mac-maps", charts.mac_maps(before, after, numbers), "MAC before and after")
-    told = paragraph(
-        "Modal assurance criterion of the model's elastic modes with the measured ones, at the "
-        "sensors: 1 is the same shape, 0 nothing in common. Turn the bars with the mouse.", "note",
-    )  # fmt: skip
-    return told + element("div", joined(bars), "pair") + maps
-
-
-def _shapes(record: CampaignRecord, drawn: Drawn, shown: Scene | None) -> Html:
-    if shown is not None:
-        return Html(_asset("shapes.html"))
-    if sensor_agreement(record) is None:
-        return Html("")
-    return drawn.place("sensor-shapes", charts.sensor_shapes(record), "shapes over the sensors")
-
-
-def _sensors(record: CampaignRecord, drawn: Drawn, shown: Scene | None) -> Html:
-    found = sensor_agreement(record)
-    if found is None or not record.test.has_shapes:
-        return Html("")
-    told = paragraph(
-        "Coordinate MAC over all paired modes: a sensor that stands out low is often swapped, "
-        "loose or mounted elsewhere than the model believes. A sign alone does not show here.",
-        "note",
-    )  # fmt: skip
-    space = Html("")
-    if shown is not None and shown.nodes.size:
-        figures = [
-            element("figure", element("figcaption", name) + drawn.place(
-                f"comac-{name}", space_charts.comac_points(shown, found, values),
-                f"COMAC {name} updating on the sensors"))
-            for name, values in (("before", found.before), ("after", found.after))
-        ]  # fmt: skip
-        space = element("div", joined(figures), "pair")
-    return told + space + drawn.place("comac", charts.sensor_marks(found), "COMAC of each sensor")
-
-
-def _parameters(record: CampaignRecord, drawn: Drawn) -> Html:
-    parts = [
-        sections.parameters_table(record),
-        drawn.place("histories", charts.parameter_histories(record), "parameters by iteration"),
-    ]
-    if len(record.parameters) > 1 and np.isfinite(record.correlation).any():
-        names = [chart_text(name) for name in record.parameters.names]
-        parts += [
-            element("h3", "Correlation of the estimates"),
-            paragraph("Near ±1 the test tells the two parameters' combined effect only.", "note"),
-            drawn.place("estimates", charts.correlation_map(names, record.correlation),
-                        "correlation of the parameters"),
-        ]  # fmt: skip
-    return joined(parts)
-
-
-def _trust(record: CampaignRecord, drawn: Drawn) -> Html:
-    if record.trust is None or record.trust.curve is None:
-        return trust_words(record)
-    return joined([
-        trust_words(record),
-        element("h3", "L-curve of the last step"),
-        drawn.place("l-curve", l_curve_chart(record.trust), "L-curve of the last step"),
-    ])  # fmt: skip
-
-
-def _sensitivities(record: CampaignRecord, drawn: Drawn) -> Html:
-    matrices = fresh_matrices(record)
-    if not matrices:
-        return Html("")
-    names = [chart_text(name) for name in record.parameters.names]
-    numbers = [chart_text(mode_label(record, record.test.numbers[place]))
-               for place in record.iterations[0].pairing.measured]  # fmt: skip
-    told = paragraph(
-        "Change of each natural frequency in percent where a parameter changes by one percent, at "
-        "the first and the last set a sensitivity was computed at.", "note",
-    )  # fmt: skip
-    figure = charts.sensitivity_bars(numbers, names, matrices)
-    return told + drawn.place("sensitivities", figure, "normalised sensitivities of each mode")
-
-
-def _convergence(record: CampaignRecord, drawn: Drawn) -> Html:
-    chart = drawn.place("convergence", charts.convergence(record), "residual, slope")
-    told = paragraph(
-        "The norm of the residual and its change for each parameter, which e2 is compared with. "
-        "The weighted residual of the table is what a step brings down; its weights grow as shapes "
-        "come near the test's, so it may rise from one iteration to the next.", "note",
-    )  # fmt: skip
-    return told + chart + provenance.iterations_table(record)
-
-
-def _responses(record: CampaignRecord, drawn: Drawn) -> Html:
-    found = response_charts(record)
-    if not found:
-        return Html("")
-    told = paragraph(
-        "Measured functions beside those superposed from the model's elastic modes with the test's "
-        "damping; rigid motion and modes above the computed ones are not in them.", "note",
-    )  # fmt: skip
-    return told + joined([
-        element("h3", title) + drawn.place(f"response-{place}", figure, title)
-        for place, (title, figure) in enumerate(found)
-    ])  # fmt: skip
-
-
-def _json(data: Json) -> str:
-    """JSON that no browser takes for the end of a script."""
-    text = json.dumps(data, separators=(",", ":"))
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def _policy(scripts: tuple[str, ...]) -> str:

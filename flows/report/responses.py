@@ -8,26 +8,29 @@ motion of a free structure above all, is missing, so levels between resonances m
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
 from modetune.core.errors import ModesError
-from modetune.core.frf import Complexes, NormalModes, modal_frf
-from modetune.core.frf_correlation import frac
-from modetune.core.measurement import MeasuredFrfs
+from modetune.core.measurement.frf import Complexes, NormalModes, frac, modal_frf
+from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.modes import COMPONENTS, Floats, ModeSet
-from modetune.core.record import CampaignRecord, IterationRecord
-from modetune.flows.units import KILOGRAMS
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
+from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.flows.campaign.units import KILOGRAMS
 
 #: So many functions are shown, driving points first.
 SHOWN = 6
-#: Lines of a chart; finer ones are left out evenly.
-MOST_LINES = 2000
 UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseCurve:
+    """A response function: whose it is, its label, and its values (n_lines,)."""
+
+    kind: Literal["test", "before", "after"]
+    label: str
+    values: Complexes
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,34 +58,25 @@ def response_pairs(record: CampaignRecord) -> tuple[ResponsePair, ...]:
                 _model(record, item, frfs, place) / factors[record.units]
                 for item in (record.iterations[0], record.best)
             )
-            fracs = [float(frac(frfs.values[:, [place], None], side[:, None, None])[0, 0])
-                     for side in (before, after)]  # fmt: skip
-        except ModesError:  # a point that is no sensor of the modes, or modes of no known mass
+            fracs = [
+                float(frac(frfs.values[:, [place], None], side[:, None, None])[0, 0])
+                for side in (before, after)
+            ]
+        except ModesError:  # a point that is not a sensor of the modes, or modes of no known mass
             continue
         found.append(
-            ResponsePair(_title(frfs, place), frfs.frequencies_hz, frfs.values[:, place], before,
-                         after, (fracs[0], fracs[1]))
-        )  # fmt: skip
+            ResponsePair(
+                _title(frfs, place),
+                frfs.frequencies_hz,
+                frfs.values[:, place],
+                before,
+                after,
+                (fracs[0], fracs[1]),
+            )
+        )
         if len(found) == SHOWN:
             break
     return tuple(found)
-
-
-def response_charts(record: CampaignRecord) -> tuple[tuple[str, go.Figure], ...]:
-    """Title and chart of the response functions that are shown; none where the test has none."""
-    from modetune.flows.report.charts import response_overlay
-
-    charts = []
-    for pair in response_pairs(record):
-        lines = slice(None, None, -(-pair.frequencies_hz.size // MOST_LINES))
-        curves = (
-            ("test", "test", pair.measured[lines]),
-            ("before", f"before, FRAC {pair.fracs[0]:.2f}", pair.before[lines]),
-            ("after", f"after, FRAC {pair.fracs[1]:.2f}", pair.after[lines]),
-        )
-        unit = UNITS[record.frfs.kind] if record.frfs else ""
-        charts.append((pair.title, response_overlay(unit, pair.frequencies_hz[lines], curves)))
-    return tuple(charts)
 
 
 def _order(frfs: MeasuredFrfs) -> list[int]:

@@ -8,20 +8,25 @@ of the model's (the factor in which it is nearest), and the largest motion of th
 
 from __future__ import annotations
 
+import base64
 from dataclasses import dataclass
 
 import numpy as np
 
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
-from modetune.core.record import CampaignRecord, IterationRecord
+from modetune.core.storage.keys import Json
+from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.surface import Surface, display_surface
-from modetune.flows.report.comparison import mode_label, model_scales, scaled_test
+from modetune.flows.report.comparison import model_scales, scaled_test
+from modetune.flows.report.rows import mode_label
 
 #: Nodes of a surface that a browser without a graphics card still moves smoothly.
 AT_MOST = 12_000
 #: A test that moves this often farther than the model is drawn no farther: its shape is a mismatch.
 FARTHEST = 2.5
+#: Motions are whole numbers of this many steps, which no eye tells from more.
+STEPS = 32767
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +103,7 @@ def scene(record: CampaignRecord) -> Scene | None:
         before, after = (_motion(record, item, pair, surface, sensors) for item in (first, last))
         modes.append(
             SceneMode(
-                mode_label(record, record.test.numbers[measured]),
+                mode_label(record, measured),
                 float(record.test.modes.frequencies_hz[measured]),
                 before,
                 _in_phase(after, before),
@@ -241,3 +246,38 @@ def _field(field: ModeSet, surface: Surface, pair: int) -> Floats:
     good = (surface.nodes[inside] == field.nodes) & (field.components <= 3)
     found[inside[good], field.components[good] - 1] = np.real(field.mode_shapes[good, pair])
     return found
+
+
+def told_scene(shown: Scene) -> dict[str, Json]:
+    """What `shapes.js` draws: arrays as base64 of little-endian numbers, row after row."""
+    return {
+        "length": shown.length,
+        "coordinates": _packed(shown.coordinates, "<f4"),
+        "triangles": _packed(shown.triangles, "<u4"),
+        "edges": _packed(shown.edges, "<u4"),
+        "nodes": shown.nodes.tolist(),
+        "points": _packed(shown.points, "<f4"),
+        "lines": _packed(shown.lines, "<u4"),
+        "modes": [
+            {
+                "label": mode.label,
+                "test_hz": mode.test_hz,
+                "before": _told_motion(mode.before),
+                "after": _told_motion(mode.after),
+            }
+            for mode in shown.modes
+        ],
+    }
+
+
+def _told_motion(motion: Motion) -> dict[str, Json]:
+    return {
+        "hz": motion.frequency_hz,
+        "mac": motion.mac if np.isfinite(motion.mac) else None,
+        "model": _packed(np.rint(STEPS * motion.model), "<i2"),
+        "test": _packed(motion.test, "<f4"),
+    }
+
+
+def _packed(values: Floats | Integers, kind: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).astype(kind).tobytes()).decode()

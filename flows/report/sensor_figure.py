@@ -9,8 +9,8 @@ import numpy as np
 
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
+from modetune.flows.campaign.mapping import Mapping, Verdict
 from modetune.flows.report.mesh_picture import PIXELS, mesh_picture
-from modetune.flows.sensors.mapping import Mapping, Verdict
 
 #: Colours of Okabe and Ito (2008), as in the other figures.
 COLOURS: dict[Verdict, str] = {"good": "#0072B2", "doubtful": "#E69F00", "left out": "#D55E00"}
@@ -41,12 +41,14 @@ def _draw_sensors(plotter: Any, mapping: Mapping, mesh: Mesh) -> None:
         if not rows:
             continue
         directions = np.array([mapping.table[row].direction for row in rows])
-        plotter.add_arrows(mapping.places[rows], directions, mag=length, color=colour,
-                           lighting=False)  # fmt: skip
+        plotter.add_arrows(
+            mapping.places[rows], directions, mag=length, color=colour, lighting=False
+        )
         shown += 1
         height = PIXELS[1] - 50 * shown
-        plotter.add_text(f"{verdict}: {len(rows)}", position=(20, height), color=colour,
-                         font_size=16)  # fmt: skip
+        plotter.add_text(
+            f"{verdict}: {len(rows)}", position=(20, height), color=colour, font_size=16
+        )
     joins = _joins(mapping, mesh)
     if joins.size:
         plotter.add_lines(joins, color="#D55E00", width=3)
@@ -67,6 +69,11 @@ def _label(plotter: Any, mapping: Mapping, known: np.ndarray[Any, np.dtype[np.bo
     names = {item.test_node: row for row, item in enumerate(mapping.table) if known[row]}
     if 0 < len(names) <= LABELS:
         plotter.add_point_labels(
-            mapping.places[list(names.values())], [str(name) for name in names], font_size=16,
-            show_points=False, shape=None, text_color="black", always_visible=True,
-        )  # fmt: skip
+            mapping.places[list(names.values())],
+            [str(name) for name in names],
+            font_size=16,
+            show_points=False,
+            shape=None,
+            text_color="black",
+            always_visible=True,
+        )

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modetune.core.correlation import mac
-from modetune.core.geometry import TestGeometry
+from modetune.core.correlation.correlation import mac
+from modetune.core.correlation.pairing import Pairing
+from modetune.core.measurement.measurement import TestGeometry
+from modetune.core.measurement.sensors import by_number
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
-from modetune.core.pairing import Pairing
 from modetune.core.parameters import Parameter, ParameterSet
-from modetune.core.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
-from modetune.core.residual import Residual
-from modetune.core.sensors import by_number
+from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
 from modetune.core.surface import Surface
+from modetune.core.updating.residual import Residual
 
 #: Half waves along x and y of the three modes.
 WAVES = ((1, 1), (2, 1), (1, 2))
@@ -56,9 +56,12 @@ def iteration(
 ) -> IterationRecord:
     """All frequencies off by a share; shapes bent towards each other by a share."""
     computed = mode_set(
-        TEST_HZ * (1.0 + off), shapes + bent * np.roll(shapes, 1, axis=1), nodes,
-        np.full(nodes.size, 3), normalisation="mass",
-    )  # fmt: skip
+        TEST_HZ * (1.0 + off),
+        shapes + bent * np.roll(shapes, 1, axis=1),
+        nodes,
+        np.full(nodes.size, 3),
+        normalisation="mass",
+    )
     values = np.diag(mac(test.mode_shapes, computed.mode_shapes))
     positions = np.arange(3)
     z = 1.0 - (1.0 + off) ** 2 * np.ones(3)
@@ -106,10 +109,12 @@ def plate_record(n: int = 12) -> CampaignRecord:
         modetune_version="0",
         solver="scripted",
         solver_version="1",
-        parameters=ParameterSet((
-            Parameter("E", "youngs_modulus", "material", ("STEEL",), 0.5, 2.0, 0.2),
-            Parameter("t", "thickness", "elset", ("SKIN", "RIB"), 0.5, 1.2, 0.1, item=2),
-        )),
+        parameters=ParameterSet(
+            (
+                Parameter("E", "youngs_modulus", "material", ("STEEL",), 0.5, 2.0, 0.2),
+                Parameter("t", "thickness", "elset", ("SKIN", "RIB"), 0.5, 1.2, 0.1, item=2),
+            )
+        ),
         deck_values=np.array([210e3, 2.0]),
         test=MeasuredModes((1, 2, 5), test),
         iterations=tuple(items),
@@ -122,8 +127,12 @@ def plate_record(n: int = 12) -> CampaignRecord:
         wall_s=4.5,
         surface=surface,
         geometry=TestGeometry(
-            sensors, surface.coordinates[sensors - 1], np.tile(np.eye(3), (sensors.size, 1, 1)),
-            np.stack([sensors[:-1], sensors[1:]], axis=1), np.zeros((0, 3), dtype=np.int64), 1e-3,
+            sensors,
+            surface.coordinates[sensors - 1],
+            np.tile(np.eye(3), (sensors.size, 1, 1)),
+            np.stack([sensors[:-1], sensors[1:]], axis=1),
+            np.zeros((0, 3), dtype=np.int64),
+            1e-3,
         ),
         sensors=seen,
         places=SensorPlaces(surface.coordinates[sensors - 1], seen.directions),
@@ -133,7 +142,7 @@ def plate_record(n: int = 12) -> CampaignRecord:
         e2=0.06,
         versions=("Python 3", "numpy 1"),
         deck_digest="d" * 64,
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture

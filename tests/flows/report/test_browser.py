@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from modetune.core.record import CampaignRecord
+from modetune.core.storage.record import CampaignRecord
 from modetune.flows.report.page import write_page
 
 #: WebGL without a graphics card.
@@ -101,8 +101,15 @@ def test_all_of_it_is_drawn_without_an_error_and_without_a_request(opened: Opene
         "(one) => [one.dataset.chart, one.querySelector('svg, canvas') !== null])"
     )
     assert [name for name, there in drawn if not there] == []
-    assert {name for name, _ in drawn} >= {"frequencies", "mac-before", "mac-maps", "comac-after",
-                                           "histories", "sensitivities", "convergence"}  # fmt: skip
+    assert {name for name, _ in drawn} >= {
+        "frequencies",
+        "mac-before",
+        "mac_map",
+        "comac-after",
+        "parameters",
+        "sensitivities",
+        "convergence",
+    }
     assert opened.complaints == []
     assert len(opened.requests) == 1
     assert opened.requests[0].startswith("file://")

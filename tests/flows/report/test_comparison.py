@@ -7,26 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modetune.core.correlation import Shapes
+from modetune.core.correlation.correlation import Shapes
 from modetune.core.modes import common_dofs, mode_set
-from modetune.core.record import CampaignRecord
+from modetune.core.storage.record import CampaignRecord
 from modetune.flows.report.comparison import (
     fresh_matrices,
     mac_table,
-    mode_rows,
     remarks,
     scaled_test,
     sensor_agreement,
 )
+from modetune.flows.report.rows import mode_rows
 from modetune.flows.report.scene import scene
 
 
 def test_modes_are_told_before_and_after(record: CampaignRecord) -> None:
     rows = mode_rows(record)
-    assert [row.number for row in rows] == [1, 2, 5]
-    assert rows[0].before_hz == pytest.approx(10.5)  # 10 Hz and 5 %
-    assert rows[0].after_hz == pytest.approx(10.01)  # 10 Hz and 0.1 %
-    assert rows[0].mac_before < rows[0].mac_after
+    assert [row.mode for row in rows] == [1, 2, 5]
+    assert rows[0].initial_hz == pytest.approx(10.5)  # 10 Hz and 5 %
+    assert rows[0].updated_hz == pytest.approx(10.01)  # 10 Hz and 0.1 %
+    assert rows[0].mac_initial < rows[0].mac_updated
 
 
 def test_the_mac_of_a_mode_at_rest_is_zero(record: CampaignRecord) -> None:
@@ -180,8 +180,8 @@ def test_a_mac_that_fell_is_remarked(record: CampaignRecord) -> None:
 
 
 def test_modes_are_called_by_their_configuration(record: CampaignRecord) -> None:
-    test = replace(record.test, numbers=(1001, 1002, 2003))
-    joint = replace(record, test=test, configurations=("full", "empty"))
+    test = replace(record.test, numbers=(1, 2, 3))
+    joint = replace(record, test=test, configurations=("full", "full", "empty"))
     assert [row.label for row in mode_rows(joint)] == ["1 of full", "2 of full", "3 of empty"]
     said = " ".join(remarks(replace(joint, e1_frequency=1e-4)))
     assert "Mode 3 of empty is +0.10 % off in frequency" in said

@@ -10,12 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 from modetune.core.errors import CampaignError
-from modetune.core.record import CampaignRecord
-from modetune.core.record_file import write_record
-from modetune.flows.cli import app
-from modetune.flows.report.pictures import write_pictures
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.record_file import write_record
+from modetune.flows.cli.main import app
+from modetune.flows.report.charts import write_pictures
 
-FIGURES = ["comac", "convergence", "frequencies", "mac", "mac_map", "parameters", "sensitivities"]
+FIGURES = ["comac", "convergence", "estimates", "frequencies", "mac", "mac_map", "parameters",
+           "sensitivities", "sensor_shapes"]  # fmt: skip
 
 
 @pytest.fixture
@@ -32,8 +33,17 @@ def test_a_run_folder_gets_its_report(folder: Path) -> None:
 
 
 def test_page_and_pictures_go_where_they_are_wanted(folder: Path, tmp_path: Path) -> None:
-    command = ["report", str(folder / "campaign.h5"), "--out", str(tmp_path / "a.html"),
-               "--figures", str(tmp_path / "figures"), "--format", "svg", "--json"]  # fmt: skip
+    command = [
+        "report",
+        str(folder / "campaign.h5"),
+        "--out",
+        str(tmp_path / "a.html"),
+        "--figures",
+        str(tmp_path / "figures"),
+        "--format",
+        "svg",
+        "--json",
+    ]
     ended = CliRunner().invoke(app, command)
     assert ended.exit_code == 0, ended.output
     told = json.loads(ended.output)
@@ -52,8 +62,8 @@ def test_names_with_signs_of_formulas_are_drawn(record: CampaignRecord, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["nowhere"], "nowhere is not there; a record is a campaign"),
-        (["."], "campaign.h5 is not there; a record is a campaign"),
+        (["nowhere"], "nowhere is not there; a record is the campaign"),
+        (["."], "campaign.h5 is not there; a record is the campaign"),
         (["nowhere", "--format", "pdf"], "--format 'pdf': expected png or svg"),
     ],
 )

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modetune.core.frf import NormalModes, modal_frf
-from modetune.core.measurement import MeasuredFrfs
-from modetune.core.record import CampaignRecord
+from modetune.core.measurement.frf import NormalModes, modal_frf
+from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.storage.record import CampaignRecord
 from modetune.flows.report.page import page
 from modetune.flows.report.responses import response_pairs
 
@@ -24,9 +24,17 @@ def tested(record: CampaignRecord) -> CampaignRecord:
     nodes = np.array([best.nodes[17], best.nodes[22], 99_999])
     ones = np.ones(3)
     frfs = MeasuredFrfs(
-        "accelerance", lines, np.column_stack([values, values[:, 0]]), nodes,
-        np.full(3, 3), ones, np.full(3, best.nodes[22]), np.full(3, 3), ones, np.zeros((0, 0)),
-    )  # fmt: skip
+        "accelerance",
+        lines,
+        np.column_stack([values, values[:, 0]]),
+        nodes,
+        np.full(3, 3),
+        ones,
+        np.full(3, best.nodes[22]),
+        np.full(3, 3),
+        ones,
+        np.zeros((0, 0)),
+    )
     return replace(record, frfs=frfs)
 
 

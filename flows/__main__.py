@@ -1,5 +1,0 @@
-"""`python -m modetune.flows` is the command line."""
-
-from modetune.flows.cli import main
-
-main()

@@ -1,0 +1,278 @@
+"""The verbs of the command line for Python: the same names, the same work, results to look at.
+
+Each takes a campaign, or the path of its file, and gives a result with frames (pandas), figures
+(matplotlib) and a repr of a few lines. Nothing is shown and Prefect is not used unless asked.
+`modetune` gives all of them: `import modetune; run = modetune.update("campaign.yaml")`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from modetune.adapters.test_files.measurements import read_measurement
+from modetune.core.errors import CampaignError
+from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.objects import write_campaign
+from modetune.flows.campaign.schema import CampaignFile, ModelFile
+from modetune.flows.campaign.terminal import terminal
+from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
+from modetune.flows.studies.correlate.correlate import Correlation
+from modetune.flows.studies.correlate.sides import correlate_sources, source
+from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
+from modetune.flows.studies.identify.identify import identify as identify_modes
+from modetune.flows.studies.localise.localise import Localisation, place_of
+from modetune.flows.studies.localise.localise import localise as localise_error
+from modetune.flows.studies.pretest.running import Pretest, run_pretest
+from modetune.flows.studies.pretest.settings import PretestSettings
+from modetune.flows.studies.sample.record import PosteriorRecord
+from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+from modetune.flows.studies.screen.record import Screening
+from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
+from modetune.flows.studies.validate.leave_out import validate as judge_held_out
+from modetune.flows.updating.display import ConsoleProgress
+from modetune.flows.updating.modal_run import model_modes, parse_values
+from modetune.flows.updating.prefect import shown
+from modetune.flows.updating.run import CampaignRun, read_run
+from modetune.flows.updating.starts import update_from_starts
+from modetune.flows.updating.updating import Unwatched
+
+StrPath = str | Path
+#: A campaign, the path of its file, or its keys with arrays in place of files.
+CampaignLike = Campaign | StrPath | Mapping[str, Any]
+#: KEY.KEY: VALUE over the campaign file, or the same as the command line has it.
+Settings = Mapping[str, Any] | Sequence[str]
+
+
+def load(
+    campaign: StrPath | Mapping[str, Any], settings: Settings = (), folder: StrPath | None = None
+) -> Campaign:
+    """A campaign from its file, or from Python objects with the same keys.
+
+    In a mapping arrays may stand for the files of model and test: `model` with stiffness, mass
+    (n, n), parts and dofs, `test` with frequencies_hz (n_modes,), mode_shapes (n_sensors, n_modes)
+    and dofs. It is written as a campaign file into a folder, `.modetune/campaigns/NAME` unless
+    named. settings: {"update.max_iterations": 5}. Raises CampaignError with all problems.
+    """
+    return _load(campaign, settings, folder, CampaignFile)
+
+
+def update(
+    campaign: CampaignLike,
+    runs: StrPath = "runs",
+    *,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> CampaignRun:
+    """Update a campaign's model until it agrees with its test, from all its `update.starts`.
+
+    Leaves record, updated deck and report in `runs/NAME`. progress: lines on standard error.
+    prefect: show the run on a Prefect server's pages. Raises SolverError, ModesError, StoreError.
+    """
+    campaign = campaign_of(campaign, settings)
+    folder = Path(runs) / campaign.name
+    with _watched(progress) as watcher:
+        if not prefect:
+            return update_from_starts(campaign, folder, watcher)
+        with shown(campaign.name) as pages:
+            run = update_from_starts(campaign, folder, watcher, pages)
+            pages.ended(run.record, run.folder)
+            return run
+
+
+def modes(
+    campaign: CampaignLike, at: Mapping[str, float] | None = None, *, settings: Settings = ()
+) -> ModalResult:
+    """The model's modes, rigid ones included, at the sensors and the nodes that are shown.
+
+    at: parameters' values relative to the deck, by name; the initial ones unless named. Raises
+    CampaignError, SolverError, StoreError.
+    """
+    loaded = campaign_of(campaign, settings)
+    asked = [f"{name}={float(value)!r}" for name, value in (at or {}).items()]
+    return model_modes(loaded, parse_values(loaded, asked))
+
+
+def check(campaign: CampaignLike, *, run: bool = True, settings: Settings = ()) -> PreCheckReport:
+    """Judge campaign, test and model before updating; run: with one modal run beside the test."""
+    return check_campaign(campaign_of(campaign, settings), run=run)
+
+
+def screen(
+    campaign: CampaignLike,
+    method: Literal["local", "morris", "sobol", "lhs", "factorial"] = "local",
+    *,
+    points: int | None = None,
+    choose: int | None = None,
+    seed: int = 1,
+    settings: Settings = (),
+    progress: bool = False,
+) -> Screening:
+    """Which parameters the test can tell, and which to update.
+
+    points: evaluation points at most; choose: how many parameters are proposed. Raises
+    CampaignError, SolverError, ModesError, StoreError.
+    """
+    request = ScreeningRequest(method, points, seed, None, choose)
+    with _watched(progress) as watcher:
+        return screen_campaign(campaign_of(campaign, settings), request, watcher)
+
+
+def sample(
+    campaign: CampaignLike,
+    *,
+    record: StrPath | CampaignRun | None = None,
+    points: int | None = None,
+    seed: int = 1,
+    settings: Settings = (),
+    progress: bool = False,
+) -> PosteriorRecord:
+    """The posterior of a campaign's parameters.
+
+    record: an update that it starts from; points: solver runs over the range. Raises CampaignError
+    (the surrogate stays too poor), SolverError, ModesError, StoreError.
+    """
+    earlier = _run_of(record).record if record is not None else None
+    request = SamplingRequest(points=points, seed=seed)
+    with _watched(progress) as watcher:
+        return sample_campaign(campaign_of(campaign, settings), request, watcher, earlier)
+
+
+def validate(
+    campaign: CampaignLike,
+    *,
+    leave_one_out: bool = False,
+    settings: Settings = (),
+    progress: bool = False,
+) -> Validation:
+    """Judge an update by what it was not made from, before and after.
+
+    By what the campaign holds out, or by each used mode in turn. Raises CampaignError, SolverError,
+    ModesError, StoreError.
+    """
+    judge = _leave_one_out if leave_one_out else judge_held_out
+    with _watched(progress) as watcher:
+        return judge(campaign_of(campaign, settings), watcher.working)
+
+
+def localise(
+    campaign: CampaignLike,
+    *,
+    record: StrPath | None = None,
+    configuration: str | None = None,
+    settings: Settings = (),
+) -> Localisation:
+    """Where the model is wrong, at the campaign's start or where an update left it.
+
+    configuration: which one, where the campaign has several. Raises SolverError, ModesError.
+    """
+    place = place_of(
+        campaign_of(campaign, settings), None if record is None else Path(record), configuration
+    )
+    return localise_error(place.campaign, place.theta)
+
+
+def pretest(campaign: StrPath | Mapping[str, Any], **asked: Any) -> Pretest:
+    """Places for sensors and exciters from the model alone; the test is not read.
+
+    asked: fields of PretestSettings: modes, sensors, method, candidates, directions, triaxial,
+    distance, exciters, by_mass. Raises CampaignError, ModesError, SolverError.
+    """
+    try:
+        settings = PretestSettings(**asked)
+    except TypeError as error:
+        raise CampaignError(f"pretest: {error}") from None
+    return run_pretest(_load(campaign, (), None, ModelFile), settings)
+
+
+def correlate(
+    first: StrPath,
+    second: StrPath | None = None,
+    *,
+    state: Literal["updated", "initial"] = "updated",
+    settings: Settings = (),
+    orthogonality: Literal["guyan", "serep"] | None = None,
+) -> Correlation:
+    """Pairs, MAC and COMAC of two campaigns, records or tests; of one, beside its own test.
+
+    state: which model of a record. Raises CampaignError, SolverError, StoreError.
+    """
+    sides = source(Path(first)), source(Path(second)) if second is not None else None
+    return correlate_sources(*sides, state, _texts(settings), orthogonality)
+
+
+def identify(
+    test: StrPath | Sequence[StrPath] | Measurement | MeasuredFrfs,
+    band: tuple[float, float] | None = None,
+    order: int = 60,
+    pick: Sequence[float] = (),
+) -> Identification:
+    """Modes from response functions; band in Hz; pick: take the poles nearest to these, Hz."""
+    if not isinstance(test, Measurement | MeasuredFrfs):
+        test = read_test(test)
+    frfs = test.frfs if isinstance(test, Measurement) else test
+    if frfs is None:
+        raise CampaignError("the test has no frequency response functions to identify modes from")
+    return identify_modes(frfs, IdentificationSettings(band, order, tuple(pick)))
+
+
+def read_test(paths: StrPath | Sequence[StrPath]) -> Measurement:
+    """A test from its file, or from files that belong together (modes, geometry, functions)."""
+    several = [paths] if isinstance(paths, str | Path) else paths
+    return read_measurement([Path(path) for path in several])
+
+
+def read_record(path: StrPath) -> CampaignRun:
+    """An update from its run folder or campaign.h5. Raises StoreError, StoreDamaged."""
+    return read_run(Path(path))
+
+
+def campaign_of(campaign: CampaignLike, settings: Settings = ()) -> Campaign:
+    """A campaign as it is, or loaded. Raises CampaignError."""
+    if isinstance(campaign, Campaign):
+        if settings:
+            raise CampaignError("the campaign is loaded already; give the settings to load")
+        return campaign
+    return load(campaign, settings)
+
+
+def _load(
+    campaign: StrPath | Mapping[str, Any],
+    settings: Settings,
+    folder: StrPath | None,
+    form: type[CampaignFile],
+) -> Campaign:
+    if isinstance(campaign, Mapping):
+        path = write_campaign(campaign, None if folder is None else Path(folder))
+    else:
+        path = Path(campaign)
+    return load_campaign(path, _texts(settings), form)
+
+
+def _texts(settings: Settings) -> list[str]:
+    if isinstance(settings, Mapping):
+        return [f"{key}={value}" for key, value in settings.items()]
+    return list(settings)
+
+
+def _run_of(record: StrPath | CampaignRun) -> CampaignRun:
+    return record if isinstance(record, CampaignRun) else read_record(record)
+
+
+def _leave_one_out(campaign: Campaign, working: Any) -> Validation:
+    return leave_one_out(campaign, working)
+
+
+@contextlib.contextmanager
+def _watched(progress: bool) -> Iterator[Any]:
+    if not progress:
+        yield Unwatched()
+        return
+    with ConsoleProgress(terminal(stderr=True)).shown() as watcher:
+        yield watcher

@@ -1,1 +1,0 @@
-"""The cases of the reference thesis, run from beginning to end."""

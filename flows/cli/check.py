@@ -1,0 +1,217 @@
+"""`modetune check`: the pre-check of a campaign, and the comparison with a baseline."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, CampaignPath, Settings, stoppable
+from modetune.flows.report.tables import json_object
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.report.tables import Table
+    from modetune.flows.studies.check.judging import PreCheckReport
+    from modetune.flows.studies.check.model import ModelFacts
+    from modetune.flows.updating.baseline import Band, BaselineCheck
+
+MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
+
+Against = Annotated[
+    Path | None, typer.Option(help="A campaign.h5 whose errors the model must not exceed.")
+]
+Record = Annotated[
+    Path | None,
+    typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
+]
+BaselineState = Annotated[
+    str, typer.Option(help="Which model of the baseline: updated, or initial.")
+]
+FrequencyBand = Annotated[
+    float, typer.Option(min=0.0, help="How much larger a relative frequency error may be.")
+]
+MacBand = Annotated[float, typer.Option(min=0.0, max=1.0, help="How much smaller a MAC may be.")]
+
+
+def check(
+    campaign_file: CampaignPath,
+    settings: Settings = None,
+    no_run: Annotated[bool, typer.Option("--no-run", help="Judge without a solver run.")] = False,
+    against: Against = None,
+    record: Record = None,
+    state: BaselineState = "updated",
+    frequency_band: FrequencyBand = 0.01,
+    mac_band: MacBand = 0.05,
+    as_json: AsJson = False,
+) -> None:
+    """Judge campaign, test and model before updating, at the cost of its first modal run.
+
+    With --against the model is solved at the deck's values and compared with a baseline.
+    """
+    if against is not None or record is not None:
+        if no_run and record is None:
+            from modetune.core.errors import CampaignError
+
+            raise CampaignError("--against needs a solver run; with --record nothing is run")
+        bands = frequency_band, mac_band
+        with stoppable():
+            show_check(campaign_file, settings or [], against, record, state, bands, as_json)
+        return
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.studies.check.judging import check_campaign
+
+    campaign = load_campaign(campaign_file, settings or [])
+    with stoppable():
+        report = check_campaign(campaign, run=not no_run)
+    if as_json:
+        typer.echo(json.dumps(told(campaign, report)))
+    else:
+        _show(campaign, report)
+    raise typer.Exit(report.exit_code)
+
+
+def told(campaign: Campaign, report: PreCheckReport) -> dict[str, Json]:
+    """The `--json` object of `modetune check`."""
+    model = campaign.case.solver.deck.summary
+    return json_object(
+        report,
+        "findings modes exit_code",
+        status=report.level,
+        name=campaign.name,
+        model=model.name,
+        nodes=len(model.node_ids),
+        elements=model.n_elements,
+        parameters=campaign.parameters.names,
+        test_modes=campaign.test.numbers,
+        sensors=campaign.test.modes.n_dof,
+        store=campaign.store.folder,
+        facts=_told_facts(report.facts) if report.facts else None,
+        energy_shares={item.parameter: item.shares for item in report.shares},
+        solver_runs=report.runs,
+    )
+
+
+def _told_facts(facts: ModelFacts) -> dict[str, Json]:
+    body = facts.body
+    return json_object(
+        facts,
+        "size_m mass mass_kg rigid_hz elastic_hz",
+        mass_of_rigid_modes=body.mass if body else None,
+        centre=body.centre if body else None,
+        inertia=body.inertia if body else None,
+        inertia_missing=facts.body_missing,
+        rigid_modes=facts.n_rigid,
+    )
+
+
+def _show(campaign: Campaign, report: PreCheckReport) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.tables import show_table, table_of
+    from modetune.flows.studies.check.pairing import ModePreview
+
+    console = terminal()
+    model = campaign.case.solver.deck.summary
+    console.print(
+        Text(
+            f"{campaign.name}: model {model.name} ({len(model.node_ids)} nodes, "
+            f"{model.n_elements} elements), {len(campaign.test.numbers)} test modes at "
+            f"{campaign.test.modes.n_dof} sensors, {len(campaign.parameters)} parameters"
+        ),
+        soft_wrap=True,
+    )
+    show_table(console, table_of("Modes before updating", report.modes, ModePreview))
+    show_table(console, _energy_table(report))
+    for item in sorted(report.findings, key=lambda item: item.level == "good"):
+        where = f"{item.where}: " if item.where else ""
+        remedy = f"; {item.remedy}" if item.remedy else ""
+        head = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
+        said = Text(f"{where}{item.what}{remedy}")
+        if not console.is_terminal:  # there a finding stays one line
+            console.print(head + said, soft_wrap=True)
+            continue
+        row = Table.grid(padding=0)  # a long sentence goes on under its own beginning
+        row.add_column(width=len(head), no_wrap=True)
+        row.add_column(overflow="fold")
+        row.add_row(head, said)
+        console.print(row)
+    console.print(Text(_end(report)), soft_wrap=True)
+
+
+def _end(report: PreCheckReport) -> str:
+    counts = {level: sum(item.level == level for item in report.findings) for level in MARKS}
+    runs = report.runs
+    cost = "1 solver run" if runs.modal else "answered by the store" if runs.reused else "no run"
+    return f"{report.level}: {counts['wrong']} wrong, {counts['doubtful']} doubtful; {cost}"
+
+
+def _energy_table(report: PreCheckReport) -> Table:
+    from modetune.flows.report.tables import Column, Table
+
+    columns = [Column("parameter", words=True)]
+    columns += [Column(f"mode {mode.mode}", form=".1f") for mode in report.modes]
+    rows = tuple((item.parameter, *(100.0 * item.shares)) for item in report.shares)
+    return Table("Strain energy by parameter, % of each test mode", tuple(columns), rows)
+
+
+def show_check(
+    campaign_file: Path,
+    settings: list[str],
+    baseline: Path | None,
+    record: Path | None,
+    state: str,
+    bands: tuple[float, float],
+    as_json: bool,
+) -> None:
+    """Compare a campaign's model with a baseline; ends with exit code 3 outside its band."""
+    from modetune.core.errors import CampaignError
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.updating.baseline import Band, State, check_deck, check_record
+
+    if baseline is None:
+        raise CampaignError("--record requires a baseline to compare with; name one with --against")
+    if state not in ("updated", "initial"):
+        raise CampaignError(f"--state {state!r}: expected updated or initial")
+    model: State = "initial" if state == "initial" else "updated"
+    campaign, band = load_campaign(campaign_file, settings), Band(*bands)
+    if record is None:
+        found = check_deck(campaign, baseline, model, band)
+    else:
+        found = check_record(campaign, record, baseline, model, band)
+    if as_json:
+        typer.echo(json.dumps(_told_check(found, state, band)))
+    else:
+        _show_check(found)
+    if not found.within:
+        raise typer.Exit(3)
+
+
+def _show_check(found: BaselineCheck) -> None:
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.tables import show_table, table_of
+    from modetune.flows.updating.baseline import ModeCheck
+
+    outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
+    title = "Modes beside the baseline's"
+    show_table(terminal(), table_of(title, found.modes, ModeCheck, outside=outside))
+    end = "within the band" if found.within else f"worse than the baseline: {found.reason}"
+    for line in (*found.remarks, end):
+        typer.echo(line)
+
+
+def _told_check(found: BaselineCheck, state: str, band: Band) -> dict[str, Json]:
+    return json_object(
+        found,
+        "reason modes remarks",
+        status="within" if found.within else "worse",
+        state=state,
+        frequency_band=band.frequency,
+        mac_band=band.mac,
+        solver_runs=found.runs,
+    )

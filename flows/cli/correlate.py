@@ -1,0 +1,269 @@
+"""`modetune correlate`: two tests, two models, or one of each, side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, Figures, stoppable
+from modetune.flows.report.tables import Column, Table, frame, json_object, show_table, table_of
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.studies.correlate.correlate import Correlation, Orthogonality
+
+#: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
+WORST, SHOWN = 10, 14
+
+First = Annotated[
+    Path, typer.Argument(help="Campaign file, campaign.h5 (or its folder), or test file.")
+]
+Second = Annotated[
+    Path | None,
+    typer.Argument(help="What it is compared with; a campaign's or record's own test if left out."),
+]
+At = Annotated[
+    list[str] | None,
+    typer.Option(help="NAME=VALUE of a parameter of the first campaign; may be repeated."),
+]
+SecondAt = Annotated[
+    list[str] | None, typer.Option(help="The same of the second campaign; may be repeated.")
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="KEY.KEY=VALUE over the campaign files; may be repeated."),
+]
+State = Annotated[str, typer.Option(help="Which model of a record: updated, or initial.")]
+Reduced = Annotated[
+    str | None,
+    typer.Option(help="Cross-orthogonality, by a mass matrix that guyan or serep reduces."),
+]
+Out = Annotated[Path | None, typer.Option(help="CSV of the pairs; NAME_sensors.csv beside it.")]
+
+
+def correlate(
+    first: First,
+    second: Second = None,
+    at: At = None,
+    second_at: SecondAt = None,
+    settings: Settings = None,
+    state: State = "updated",
+    orthogonality: Reduced = None,
+    figures: Figures = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare modes: pairs, frequencies, MAC, COMAC, scale factors, and the worst sensors.
+
+    A campaign alone is its model beside its test. Any two of campaigns, records and tests can be
+    compared; a test stands first beside a model.
+    """
+    from modetune.core.errors import CampaignError
+    from modetune.flows.studies.correlate.sides import correlate_sources, source
+
+    if state not in ("updated", "initial"):
+        raise CampaignError(f"--state {state!r}: expected updated or initial")
+    if orthogonality not in (None, "guyan", "serep"):
+        raise CampaignError(f"--orthogonality {orthogonality!r}: expected guyan or serep")
+    if second is None and second_at:
+        raise CampaignError("--second-at is of a second campaign, and none is named")
+    sources = source(first, at or ()), source(second, second_at or ()) if second else None
+    with stoppable():
+        found = correlate_sources(
+            *sources,
+            "initial" if state == "initial" else "updated",
+            settings or (),
+            {"guyan": "guyan", "serep": "serep"}.get(orthogonality or ""),  # type: ignore[arg-type]
+        )
+    written = _write(found, figures, out)
+    if as_json:
+        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
+        return
+    _show(found)
+    for path in written:
+        typer.echo(f"written: {path}")
+
+
+def told(found: Correlation) -> dict[str, Json]:
+    """The `--json` object of `modetune correlate`."""
+    from modetune.core.modes import dof_name
+
+    sides = (
+        ("first", found.first, found.auto_first, found.alone_first, found.only_first),
+        ("second", found.second, found.auto_second, found.alone_second, found.only_second),
+    )
+    told_sides = {
+        name: json_object(
+            side,
+            "label kind",
+            modes=side.numbers,
+            frequencies_hz=side.modes.frequencies_hz,
+            auto_mac=table,
+            without_pair=alone,
+            only_here=[dof_name(dof) for dof in only],
+        )
+        for name, side, table, alone, only in sides
+    }
+    return told_sides | json_object(
+        found,
+        "mac",
+        status="done",
+        common=len(found.dofs),
+        pairs=_pairs(found),
+        sensors=_sensors(found),
+        worst=[dof_name(dof) for dof, _, _ in found.worst(WORST)],
+        orthogonality=_told_orthogonality(found.orthogonality),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedPair:
+    """A pair of modes of both sides; difference: relative to the first."""
+
+    first: Annotated[int, Column("first mode")]
+    first_hz: Annotated[float, Column("first", "Hz")]
+    second: Annotated[int, Column("second mode")]
+    second_hz: Annotated[float, Column("second", "Hz")]
+    difference: Annotated[float, Column("differs", "%", "+.2f")]
+    mac: Annotated[float, Column("MAC", form=".3f")]
+    scale: Annotated[float, Column("scale", form=".3g")]
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSensor:
+    """How a degree of freedom agrees over all pairs."""
+
+    sensor: Annotated[str, Column("sensor")]
+    comac: Annotated[float, Column("COMAC", form=".4f")]
+    ecomac: Annotated[float, Column("eCOMAC", form=".4f")]
+
+
+def _pairs(found: Correlation) -> list[ComparedPair]:
+    first, second = found.first, found.second
+    return [
+        ComparedPair(
+            first.numbers[pair.first],
+            float(first.modes.frequencies_hz[pair.first]),
+            second.numbers[pair.second],
+            float(second.modes.frequencies_hz[pair.second]),
+            pair.difference,
+            pair.mac,
+            pair.scale,
+        )
+        for pair in found.pairs
+    ]
+
+
+def _sensors(found: Correlation) -> list[ComparedSensor]:
+    from modetune.core.modes import dof_name
+
+    values = zip(found.dofs, found.comac.tolist(), found.ecomac.tolist(), strict=False)
+    return [ComparedSensor(dof_name(dof), comac, ecomac) for dof, comac, ecomac in values]
+
+
+def _told_orthogonality(found: Orthogonality | None) -> dict[str, Json] | None:
+    from modetune.core.modes import dof_name
+
+    return (
+        None
+        if found is None
+        else json_object(
+            found,
+            "method",
+            sensors=[dof_name(dof) for dof in found.dofs],
+            cross=abs(found.cross),
+            first=abs(found.first),
+            second=abs(found.second),
+        )
+    )
+
+
+def _write(found: Correlation, figures: Path | None, out: Path | None) -> list[Path]:
+    written = []
+    if figures is not None:
+        from modetune.flows.studies.correlate.figures import write_figures
+
+        written += write_figures(found, figures)
+    if out is not None:
+        written.append(_write_csv(out, _pairs(found), ComparedPair))
+        if found.comac.size:
+            beside = out.with_name(f"{out.stem}_sensors{out.suffix or '.csv'}")
+            written.append(_write_csv(beside, _sensors(found), ComparedSensor))
+    return written
+
+
+def _write_csv(path: Path, rows: Sequence[ComparedPair | ComparedSensor], kind: type) -> Path:
+    from modetune.core.storage.files import writing
+
+    with writing(path) as part:
+        frame(rows, kind).to_csv(part, index=False, lineterminator="\n")
+    return path
+
+
+def _show(found: Correlation) -> None:
+    from rich.text import Text
+
+    from modetune.core.modes import dof_name
+    from modetune.flows.campaign.terminal import terminal
+
+    console = terminal()
+    title = f"{found.second.label} beside {found.first.label}"
+    show_table(console, table_of(title, _pairs(found), ComparedPair))
+    if found.mac.size and max(found.mac.shape) <= SHOWN:
+        show_table(console, _matrix_table(found))
+    worst = [ComparedSensor(dof_name(dof), *values) for dof, *values in found.worst(WORST)]
+    show_table(console, table_of("Least agreement", worst, ComparedSensor))
+    for line in _lines(found):
+        console.print(Text(line), soft_wrap=True)
+
+
+def _lines(found: Correlation) -> list[str]:
+    from modetune.core.modes import dof_name
+    from modetune.flows.studies.check.findings import listed
+
+    lines = (
+        [f"{len(found.dofs)} common degrees of freedom"]
+        if found.dofs
+        else ["no shapes on one side: pairs follow the order of frequency"]
+    )
+    sides = (
+        (found.first, found.alone_first, found.only_first, found.auto_first),
+        (found.second, found.alone_second, found.only_second, found.auto_second),
+    )
+    for side, alone, only, auto in sides:
+        if only and found.dofs:
+            lines.append(f"of {side.label} only: {listed(map(dof_name, only))}")
+        if alone:
+            lines.append(f"of {side.label} without a pair: mode {listed(alone, 12)}")
+        if auto.shape[0] > 1:
+            off = auto.copy()
+            off.flat[:: off.shape[1] + 1] = -1.0
+            row, column = divmod(int(off.argmax()), off.shape[1])
+            lines.append(
+                f"auto-MAC of {side.label}: at most {auto[row, column]:.3f}, modes "
+                f"{side.numbers[row]} and {side.numbers[column]}"
+            )
+    if found.orthogonality is not None:
+        own = abs(found.orthogonality.cross)
+        values = [f"{own[pair.first, pair.second]:.3f}" for pair in found.pairs]
+        lines.append(
+            f"cross-orthogonality of the pairs ({found.orthogonality.method}, "
+            f"{len(found.orthogonality.dofs)} masters): {', '.join(values)}"
+        )
+    return lines
+
+
+def _matrix_table(found: Correlation) -> Table:
+    columns = (Column("mode"), *(Column(str(item), form=".2f") for item in found.second.numbers))
+    rows = tuple(
+        # A field of zeros hides what is to be seen.
+        (number, *("." if value < 0.005 else value for value in row.tolist()))
+        for number, row in zip(found.first.numbers, found.mac, strict=True)
+    )
+    title = f"MAC: modes of {found.first.label} below each other, of {found.second.label} beside"
+    return Table(title, columns, rows)

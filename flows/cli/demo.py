@@ -1,0 +1,171 @@
+"""`modetune demo`: a case of configs/ from its files to what is said of it.
+
+Heavy packages are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, stoppable
+from modetune.flows.cli.update import run_update, show
+
+if TYPE_CHECKING:
+    from modetune.configs.claims import Beside, Claim
+    from modetune.configs.six_mass.methods import Outcome
+    from modetune.flows.updating.run import CampaignRun
+
+
+@dataclass(frozen=True, slots=True)
+class CaseVerdict:
+    """What is said of a case and whether it holds, with tables beside its source, and figures."""
+
+    claims: list[Claim]
+    tables: list[Beside]
+    figures: tuple[Path, ...] = ()
+
+
+def demo(
+    case: Annotated[str, typer.Argument(help="garteur, six-mass, fixture or lab.")] = "garteur",
+    as_json: AsJson = False,
+) -> None:
+    """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
+    from modetune.configs.cases import write_case
+    from modetune.core.errors import CampaignError
+    from modetune.core.storage.files import check_writable
+    from modetune.flows.report.tables import json_object
+    from modetune.flows.updating.recording import summary
+
+    if case not in DEMOS:
+        raise CampaignError(f"there is no demo {case!r}; there is {', '.join(DEMOS)}")
+    source, campaign, judge = DEMOS[case]
+    folder = Path("demo") / case
+    check_writable(folder, "run it in another folder")
+    write_case(source, folder)
+    if case == "lab":
+        _identify_modes(folder)
+    with stoppable():
+        run = run_update(folder / campaign, [], folder / "runs", with_prefect=case == "garteur")
+        found = judge(run, folder)
+    if as_json:
+        typer.echo(
+            json.dumps(
+                {**summary(run.record, run.folder), **json_object(found, "claims tables figures")}
+            )
+        )
+    else:
+        show(run)
+        _show(found)
+    holds = all(claim.holds for claim in found.claims)
+    raise typer.Exit(0 if run.record.status == "converged" and holds else 3)
+
+
+def _identify_modes(folder: Path) -> None:
+    """Make lab.unv as the lab sends it, and identify modes.csv from it."""
+    from modetune.adapters.test_files.measurements import read_measurement
+    from modetune.configs.garteur.lab import BAND_HZ, write_lab
+    from modetune.flows.studies.identify.files import write_modes
+    from modetune.flows.studies.identify.identify import IdentificationSettings, identify
+
+    write_lab(folder)
+    measured = read_measurement([folder / "lab.unv"])
+    assert measured.frfs is not None
+    found = identify(measured.frfs, IdentificationSettings(band_hz=BAND_HZ))
+    write_modes(folder / "modes.csv", found, measured.geometry, "lab.unv")
+
+
+def _judge_garteur(run: CampaignRun, folder: Path) -> CaseVerdict:
+    from modetune.configs.garteur import thesis
+
+    return CaseVerdict(thesis.claims(run.record), [])
+
+
+def _judge_lab(run: CampaignRun, folder: Path) -> CaseVerdict:
+    from modetune.configs.garteur import lab
+
+    return CaseVerdict(lab.claims(run.record), [])
+
+
+def _judge_fixture(run: CampaignRun, folder: Path) -> CaseVerdict:
+    from modetune.configs.fixture import thesis
+
+    return CaseVerdict(thesis.claims(run.record), thesis.beside(run.record))
+
+
+def _judge_six_mass(run: CampaignRun, folder: Path) -> CaseVerdict:
+    """The campaign beside the direct methods, which run here."""
+    from modetune.configs.six_mass import methods
+
+    direct = methods.direct_outcomes()
+    updated = methods.eigensensitivity_outcome(run.updated_deck)
+    outcomes = [*direct, updated]
+    return CaseVerdict(
+        methods.claims(direct, updated, run.record),
+        methods.beside(outcomes, run.record),
+        tuple(path for item in outcomes for path in _figures(item, folder / "figures")),
+    )
+
+
+def _figures(result: Outcome, folder: Path) -> list[Path]:
+    """An outcome's MAC, frequencies, and the receptances that the thesis shows."""
+    from modetune.configs.six_mass.methods import EXCITATION_HZ
+    from modetune.flows.report.charts import frequencies, mac_towers, responses
+    from modetune.flows.report.matplotlib_charts import save
+    from modetune.flows.report.responses import ResponseCurve
+
+    stem, hz = result.name.replace(" ", "_"), (result.test, result.before, result.after)
+    numbers = range(1, 7)
+    macs = (("before updating", result.mac_before), ("after updating", result.mac_after))
+    charts = {
+        "mac": mac_towers(result.title, macs, numbers),
+        "frequencies": frequencies(result.title, numbers, *(state.frequencies_hz for state in hz)),
+    }
+    receptances = [state.point_receptances() for state in hz]
+    for mass in result.shown:
+        test, before, after = (values[:, mass - 1] for values in receptances)
+        said = ", not measured" if mass in result.unmeasured else ""
+        title = f"{result.title}\npoint receptance of mass {mass}{said}"
+        curves = [
+            ResponseCurve("test", "experimental", test),
+            ResponseCurve("before", "analytical", before),
+            ResponseCurve("after", "updated", after),
+        ]
+        charts[f"receptance_{mass}"] = responses(title, "|x / f|, m/N", EXCITATION_HZ, curves)
+    return [save(chart, folder / f"{stem}_{name}.png") for name, chart in charts.items()]
+
+
+def _show(found: CaseVerdict) -> None:
+    from rich.text import Text
+
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.tables import Column, Table, show_table, table_of
+
+    console = terminal()
+    for item in found.tables:
+        columns = tuple(
+            Column(heading, words=place == 0) for place, heading in enumerate(item.headings)
+        )
+        show_table(console, Table(item.title, columns, item.rows))
+    outside = [(place, "holds") for place, item in enumerate(found.claims) if not item.holds]
+    columns = (
+        Column("claim", words=True, name="claim"),
+        Column("holds", name="holds"),
+        Column("by", words=True, name="evidence"),
+    )
+    show_table(console, table_of("Claims", found.claims, columns, outside=outside))
+    if found.figures:
+        console.print(Text(f"figures      {found.figures[0].parent}"), soft_wrap=True)
+
+
+#: Of each demo: its case in configs/, the campaign there, and what judges the run.
+DEMOS = {
+    "garteur": ("garteur", "thesis.yaml", _judge_garteur),
+    "six-mass": ("six_mass", "campaign.yaml", _judge_six_mass),
+    "fixture": ("fixture", "fixture.yaml", _judge_fixture),
+    "lab": ("garteur", "lab.yaml", _judge_lab),
+}

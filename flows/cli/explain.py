@@ -1,0 +1,111 @@
+"""`modetune explain`: what a job is, and why it was or would be run.
+
+Heavy packages are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson
+from modetune.flows.report.tables import json_object
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.jobs.explain import AskedJob, Nearest
+    from modetune.flows.updating.lookup import Explanation
+
+#: Digits of a key that are shown.
+SHORT = 12
+
+
+def explain(
+    job: Annotated[str, typer.Argument(help="Start of a job's key, or a job's folder.")],
+    store: Annotated[
+        Path, typer.Option(help="Folder of the store, or a campaign file that names it.")
+    ] = Path(".modetune/store"),
+    as_json: AsJson = False,
+) -> None:
+    """Tell what a job is, what became of it, and in what it differs from the nearest result."""
+    from modetune.core.errors import CampaignError
+    from modetune.core.storage.store import Store
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.updating.lookup import explain_job, explain_unrun, key_start
+
+    start = key_start(job)
+    if not store.exists():
+        raise CampaignError(f"{store} is not there; name a store or a campaign file with --store")
+    campaign = load_campaign(store) if store.is_file() else None
+    place = campaign.store if campaign else Store(store)
+    found = explain_job(place, start)
+    if found is None and campaign is not None:
+        found = explain_unrun(campaign, start)
+    if found is None:
+        raise CampaignError(
+            f"nothing is known of a job {start}...: {place.folder} has no result and no job "
+            "folder of it"
+            + (
+                ""
+                if campaign
+                else "; a campaign file as --store tells of jobs that are still to be run"
+            )
+        )
+    if as_json:
+        typer.echo(json.dumps(_told(found)))
+        return
+    for heading, text in _lines(found):
+        typer.echo(f"{heading:9}{text}")
+
+
+def nearest_line(found: Nearest | None) -> str:
+    """The nearest result, for people."""
+    if found is None:
+        return "nothing is stored that it could be compared with"
+    return f"nearest {found.key[:SHORT]}: {'; '.join(found.differences)}"
+
+
+def _lines(found: Explanation) -> list[tuple[str, str]]:
+    from modetune.flows.jobs.explain import describe
+
+    lines = [("job", found.key), ("state", found.state)]
+    lines += describe(found.job) if found.job else [("what", "not known: no note is with it")]
+    if found.wall_s is not None:
+        lines.append(("took", f"{found.wall_s:.1f} s"))
+    if found.written_s is not None:
+        lines.append(("when", f"{datetime.fromtimestamp(found.written_s, UTC):%Y-%m-%d %H:%M} UTC"))
+    if found.where is not None:
+        lines.append(("where", str(found.where)))
+    if found.job is not None:
+        lines.append(("nearest", nearest_line(found.nearest).removeprefix("nearest ")))
+    return lines + ([("log", found.log)] if found.log else [])
+
+
+def _told(found: Explanation) -> dict[str, Json]:
+    written = found.written_s and datetime.fromtimestamp(found.written_s, UTC).isoformat()
+    return json_object(
+        found,
+        "key where wall_s nearest log",
+        status=found.state,
+        written=written,
+        job=told_job(found.job),
+    )
+
+
+def told_job(job: AskedJob | None) -> dict[str, Json] | None:
+    """A job for machines."""
+    if job is None:
+        return None
+    note = job.note
+    return json_object(
+        job,
+        "solver solver_version",
+        analysis=job.kind,
+        model=note and note.model,
+        n_modes=note and note.n_modes,
+        values=note and dict(note.values),
+    )

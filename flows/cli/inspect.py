@@ -1,0 +1,213 @@
+"""`inspect`: what files of a test hold, and the same test in another form.
+
+Heavy packages are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modetune.flows.cli.options import AsJson
+from modetune.flows.report.tables import Column, json_object, show_table, table_of
+
+if TYPE_CHECKING:
+    from modetune.adapters.test_files.measurements import Inspection
+    from modetune.core.measurement.measurement import Measurement
+
+__test__ = False  # tests are what it reads, not what it is
+
+#: Names of units of length, by their metres.
+UNIT_NAMES = {
+    "metres": 1.0,
+    "centimetres": 1e-2,
+    "millimetres": 1e-3,
+    "inches": 0.0254,
+    "feet": 0.3048,
+}
+
+
+def inspect(
+    files: Annotated[list[Path], typer.Argument(help="Files of one test: UFF, CSV, HDF5.")],
+    write: Annotated[
+        Path | None, typer.Option(help="Write the test as .csv, .h5 or .unv, by the suffix.")
+    ] = None,
+    metres: Annotated[
+        float | None, typer.Option(help="Length unit of the coordinates, in metres.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Tell what the files of a test hold, and what was left out; write it in another form."""
+    from modetune.adapters.test_files.measurements import inspect_files
+    from modetune.flows.campaign.terminal import terminal
+
+    inspection = inspect_files(files, metres)
+    told = {"status": "good", **_told(inspection)}
+    told["written"] = (
+        []
+        if write is None
+        else [str(path) for path in _write(write, files, inspection.measurement)]
+    )
+    if as_json:
+        typer.echo(json.dumps(told))
+        return
+    for line in _lines(told):
+        typer.echo(line)
+    show_table(terminal(), table_of("", _modes(inspection), MeasuredMode))
+    for note in told["notes"]:
+        typer.echo(f"note: {note}")
+    for path in told["written"]:
+        typer.echo(f"written: {path}")
+
+
+def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path]:
+    """Write a test by the suffix of the path; as CSV, points go into a file beside the modes."""
+    from modetune.adapters.test_files.geometry_csv import write_geometry_csv
+    from modetune.adapters.test_files.hdf5 import write_test_hdf5
+    from modetune.adapters.test_files.measurements import CSV, HDF5, UNIVERSAL
+    from modetune.adapters.test_files.modes_csv import write_modes_csv
+    from modetune.adapters.test_files.universal.write import write_universal
+    from modetune.core.errors import CampaignError
+
+    suffix = path.suffix.lower()
+    if measurement.is_empty:
+        raise CampaignError([f"nothing of the files can be written to {path}", *measurement.notes])
+    if path.is_dir() or (path.parent.exists() and not path.parent.is_dir()):
+        raise CampaignError(f"{path} cannot be written: it is a folder, or lies in what is none")
+    if path.resolve() in [file.resolve() for file in files]:
+        raise CampaignError(f"{path} is one of the files that are read; name another")
+    if suffix in HDF5:
+        write_test_hdf5(path, measurement)
+        return [path]
+    if suffix in UNIVERSAL:
+        write_universal(path, measurement)
+        return [path]
+    if suffix not in CSV:
+        raise CampaignError(f"{path}: a test is written as .csv, .h5 or .unv, by the suffix")
+    comment = [f"from {', '.join(file.name for file in files)}", *measurement.notes]
+    written = []
+    if measurement.modes is not None:
+        write_modes_csv(path, measurement.modes.numbers, measurement.modes.modes, comment)
+        written.append(path)
+    if measurement.geometry is not None:
+        points = path.with_name(f"{path.stem}-points.csv") if written else path
+        write_geometry_csv(points, measurement.geometry, comment[:1])
+        written.append(points)
+    if not written:
+        raise CampaignError(f"{path}: response functions are not written as CSV; name an .h5")
+    return written
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredMode:
+    """A mode of a test; NaN is what the test does not tell."""
+
+    number: Annotated[int, Column("mode")]
+    frequency_hz: Annotated[float, Column("frequency", "Hz", ".6g")]
+    damping_ratio: Annotated[float, Column("damping ratio", form=".5f")]
+    phase_collinearity: Annotated[float, Column("phase collinearity", form=".3f")]
+
+
+def _told(inspection: Inspection) -> dict[str, Any]:
+    measurement = inspection.measurement
+    points, frfs, modes = measurement.geometry, measurement.frfs, measurement.modes
+    files = [
+        {"path": file.path, "form": file.form, "datasets": dict(Counter(file.datasets))}
+        for file in inspection.files
+    ]
+    return json_object(
+        measurement,
+        "notes",
+        files=files,
+        points=points
+        and {
+            "count": points.nodes.size,
+            "metres": points.metres,
+            "size": points.coordinates.max(axis=0) - points.coordinates.min(axis=0),
+            "lines": len(points.lines),
+            "faces": len(points.faces),
+        },
+        modes=_modes(inspection),
+        sensors=modes.modes.n_dof if modes else 0,
+        response_functions=frfs
+        and {
+            "kind": frfs.kind,
+            "count": frfs.values.shape[1],
+            "frequencies": frfs.frequencies_hz.size,
+            "band_hz": [frfs.frequencies_hz[0], frfs.frequencies_hz[-1]],
+            "references": len(
+                set(
+                    zip(
+                        frfs.reference_nodes.tolist(),
+                        frfs.reference_components.tolist(),
+                        strict=True,
+                    )
+                )
+            ),
+            "coherences": bool(frfs.coherences.size),
+        },
+        functions=inspection.n_functions,
+    )
+
+
+def _modes(inspection: Inspection) -> list[MeasuredMode]:
+    if inspection.measurement.modes is None:
+        return []
+    modes = inspection.measurement.modes.modes
+    unknown = [math.nan] * modes.n_modes
+    damping = modes.damping_ratios.tolist() or unknown
+    known = inspection.collinearity.size == modes.n_modes
+    collinearity = inspection.collinearity.tolist() if known else unknown
+    values = zip(
+        inspection.measurement.modes.numbers,
+        modes.frequencies_hz.tolist(),
+        damping,
+        collinearity,
+        strict=True,
+    )
+    return [MeasuredMode(*item) for item in values]
+
+
+def _unit(metres: float) -> str:
+    """A unit of length by its name where it has one; files give its factor with few digits."""
+    for name, length in UNIT_NAMES.items():
+        if math.isclose(metres, length, rel_tol=1e-4):
+            return f"in {name}"
+    return f"in units of {metres:g} m"
+
+
+def _lines(told: dict[str, Any]) -> list[str]:
+    """What is told, for people."""
+    lines = []
+    for file in told["files"]:
+        datasets = ", ".join(
+            name if count == 1 else f"{count} x {name}" for name, count in file["datasets"].items()
+        )
+        lines.append(
+            f"{file['path']}: {file['form']}" + (f", datasets {datasets}" if datasets else "")
+        )
+    points, frfs = told["points"], told["response_functions"]
+    if points is not None:
+        unit = "unit of length not told" if points["metres"] is None else _unit(points["metres"])
+        size = " x ".join(f"{length:.4g}" for length in points["size"])
+        lines.append(
+            f"points     {points['count']}, {size}, {unit}; {points['lines']} lines, "
+            f"{points['faces']} triangles"
+        )
+    if frfs is not None:
+        lines.append(
+            f"functions  {frfs['count']} x {frfs['kind']}, {frfs['references']} references, "
+            f"{frfs['frequencies']} lines from {frfs['band_hz'][0]:g} to {frfs['band_hz'][1]:g} Hz"
+            + (", with coherence" if frfs["coherences"] else "")
+        )
+    elif told["functions"]:
+        lines.append(f"functions  {told['functions']}, none a response function that can be used")
+    if told["modes"]:
+        lines.append(f"modes      {len(told['modes'])} at {told['sensors']} sensors")
+    return lines

@@ -1,0 +1,208 @@
+"""`modetune localise`: where a model is wrong, and whether its parameters can mend it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modetune.flows.cli.options import AsJson, CampaignPath, Figures, Settings, stoppable
+from modetune.flows.report.tables import Column, json_object, show_table, table_of
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.core.updating.localisation import Removal
+    from modetune.flows.studies.localise.error_maps import ErrorMaps
+    from modetune.flows.studies.localise.localise import Localisation
+
+#: Rows that a terminal shows of each table.
+SHOWN = 12
+#: A best share of the force residual below this tells of no one group.
+TELLING = 0.2
+#: Nodes that `--json` tells of each map, the worst.
+NODES = 200
+
+
+def localise(
+    campaign_file: CampaignPath,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Run folder or campaign.h5 whose updated model is looked at."),
+    ] = None,
+    configuration: Annotated[
+        str | None, typer.Option(help="Which one, of a campaign with several configurations.")
+    ] = None,
+    settings: Settings = None,
+    figures: Figures = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say where the model is wrong: maps of the error, what each parameter can remove of it, and
+    whether any parameters can.
+
+    Looks at the start of the campaign, or with --record at the model that updating left.
+    """
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.studies.localise.localise import localise as find
+    from modetune.flows.studies.localise.localise import place_of
+
+    place = place_of(load_campaign(campaign_file, settings or []), record, configuration)
+    campaign = place.campaign
+    with stoppable():
+        found = find(campaign, place.theta)
+    written: list[Path] = []
+    if figures is not None:
+        from modetune.flows.studies.localise.figures import write_figures
+
+        title = f"{campaign.name}: where the {'updated' if record else 'initial'} model is wrong"
+        written = write_figures(
+            title, found, campaign.case.solver.deck.mesh(), campaign.case.surface, figures
+        )
+    if as_json:
+        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
+        return
+    _show(found)
+    for path in written:
+        typer.echo(f"written: {path}")
+
+
+def told(found: Localisation) -> dict[str, Json]:
+    """The `--json` object of `modetune localise`."""
+    from modetune.flows.report.form_verdict import told_form
+
+    values = zip(found.parameters, found.theta.tolist(), strict=True)
+    return json_object(
+        found,
+        "modes why_no_maps",
+        status="done",
+        parameters=[{"name": name, "value": value} for name, value in values],
+        model_form=told_form(found.form, found.labels, found.sentence),
+        singles=_removals(found, found.singles),
+        pairs=_removals(found, found.pairs),
+        maps=None if found.maps is None else _told_maps(found.maps),
+        solver_runs=found.runs,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalRow:
+    """What parameters together can remove of the weighted residual; 1 is all."""
+
+    parameters: Annotated[tuple[str, ...], Column("parameters", words=True)]
+    changes: Annotated[tuple[float, ...], Column("by change", "%", "+.1f")]
+    removed: Annotated[float, Column("removes of the residual", "%", ".1f")]
+
+
+@dataclass(frozen=True, slots=True)
+class GroupRow:
+    """Where the model is wrong, by a group of elements; docs/localisation.md explains each."""
+
+    name: Annotated[str, Column("group")]
+    force_share: Annotated[float, Column("explains of the force residual", "%", ".1f")]
+    change: Annotated[float, Column("by change", "%", "+.1f")]
+    error_share: Annotated[float, Column("holds of the error's energy", "%", ".1f")]
+    concentration: Annotated[float, Column("times the usual", form=".2f")]
+    energy_difference: Annotated[float, Column("energy differs", "%", ".2f")]
+    strain_energy_difference: tuple[float, ...]
+    kinetic_energy_difference: tuple[float, ...]
+
+
+def _removals(found: Localisation, items: Sequence[Removal]) -> list[RemovalRow]:
+    return [
+        RemovalRow(
+            tuple(found.parameters[place] for place in item.members),
+            tuple(item.changes.tolist()),
+            item.removed,
+        )
+        for item in items
+    ]
+
+
+def _groups(maps: ErrorMaps) -> list[GroupRow]:
+    """The groups, those that explain most first."""
+    errors = maps.errors
+    return [
+        GroupRow(
+            name=maps.groups[place],
+            force_share=float(errors.force_shares[place]),
+            change=float(errors.changes[place]),
+            error_share=float(errors.error_shares[place]),
+            concentration=float(errors.concentrations[place]),
+            energy_difference=float(
+                (abs(errors.strain[place]) + abs(errors.kinetic[place])).mean()
+            ),
+            strain_energy_difference=tuple(errors.strain[place].tolist()),
+            kinetic_energy_difference=tuple(errors.kinetic[place].tolist()),
+        )
+        for place in errors.ranking.tolist()
+    ]
+
+
+def _told_maps(maps: ErrorMaps) -> dict[str, Json]:
+    errors = maps.errors
+    pair = {
+        "groups": [maps.groups[place] for place in errors.pair],
+        "force_share": errors.pair_share,
+        "changes": errors.pair_changes,
+    }
+    return json_object(
+        maps,
+        groups=_groups(maps),
+        pair=pair,
+        shape_misfits=maps.misfits,
+        forces=_worst(maps.nodes.nodes.tolist(), maps.nodes.forces.tolist()),
+        strains=_worst(maps.mesh_nodes.tolist(), maps.strains.tolist()),
+    )
+
+
+def _worst(nodes: list[int], values: list[float]) -> list[dict[str, Any]]:
+    """The nodes with the largest values, these first."""
+    order = sorted(range(len(nodes)), key=lambda place: -values[place])[:NODES]
+    return [{"node": nodes[place], "value": values[place]} for place in order]
+
+
+def _show(found: Localisation) -> None:
+    from rich.text import Text
+
+    from modetune.flows.campaign.terminal import terminal
+
+    console = terminal()
+    if found.maps is not None:
+        groups = _groups(found.maps)[:SHOWN]
+        title = "Where the model is wrong, from the test's shapes"
+        show_table(console, table_of(title, groups, GroupRow))
+    removals = _removals(found, (*found.singles[:SHOWN], *found.pairs[: SHOWN // 4]))
+    title = "What parameters can remove of the residual"
+    show_table(console, table_of(title, removals, RemovalRow))
+    for line in _lines(found):
+        console.print(Text(line), soft_wrap=True)
+
+
+def _lines(found: Localisation) -> list[str]:
+    lines = []
+    if found.maps is not None and found.maps.errors.pair:
+        errors = found.maps.errors
+        pair = " and ".join(found.maps.groups[place] for place in errors.pair)
+        changes = ", ".join(f"{100 * change:+.1f}" for change in errors.pair_changes.tolist())
+        lines.append(
+            f"best pair: {pair} explain {100 * errors.pair_share:.1f} % of the force "
+            f"residual, by {changes} %"
+        )
+        best = float(errors.force_shares.max())
+        if best < TELLING:
+            lines.append(
+                f"no group alone explains more than {100 * best:.1f} % of the force "
+                "residual: it is measurement noise, or spread over the model"
+            )
+    if found.why_no_maps:
+        lines.append(f"no maps: {found.why_no_maps}")
+    lines.append(found.sentence)
+    runs = found.runs
+    lines.append(
+        f"solver runs: {runs.modal} modal, {runs.sensitivity} for sensitivities and "
+        f"matrices; {runs.reused} results from the store"
+    )
+    return lines

@@ -1,0 +1,117 @@
+"""The command line. It alone turns errors into a paragraph and an exit code.
+
+Exit codes: 0 done (and converged); 2 bad input; 3 finished, e1 not met; 4 the solver failed;
+5 the store cannot be used; 130 stopped by the user. Heavy packages are imported by the commands
+that need them.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+
+import typer
+
+from modetune.core.errors import ModetuneError
+from modetune.flows.cli.check import check
+from modetune.flows.cli.correlate import correlate
+from modetune.flows.cli.demo import demo
+from modetune.flows.cli.deploy import deploy
+from modetune.flows.cli.explain import explain
+from modetune.flows.cli.identify import identify
+from modetune.flows.cli.inspect import inspect
+from modetune.flows.cli.localise import localise
+from modetune.flows.cli.modes import modes
+from modetune.flows.cli.paraview import paraview
+from modetune.flows.cli.pretest import pretest
+from modetune.flows.cli.report import report
+from modetune.flows.cli.sample import sample
+from modetune.flows.cli.schema import schema
+from modetune.flows.cli.screen import screen
+from modetune.flows.cli.sensors import sensors
+from modetune.flows.cli.serve import serve
+from modetune.flows.cli.server import server_app
+from modetune.flows.cli.twin import twin
+from modetune.flows.cli.update import update
+from modetune.flows.cli.validate import validate
+from modetune.flows.cli.version import version
+from modetune.flows.cli.worker import worker
+
+#: In the order of a campaign's life.
+COMMANDS = (
+    pretest,
+    inspect,
+    identify,
+    sensors,
+    check,
+    screen,
+    modes,
+    correlate,
+    update,
+    explain,
+    validate,
+    localise,
+    sample,
+    report,
+    paraview,
+    deploy,
+    serve,
+    worker,
+    twin,
+    demo,
+    schema,
+    version,
+)
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Finite element models that agree with vibration tests.",
+)
+for command in COMMANDS:
+    app.command()(command)
+app.add_typer(server_app, name="server")
+
+
+def _quiet() -> None:
+    """Our own warnings go to standard error a line each; libraries keep theirs to themselves."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("modetune: %(message)s"))
+    ours = logging.getLogger("modetune")
+    ours.addHandler(handler)
+    level = os.environ.get("MODETUNE_LOG", "WARNING").upper()
+    ours.setLevel(level if level in logging.getLevelNamesMapping() else "WARNING")
+    ours.propagate = False
+    warnings.simplefilter("ignore")
+
+
+def main() -> None:
+    """Run the command line and end the process with its exit code."""
+    _quiet()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
+    try:
+        app(standalone_mode=True)
+    except ModetuneError as error:
+        _fail(str(error), error.exit_code)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(0) from None
+    except Exception:  # the last resort: a bug of ours, kept for a report, not thrown at the user
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="modetune-", suffix=".log", delete=False
+        ) as log:
+            traceback.print_exc(file=log)
+        _fail(f"this is a fault in modetune; please report it with the file {log.name}", 70)
+
+
+def _fail(reason: str, code: int) -> None:
+    typer.echo(f"modetune: {reason}", err=True)
+    if "--json" in sys.argv:
+        typer.echo(json.dumps({"status": "failed", "reason": reason, "exit_code": code}))
+    raise SystemExit(code)

@@ -1,0 +1,60 @@
+"""`modetune paraview`: modes before and after updating as files for ParaView.
+
+Heavy packages are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, Settings, stoppable
+from modetune.flows.report.tables import json_object
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.studies.paraview.paraview import Series
+
+
+def paraview(
+    place: Annotated[Path, typer.Argument(help="Campaign file (YAML), or a run folder.")],
+    state: Annotated[str, typer.Option(help="Which model: initial, updated, or both.")] = "both",
+    out: Annotated[
+        Path | None, typer.Option(help="Where the files go; default: paraview/ in the run folder.")
+    ] = None,
+    runs: Annotated[Path, typer.Option(help="Where run folders are.")] = Path("runs"),
+    settings: Settings = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write mode shapes on the whole mesh, before and after updating, for ParaView."""
+    from modetune.flows.studies.paraview.paraview import open_source, states_of, write_paraview
+
+    source = open_source(place, settings or [], runs)
+    states = states_of(source, state)
+    folder = out or source.run_folder / "paraview"
+    with stoppable():
+        written = write_paraview(source.campaign, states, folder)
+    if as_json:
+        typer.echo(
+            json.dumps({"status": "good", "series": [told_series(item) for item in written]})
+        )
+        return
+    for item in written:
+        typer.echo(f"{item.state:8}  {item.file}  {item.n_modes} modes{_cost(item)}")
+    if state == "both" and source.record is None:
+        typer.echo("the campaign has not been run, so there is no updated model yet")
+
+
+def told_series(item: Series) -> dict[str, Json]:
+    """A series of files for machines."""
+    converter = "ccx2paraview" if item.converted else "modetune"
+    return json_object(
+        item, "state file", modes=item.n_modes, solver_runs=int(item.ran), converter=converter
+    )
+
+
+def _cost(item: Series) -> str:
+    return ", one solver run" if item.ran else ", no solver run: the store had them"

@@ -1,0 +1,51 @@
+"""The command that draws what a campaign left: a page, and pictures for print."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from modetune.flows.cli.options import AsJson
+from modetune.flows.report.tables import json_object
+
+#: How a record in a run folder is named.
+RECORD = "campaign.h5"
+
+
+def report(
+    record: Annotated[Path, typer.Argument(help="Run folder, or the campaign.h5 in it.")],
+    out: Annotated[
+        Path | None, typer.Option(help="The page; report.html beside the record if not given.")
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option(help="Folder for the same figures as pictures.")
+    ] = None,
+    form: Annotated[str, typer.Option("--format", help="Of the pictures: png or svg.")] = "png",
+    as_json: AsJson = False,
+) -> None:
+    """Draw a campaign's report: one HTML file that needs no network, and pictures if asked for."""
+    from modetune.core.errors import CampaignError
+    from modetune.core.storage.record_file import read_record
+    from modetune.flows.report.page import write_page
+
+    if form not in ("png", "svg"):
+        raise CampaignError(f"--format {form!r}: expected png or svg")
+    path = record / RECORD if record.is_dir() else record
+    known = read_record(path)
+    page = write_page(known, out or path.with_name("report.html"))
+    kind: Literal["png", "svg"] = "svg" if form == "svg" else "png"
+    pictures: tuple[Path, ...] = ()
+    if figures is not None:
+        from modetune.flows.report.charts import write_pictures
+
+        pictures = write_pictures(known, figures, kind)
+    if as_json:
+        told = json_object(known, "name", status="good", page=page, figures=pictures)
+        typer.echo(json.dumps(told))
+        return
+    typer.echo(f"report  {page}")
+    for picture in pictures:
+        typer.echo(f"figure  {picture}")

@@ -1,0 +1,113 @@
+"""`modetune sample`: the posterior of a campaign's parameters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modetune.flows.cli.options import AsJson, CampaignPath, Figures, Runs, Settings, stoppable
+
+if TYPE_CHECKING:
+    from modetune.flows.studies.sample.record import PosteriorRecord
+
+Record = Annotated[
+    Path | None,
+    typer.Option(help="Run folder (or campaign.h5) of an update, from whose end it starts."),
+]
+Points = Annotated[
+    int | None,
+    typer.Option(help="Solver runs over the range; as many may follow near the posterior."),
+]
+Walkers = Annotated[int | None, typer.Option(help="Walkers of the sampler.")]
+Steps = Annotated[int, typer.Option(help="Steps of a walker; up to ten times as many if needed.")]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+Checks = Annotated[int, typer.Option(help="Solver runs at points of the posterior.")]
+
+
+def sample(
+    campaign_file: CampaignPath,
+    record: Record = None,
+    points: Points = None,
+    walkers: Walkers = None,
+    steps: Steps = 2000,
+    seed: Seed = 1,
+    checks: Checks = 8,
+    figures: Figures = None,
+    settings: Settings = None,
+    runs: Runs = Path("runs"),
+    as_json: AsJson = False,
+) -> None:
+    """Sample the parameters' posterior: how sure they are, bounds, bends and second answers seen.
+
+    Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.
+    Ends with exit code 3 where the posterior cannot be relied on.
+    """
+    from modetune.core.storage.files import check_writable
+    from modetune.core.storage.record_file import read_record
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.studies.sample.record import FILE, write_posterior
+    from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+    from modetune.flows.studies.sample.telling import findings, told
+
+    campaign = load_campaign(campaign_file, settings or [])
+    folder = runs / campaign.name
+    check_writable(folder, "name another place for run folders with --runs")
+    earlier = None
+    if record is not None:
+        earlier = read_record(record / "campaign.h5" if record.is_dir() else record)
+    request = SamplingRequest(points, walkers, steps, seed, checks)
+    with stoppable(), _progress() as progress:
+        found = sample_campaign(campaign, request, progress, earlier)
+    write_posterior(folder / FILE, found)
+    written = [folder / FILE, *_figures(found, figures)]
+    if as_json:
+        typer.echo(json.dumps(told(found, written)))
+    else:
+        _show(found, written)
+    raise typer.Exit(3 if any(finding.red for finding in findings(found)) else 0)
+
+
+def _progress() -> Any:
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.updating.display import ConsoleProgress
+
+    return ConsoleProgress(terminal(stderr=True)).shown()
+
+
+def _figures(found: PosteriorRecord, folder: Path | None) -> list[Path]:
+    if folder is None:
+        return []
+    from modetune.flows.studies.sample.figures import write_figures
+
+    return write_figures(found, folder)
+
+
+def _show(found: PosteriorRecord, written: list[Path]) -> None:
+    from rich.text import Text
+
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.tables import show_table, table_of
+    from modetune.flows.studies.sample.telling import PosteriorRow, findings, posterior_rows
+
+    console = terminal()
+    title = "Posterior, relative to the deck"
+    show_table(console, table_of(title, posterior_rows(found), PosteriorRow))
+    left_out, checked = found.left_out.max(), found.check_errors.max()
+    lines = [
+        f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}, left out: "
+        f"{len(found.failures)}; {found.near.size} learned from, {int(found.near.sum())} of them "
+        "near the posterior",
+        f"surrogate, in standard deviations of the test: worst response {left_out:.2g} with a run "
+        f"left out, {checked:.2g} at {len(found.check_keys)} checks",
+        f"samples: {found.walkers} walkers, {found.steps - found.burned} steps kept, effective "
+        f"{found.effective_sizes.min():.0f}, R-hat {found.r_hat.max():.3f}",
+    ]
+    for line in lines:
+        console.print(Text(line), soft_wrap=True)
+    for finding in findings(found):
+        console.print(Text(finding.text, style="red" if finding.red else ""), soft_wrap=True)
+    for path in written:
+        console.print(Text(f"written: {path}"), soft_wrap=True)

@@ -1,0 +1,29 @@
+"""`modetune schema`: the campaign file's JSON schema."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def schema(
+    out: Annotated[
+        Path | None, typer.Option(help="Write it to this file; to standard output by default.")
+    ] = None,
+) -> None:
+    """Tell the JSON schema of campaign files, by which editors complete and check them."""
+    from modetune.core.storage.files import writing
+    from modetune.flows.campaign.json_schema import schema_text
+
+    text = schema_text()
+    if out is None:
+        typer.echo(text, nl=False)
+        return
+    with writing(out) as part:
+        part.write_text(text, encoding="utf-8")
+    typer.echo(
+        f"written to {out}; an editor takes it from a campaign's first line:\n"
+        f"# yaml-language-server: $schema={out.name}"
+    )

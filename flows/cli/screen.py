@@ -1,0 +1,113 @@
+"""`modetune screen`: which of many candidate parameters to update."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modetune.flows.cli.options import Figures, Runs, Settings, stoppable
+
+if TYPE_CHECKING:
+    from modetune.flows.studies.screen.record import Screening
+
+CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML) with all candidates.")]
+MethodName = Annotated[str, typer.Option(help="local, morris, sobol, lhs or factorial.")]
+Points = Annotated[
+    int | None, typer.Option(help="Solver runs of the design at most; about ten a parameter.")
+]
+Seed = Annotated[int, typer.Option(min=0, help="Of the design's random numbers.")]
+Levels = Annotated[
+    int | None, typer.Option(help="Of each parameter: morris (even, 4), factorial (2).")
+]
+Choose = Annotated[int | None, typer.Option(min=1, help="How many parameters to propose.")]
+Out = Annotated[
+    Path | None, typer.Option(help="Campaign file with the proposed parameters alone (YAML).")
+]
+
+
+def screen(
+    campaign_file: CampaignPath,
+    method: MethodName = "local",
+    points: Points = None,
+    seed: Seed = 1,
+    levels: Levels = None,
+    choose: Choose = None,
+    out: Out = None,
+    figures: Figures = None,
+    settings: Settings = None,
+    runs: Runs = Path("runs"),
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object on standard output, and as a file.")
+    ] = False,
+) -> None:
+    """Screen candidate parameters, and propose which of them to update, with a reason for each.
+
+    Leaves screening.h5 in the campaign's run folder. The same screening again starts no solver.
+    """
+    from modetune.core.errors import CampaignError
+    from modetune.core.storage.files import check_writable
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.studies.screen.design import METHODS
+    from modetune.flows.studies.screen.proposal import check_out, write_proposal
+    from modetune.flows.studies.screen.record import FILE, write_screening
+    from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+
+    known = [name for name in METHODS if name == method]
+    if not known:
+        raise CampaignError(f"--method {method!r}: expected one of {', '.join(METHODS)}")
+    campaign = load_campaign(campaign_file, settings or [])
+    if out is not None:
+        check_out(campaign_file, out)
+    folder = runs / campaign.name
+    check_writable(folder, "name another place for run folders with --runs")
+    request = ScreeningRequest(known[0], points, seed, levels, choose)
+    with stoppable(), _progress() as progress:
+        screening = screen_campaign(campaign, request, progress)
+    write_screening(folder / FILE, screening)
+    written = [folder / FILE, *_figures(screening, figures)]
+    if out is not None:
+        written.append(write_proposal(campaign_file, screening, out))
+    _tell(screening, folder, written, as_json)
+
+
+def _progress() -> Any:
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.studies.screen.progress import ConsoleScreening
+
+    return ConsoleScreening(terminal(stderr=True)).shown()
+
+
+def _figures(screening: Screening, folder: Path | None) -> list[Path]:
+    if folder is None:
+        return []
+    from modetune.flows.studies.screen.figures import write_figures
+
+    return write_figures(screening, folder)
+
+
+def _tell(screening: Screening, folder: Path, written: list[Path], as_json: bool) -> None:
+    from modetune.flows.studies.screen.telling import lines, tables, told
+
+    if as_json:
+        from modetune.core.storage.files import writing
+
+        shown = {**told(screening), "written": [str(path) for path in written]}
+        with writing(folder / "screening.json") as part:
+            part.write_text(json.dumps(shown, indent=1), encoding="utf-8")
+        typer.echo(json.dumps(shown))
+        return
+    from rich.text import Text
+
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.tables import show_table
+
+    console = terminal()
+    for table in tables(screening):
+        show_table(console, table)
+    for line in lines(screening):
+        console.print(Text(line), soft_wrap=True)
+    for path in written:
+        typer.echo(f"written: {path}")

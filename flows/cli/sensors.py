@@ -1,0 +1,125 @@
+"""`modetune sensors`: where the test's sensors are read in the model.
+
+Heavy packages are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, CampaignPath, Settings
+from modetune.flows.report.tables import Column, Table, json_object, show_table
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.campaign.mapping import Mapping
+
+
+def sensors(
+    campaign_file: CampaignPath,
+    settings: Settings = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Write a PNG of the sensors on the model.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Tell at which node and along which direction each sensor is read. Runs no solver."""
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.campaign.terminal import terminal
+
+    campaign = load_campaign(campaign_file, settings or [])
+    mapping: Mapping = campaign.case.mapping
+    if picture is not None:
+        from modetune.flows.report.sensor_figure import save_sensor_picture
+
+        save_sensor_picture(picture, mapping, campaign.case.solver.deck.mesh())
+    if as_json:
+        typer.echo(json.dumps(told_sensors(mapping, picture)))
+        return
+    show_table(terminal(), sensor_table(mapping))
+    for line in sensor_lines(mapping):
+        typer.echo(line)
+    if picture is not None:
+        typer.echo(f"picture: {picture}")
+
+
+def sensor_table(mapping: Mapping) -> Table:
+    """Every sensor of the test with its node; those left out or in doubt are outside."""
+    columns = (
+        Column("sensor"),
+        Column("node", unknown="-"),
+        Column("distance", mapping.unit, ".4g"),
+        Column("direction in the model", form="+.3f"),
+        Column("verdict", words=True, name="verdict"),
+        Column("why", words=True),
+    )
+    rows = tuple(
+        (
+            f"{row.test_node}.{row.component}",
+            row.model_node,
+            row.distance,
+            row.direction,
+            row.verdict,
+            row.reason,
+        )
+        for row in mapping.table
+    )
+    outside = [
+        (place, "verdict") for place, row in enumerate(mapping.table) if row.verdict != "good"
+    ]
+    return Table("Sensors on the model", columns, rows, outside=frozenset(outside))
+
+
+def sensor_lines(mapping: Mapping) -> list[str]:
+    """What is said below the table: counts, the alignment, what is doubtful."""
+    counts = [len(mapping.table), len(mapping.doubtful), len(mapping.left_out)]
+    return [
+        f"{counts[0]} sensors: {counts[0] - counts[1] - counts[2]} good, {counts[1]} doubtful, "
+        f"{counts[2]} left out; tolerance {mapping.tolerance:.4g} {mapping.unit}".rstrip(),
+        alignment_line(mapping),
+        *(f"note: {note}" for note in mapping.notes),
+    ]
+
+
+def alignment_line(mapping: Mapping) -> str:
+    """How the test lies over the model, in a line."""
+    found = mapping.alignment
+    if found is None:
+        return "sensors are the model's nodes of the same number"
+    place = ", ".join(f"{value:.4g}" for value in found.translation)
+    line = f"alignment: scale {found.scale:.6g}, turned {found.degrees:.4g} degrees, moved {place}"
+    if not found.residuals.size:
+        return f"{line} (given)"
+    return (
+        f"{line} {mapping.unit}".rstrip() + f"; fitted to {int(found.used.sum())} points, "
+        f"residual {found.rms:.4g} root mean square, {found.largest:.4g} at most"
+    )
+
+
+def told_sensors(mapping: Mapping, picture: Path | None = None) -> dict[str, Json]:
+    """The `--json` object of `modetune sensors`."""
+    found = mapping.alignment
+    fitted = found is not None and bool(found.residuals.size)
+    alignment = (
+        None
+        if found is None
+        else json_object(
+            found,
+            "scale rotation translation",
+            fitted_points=found.used.sum(),
+            residual_rms=found.rms if fitted else None,
+            residual_largest=found.largest if fitted else None,
+        )
+    )
+    return json_object(
+        mapping,
+        "tolerance unit notes",
+        status="doubtful" if mapping.doubtful or mapping.left_out else "good",
+        sensors=mapping.table,
+        alignment=alignment,
+        picture=picture,
+    )

@@ -1,0 +1,46 @@
+"""`modetune serve`: a campaign on a schedule, from this process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from modetune.flows.cli.options import CampaignPath, Runs, Settings, stoppable
+from modetune.flows.cli.server import CronLine, Name, TimeZone, WithoutLogin, serving
+
+
+def serve(
+    campaign_file: CampaignPath,
+    cron: CronLine = None,
+    timezone: TimeZone = "UTC",
+    name: Name = None,
+    settings: Settings = None,
+    runs: Runs = Path("runs"),
+    without_login: WithoutLogin = False,
+) -> None:
+    """Run the campaign on a schedule from this process, until Ctrl-C."""
+    from modetune.flows.campaign.campaign import load_campaign
+
+    campaign = load_campaign(campaign_file, settings or [])
+    name = name or campaign.name
+    said = "the schedule is paused; the same command goes on with it"
+    with stoppable(said), serving() as server:
+        from modetune.flows.server import deployment
+        from modetune.flows.server.worker import Worker, check_login
+
+        if not without_login:
+            check_login(server)
+        pool, schedule = f"serve-{name}", deployment.Schedule(cron, timezone)
+        with server.api() as api:
+            kept = deployment.deploy(api, campaign, runs, name, schedule, pool)
+        when = f"at `{cron}` ({timezone})" if cron else "when asked"
+        typer.echo(
+            f"serving {deployment.FLOW}/{name} {when}; pages at {server.pages}; Ctrl-C ends it"
+        )
+        keeper = Worker(server, pool, 1)
+        try:
+            keeper.work(once=False)
+        finally:
+            with keeper.server.api() as api:
+                deployment.pause(api, kept)

@@ -1,0 +1,106 @@
+"""`modetune validate`: does the model hold on what it was not updated with?"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, CampaignPath, Settings, stoppable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modetune.core.storage.keys import Json
+    from modetune.flows.studies.validate.leave_out import Validation
+
+
+def validate(
+    campaign_file: CampaignPath,
+    one_out: Annotated[
+        bool,
+        typer.Option("--leave-one-out", help="Update without each used mode in turn."),
+    ] = False,
+    settings: Settings = None,
+    as_json: AsJson = False,
+) -> None:
+    """Judge an update by what it was not made from, before and after.
+
+    By what the campaign holds out, or with --leave-one-out by each used mode in turn. Nothing but
+    the store is written. Exit code 3 where something that was held out got worse.
+    """
+    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.studies.validate.leave_out import leave_one_out
+    from modetune.flows.studies.validate.leave_out import validate as by_held_out
+    from modetune.flows.updating.display import ConsoleProgress
+
+    campaign = load_campaign(campaign_file, settings or [])
+    with stoppable(), ConsoleProgress(terminal(stderr=True)).shown() as progress:
+        judge = leave_one_out if one_out else by_held_out
+        found = judge(campaign, progress.working)
+    if as_json:
+        typer.echo(json.dumps(told(found, one_out)))
+    else:
+        _show(terminal(), found)
+    raise typer.Exit(0 if found.status == "good" else 3)
+
+
+def told(found: Validation, one_out: bool) -> dict[str, Json]:
+    """The `--json` object of `modetune validate`."""
+    from modetune.flows.report.rows import held_out_rows
+    from modetune.flows.report.tables import json_object
+
+    spread = zip(found.parameters, *found.spread, strict=True)
+    return json_object(
+        found,
+        "status name",
+        leave_one_out=one_out,
+        held_out=held_out_rows(found.held_out),
+        updates=[
+            json_object(
+                fold,
+                "status reason iterations",
+                left_out=fold.number or None,
+                configuration=fold.configuration or None,
+                parameters=dict(zip(found.parameters, fold.updated, strict=True)),
+            )
+            for fold in found.folds
+        ],
+        parameters=[{"name": name, "least": low, "largest": high} for name, low, high in spread],
+        solver_runs=found.runs,
+        wall_s=round(found.wall_s, 3),
+    )
+
+
+def _show(console: Console, found: Validation) -> None:
+    from rich.text import Text
+
+    from modetune.flows.report.tables import OUTSIDE, Column, Table, show_table
+    from modetune.flows.updating.display import show_held_out
+
+    show_held_out(console, found.held_out)
+    for fold in found.failed:
+        console.print(
+            Text(f"{fold.name} the update failed: {fold.reason}", style=OUTSIDE), soft_wrap=True
+        )
+    if len(found.folds) > 1:
+        columns = [Column("without", words=True)]
+        columns += [Column(parameter, form=".4f") for parameter in found.parameters]
+        rows = [(fold.name.removeprefix("without "), *fold.updated) for fold in found.folds]
+        show_table(console, Table("Parameters over the updates", tuple(columns), tuple(rows)))
+    runs = found.runs
+    said = {
+        "good": "nothing that was held out got worse",
+        "worse": "what was held out got worse",
+        "failed": "not every update came to an end",
+    }[found.status]
+    console.print(
+        Text(
+            f"{found.status}: {said}\n{len(found.folds)} updates; solver runs: {runs.modal} modal, "
+            f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store; "
+            f"{found.wall_s:.1f} s"
+        ),
+        soft_wrap=True,
+    )

@@ -1,1 +1,0 @@
-"""Several configurations of one structure, updated at once."""

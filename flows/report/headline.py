@@ -1,0 +1,179 @@
+"""How a campaign ended, in a paragraph that a person understands, and the figures beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.storage.record import CampaignRecord
+from modetune.flows.report.rows import ModeRow, mode_rows
+from modetune.flows.report.tables import Column, signed
+
+#: How a campaign's end reads.
+STATUS = {
+    "converged": ("agrees with its test", "good"),
+    "max_iterations": ("came nearer to its test, but does not agree with it yet", "fair"),
+    "stationary": ("was brought as near to its test as these parameters can", "fair"),
+    "running": ("is still being updated", "fair"),
+}
+#: ... where it is in some, or in no respect nearer to its test than before.
+IN_PART = ("came nearer to its test in part only", "fair")
+NO_NEARER = ("did not come nearer to its test", "outside")
+#: A MAC that changes by less is as before: shown digits.
+SAME_MAC = 5e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A figure that is looked for first, its name, and what it was before."""
+
+    name: str
+    value: str
+    below: str
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """ending: what became of the model, with its mood (good, fair, outside); text: in sentences."""
+
+    ending: str
+    mood: str
+    text: str
+    tiles: tuple[Tile, ...]
+
+
+def headline(record: CampaignRecord) -> Headline:
+    """What stands at the top of a report."""
+    rows, kept = mode_rows(record), record.best
+    ending, mood = _ending(record, rows)
+    stored = (
+        f" ({record.runs.reused} more were answered by the store)" if record.runs.reused else ""
+    )
+    text = (
+        f"{_frequencies(rows)}{_shapes(rows)}{_parameters(record)} It took "
+        f"{_count(kept.number, 'iteration')} and "
+        f"{_count(record.runs.modal + record.runs.sensitivity, 'solver run')}{stored}."
+    )
+    return Headline(ending, mood, text, _tiles(record, rows))
+
+
+def _ending(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[str, str]:
+    """How the campaign's end reads, and its mood."""
+    if record.status in ("max_iterations", "stationary") and record.best.number > 0:
+        nearer = _changes(rows)
+        if not any(change > 0.0 for change in nearer):
+            return NO_NEARER
+        if any(change < 0.0 for change in nearer):
+            return IN_PART
+    return STATUS.get(record.status, (f"ended as {record.status}", "fair"))
+
+
+def _changes(rows: Sequence[ModeRow]) -> tuple[float, float, float]:
+    """By how much worst error, mean error and least MAC are better than before.
+
+    The MAC's is zero where it is as before, or unknown.
+    """
+    before = np.abs([row.error_initial for row in rows])
+    after = np.abs([row.error_updated for row in rows])
+    rise = min(row.mac_updated for row in rows) - min(row.mac_initial for row in rows)
+    return (
+        float(before.max() - after.max()),
+        float(before.mean() - after.mean()),
+        rise if abs(rise) >= SAME_MAC else 0.0,
+    )
+
+
+def _frequencies(rows: Sequence[ModeRow]) -> str:
+    worst_before = max(rows, key=lambda row: abs(row.error_initial))
+    worst_after = max(rows, key=lambda row: abs(row.error_updated))
+    means = [
+        float(np.mean([abs(getattr(row, f"error_{when}")) for row in rows]))
+        for when in ("initial", "updated")
+    ]
+    modes = f"all {len(rows)} measured modes were" if len(rows) > 1 else "the measured mode was"
+    worst, mean, _ = _changes(rows)
+    before = f"{percent(abs(worst_before.error_initial), sign=False)} (mode {worst_before.label})"
+    after = f"{percent(abs(worst_after.error_updated), sign=False)} (mode {worst_after.label})"
+    largest = (
+        f"frequencies that were off by up to {before} are now within {after}"
+        if worst > 0.0
+        else f"the largest frequency error did not improve: {before} before, {after} now"
+    )
+    return (
+        f"{modes.capitalize()} found in it; {largest}; the mean error "
+        f"{'fell' if mean > 0.0 else 'did not improve: it went'} from "
+        f"{percent(means[0], sign=False)} to {percent(means[1], sign=False)}. "
+    )
+
+
+def _shapes(rows: Sequence[ModeRow]) -> str:
+    macs = [row.mac_updated for row in rows]
+    if not np.isfinite(macs).all():
+        return "No shapes were measured, so modes were paired by frequency and tracked by shape. "
+    least = min(rows, key=lambda row: row.mac_updated)
+    before = min(rows, key=lambda row: row.mac_initial)
+    if _changes(rows)[2] < 0.0:
+        return (
+            f"Mode shapes did not improve: the least MAC fell from {before.mac_initial:.3f} "
+            f"(mode {before.label}) to {least.mac_updated:.3f} (mode {least.label}). "
+        )
+    return (
+        f"Mode shapes agree with a MAC of at least {least.mac_updated:.3f} (mode {least.label}; "
+        f"{before.mac_initial:.3f} before). "
+    )
+
+
+def _parameters(record: CampaignRecord) -> str:
+    change = record.updated / record.iterations[0].parameters - 1.0
+    most = int(np.argmax(np.abs(change)))
+    on = record.parameters.at_bounds(record.updated)
+    bounds = "none stands on a bound" if not on else f"{', '.join(on)} on a bound"
+    names = record.parameters.names
+    if len(names) == 1:
+        return f"{names[0]} was changed by {percent(change[0], 1)}, {bounds}."
+    return (
+        f"{len(names)} parameters were updated, {names[most]} the most "
+        f"({percent(float(change[most]), 1)}); {bounds}."
+    )
+
+
+def _tiles(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[Tile, ...]:
+    first, last = record.iterations[0], record.best
+    means = [
+        percent(float(np.mean([abs(error) for error in errors])), sign=False)
+        for errors in zip(*((row.error_initial, row.error_updated) for row in rows), strict=True)
+    ]
+    least = [
+        number(min(macs), ".3f")
+        for macs in zip(*((row.mac_initial, row.mac_updated) for row in rows), strict=True)
+    ]
+    return (
+        Tile(
+            "largest frequency error",
+            percent(last.worst_error, sign=False),
+            f"before {percent(first.worst_error, sign=False)}",
+        ),
+        Tile("mean frequency error", means[1], f"before {means[0]}"),
+        Tile("least MAC", least[1], f"before {least[0]}"),
+        Tile(
+            "solver runs",
+            str(record.runs.modal + record.runs.sensitivity),
+            f"{number(record.runs.core_s / 60.0, '.2g')} core-minutes",
+        ),
+    )
+
+
+def percent(share: float, decimals: int = 2, sign: bool = True) -> str:
+    """A share in percent; what rounds to nothing has no sign."""
+    text = Column("", "%", f"{'+' if sign else ''}.{decimals}f").shown(share)
+    return signed(text) if text == "-" else f"{signed(text)} %"
+
+
+def number(value: float, form: str = ".4g") -> str:
+    return signed(Column("", form=form).shown(value))
+
+
+def _count(count: int, word: str) -> str:
+    return f"{count} {word}{'' if count == 1 else 's'}"

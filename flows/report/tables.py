@@ -1,0 +1,229 @@
+"""Tables of results: rows that follow from a result, columns described once, one renderer a reader.
+
+A row is a frozen dataclass, and each field that people see says how in its type:
+
+    test_hz: Annotated[float, Column("test", "Hz")]
+
+The field's name is the key in JSON and the column of a data frame; the heading is what stands over
+it on a terminal, in a page and in Prefect's tables. Where the columns depend on the result (one a
+mode, one a parameter) a table is made of columns and rows of plain values instead.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+
+from modetune.core.storage.keys import Json, number_or_null
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from rich.console import Console
+    from rich.table import Table as TerminalTable
+
+#: How what is outside of what was asked for looks on a terminal.
+OUTSIDE = "bold red"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """How the values of one column are headed and written.
+
+    unit: behind the heading; values in % are kept as shares of one. form: of numbers, as in
+    f-strings; frequencies have five digits without one. unknown: stands for NaN. words: whether
+    it holds texts, which stand to the left. name: of the field.
+    """
+
+    heading: str
+    unit: str = ""
+    form: str = ""
+    unknown: str = "-"
+    words: bool = False
+    name: str = ""
+
+    @property
+    def head(self) -> str:
+        return f"{self.heading}, {self.unit}" if self.unit else self.heading
+
+    def shown(self, value: Any) -> str:
+        """A value as people read it."""
+        if hasattr(value, "tolist"):  # numbers and arrays of numpy
+            value = value.tolist()
+        if value is None or isinstance(value, str):
+            return value or ""
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        if isinstance(value, tuple | list):
+            return ", ".join(self.shown(item) for item in value)
+        if isinstance(value, int) and self.unit != "%":
+            return str(value)
+        if not math.isfinite(value):
+            return self.unknown
+        if self.unit == "Hz" and not self.form:
+            return hertz(value)
+        text = format(100.0 * value if self.unit == "%" else value, self.form or ".4g")
+        # What rounds to nothing has no sign.
+        return text if float(text) else text.lstrip("+-")
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table for people: columns, rows of values, and rows below that sum them up.
+
+    outside: place of a row and name of a column where a value is outside of what was asked for; a
+    row whose place stands with the name "" is so as a whole.
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    foot: tuple[tuple[Any, ...], ...] = ()
+    outside: frozenset[tuple[int, str]] = frozenset()
+
+    def is_outside(self, row: int, column: Column) -> bool:
+        return bool({(row, column.name), (row, "")} & self.outside)
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """Every row as people read it."""
+        return [_texts(self.columns, row) for row in self.rows]
+
+    @property
+    def foot_texts(self) -> list[list[str]]:
+        return [_texts(self.columns, row) for row in self.foot]
+
+
+def table_of(
+    title: str,
+    rows: Sequence[Any],
+    kind: type | Sequence[Column],
+    only: str = "",
+    foot: Sequence[Sequence[Any]] = (),
+    outside: Iterable[tuple[int, str]] = (),
+) -> Table:
+    """A table of rows of one kind.
+
+    kind: the rows' class, or columns of which each has the name of an attribute; only: names of
+    the columns that are shown, all if left out.
+    """
+    columns = columns_of(kind) if isinstance(kind, type) else tuple(kind)
+    if only:
+        by_name = {column.name: column for column in columns}
+        columns = tuple(by_name[name] for name in only.split())
+    values = tuple(tuple(getattr(row, column.name) for column in columns) for row in rows)
+    return Table(title, columns, values, tuple(map(tuple, foot)), frozenset(outside))
+
+
+@cache
+def columns_of(kind: type) -> tuple[Column, ...]:
+    """The columns of a class of rows, in the order of its fields."""
+    found = []
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if get_origin(hint) is not Annotated:
+            continue
+        bare, *notes = get_args(hint)
+        found += [
+            dataclasses.replace(note, name=name, words=note.words or bare is str)
+            for note in notes
+            if isinstance(note, Column)
+        ]
+    return tuple(found)
+
+
+def terminal_table(table: Table) -> TerminalTable:
+    """For a terminal, by Rich."""
+    from rich.table import Table as TerminalTable
+    from rich.text import Text
+
+    made = TerminalTable(title=Text(table.title) if table.title else None, title_justify="left")
+    for column in table.columns:
+        # Short texts, names above all, stay whole.
+        made.add_column(
+            Text(column.head), justify="left" if column.words else "right", overflow="fold"
+        )
+    for place, texts in enumerate(table.texts):
+        cells = [
+            Text(text, style=OUTSIDE if table.is_outside(place, column) else "")
+            for column, text in zip(table.columns, texts, strict=True)
+        ]
+        made.add_row(*cells)
+    if table.foot:
+        made.add_section()
+    for texts in table.foot_texts:
+        made.add_row(*map(Text, texts))
+    return made
+
+
+def show_table(console: Console, table: Table) -> None:
+    """Print a table; nothing where it has no rows."""
+    if table.rows:
+        console.print(terminal_table(table))
+
+
+def artifact_rows(table: Table) -> list[Json]:
+    """For Prefect's own kind of table, which sorts whole numbers: what stands under each head."""
+    heads = [column.head for column in table.columns]
+    return [
+        {
+            head: value if type(value) is int else text
+            for head, value, text in zip(heads, values, texts, strict=True)
+        }
+        for values, texts in zip(table.rows, table.texts, strict=True)
+    ]
+
+
+def frame(rows: Sequence[Any], kind: type) -> pd.DataFrame:
+    """Rows of a class as a data frame: a column a field, whether people are shown it or not."""
+    import pandas as pd  # takes half a second, and a campaign needs none
+
+    names = [item.name for item in dataclasses.fields(kind)]
+    return pd.DataFrame([[getattr(row, name) for name in names] for row in rows], columns=names)
+
+
+def json_of(value: Any) -> Json:
+    """A result for machines: dataclasses as objects of their fields, arrays as lists.
+
+    A number that is not finite is null. Raises TypeError for what JSON has no form of.
+    """
+    if value is None or isinstance(value, str | bool | int):
+        return value.value if isinstance(value, Enum) else value
+    if isinstance(value, float):
+        return number_or_null(value)
+    if hasattr(value, "tolist"):
+        return json_of(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, dict):
+        return {str(key): json_of(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [json_of(item) for item in value]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: json_of(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    raise TypeError(f"{type(value).__name__} has no form in JSON")
+
+
+def json_object(result: object, names: str = "", **named: Any) -> dict[str, Json]:
+    """The `--json` object of a result: attributes of these names, and others by their own."""
+    found = {name: json_of(getattr(result, name)) for name in names.split()}
+    return found | {name: json_of(value) for name, value in named.items()}
+
+
+def hertz(value: float) -> str:
+    """A frequency with five significant digits, three decimals at most."""
+    decimals = min(3, max(0, 4 - math.floor(math.log10(abs(value))))) if value else 3
+    return f"{value:.{decimals}f}"
+
+
+def signed(text: str) -> str:
+    """A number with a typographic minus; what is not known is a dash."""
+    return "\N{EN DASH}" if text == "-" else text.replace("-", "\N{MINUS SIGN}")
+
+
+def _texts(columns: Sequence[Column], row: Sequence[Any]) -> list[str]:
+    return [column.shown(value) for column, value in zip(columns, row, strict=True)]

@@ -1,1 +1,0 @@
-"""Where a test's sensors are on the model."""

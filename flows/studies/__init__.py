@@ -1,0 +1,1 @@
+"""Studies: what can be asked of a model and its test besides updating."""

@@ -1,0 +1,36 @@
+"""What a pre-check finds: a sentence on what is doubtful or wrong, where, and what helps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+#: good: looked at and as it should be; doubtful: a person should look; wrong: do not start so.
+Level = Literal["good", "doubtful", "wrong"]
+#: What a finding is about.
+Subject = Literal["test", "sensors", "model", "modes", "pairing", "parameters"]
+ORDER: dict[Level, int] = {"good": 0, "doubtful": 1, "wrong": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at. where: the mode, sensor or parameter; remedy: may be empty."""
+
+    level: Level
+    subject: Subject
+    what: str
+    where: str = ""
+    remedy: str = ""
+
+
+def worst(findings: Iterable[Finding]) -> Level:
+    """The worst level of all; good where there are none."""
+    return max((item.level for item in findings), key=ORDER.__getitem__, default="good")
+
+
+def listed(names: Iterable[object], most: int = 6) -> str:
+    """Names with commas, the first few where there are many."""
+    texts = [str(name) for name in names]
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return ", ".join(texts[:most]) + more

@@ -1,0 +1,141 @@
+"""The pre-check of a campaign: what can be told of a campaign at the cost of one modal run.
+
+`load_campaign` has refused what cannot work at all. Here test, sensors, model and parameters are
+judged, first without a solver, then with the modal job that updating begins with: it has the same
+key, so updating finds it in the store.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.errors import ModesError, SolverError
+from modetune.core.storage.record import RunCounts
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.job import Job
+from modetune.flows.studies.check.findings import Finding, Level, worst
+from modetune.flows.studies.check.measured_modes import data_findings
+from modetune.flows.studies.check.model import (
+    ModelFacts,
+    mass_findings,
+    model_facts,
+    rigid_findings,
+    size_findings,
+)
+from modetune.flows.studies.check.pairing import (
+    ModePreview,
+    margin_findings,
+    pairing_findings,
+    preview,
+    unmeasured,
+)
+from modetune.flows.studies.check.parameters import (
+    EnergyShare,
+    bound_findings,
+    energy_findings,
+    energy_shares,
+)
+from modetune.flows.studies.check.sensors import sensor_findings
+from modetune.flows.studies.check.suspects import suspected_sensors
+from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.running import job_engine
+
+NO_RUN = RunCounts()
+
+
+@dataclass(frozen=True, slots=True)
+class PreCheckReport:
+    """What the pre-check found.
+
+    facts: of the model, None where nothing was run; modes: each test mode with its pair; shares:
+    of strain energy by parameter; runs: what it cost; failure: of the solver run, None if it is
+    there or was not wanted.
+    """
+
+    findings: tuple[Finding, ...]
+    facts: ModelFacts | None = None
+    modes: tuple[ModePreview, ...] = ()
+    shares: tuple[EnergyShare, ...] = ()
+    runs: RunCounts = NO_RUN
+    failure: SolverError | None = None
+
+    @property
+    def level(self) -> Level:
+        return worst(self.findings)
+
+    @property
+    def exit_code(self) -> int:
+        """0 where nothing is wrong, 2 where something is; the solver's own where it failed."""
+        if self.failure is not None:
+            return self.failure.exit_code
+        return 2 if self.level == "wrong" else 0
+
+
+def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
+    """Judge a campaign that was read; run: with its first modal job, from the store if there.
+
+    A solver that fails is a finding. Raises StoreError.
+    """
+    static = (
+        *data_findings(campaign.test),
+        *sensor_findings(campaign),
+        *size_findings(campaign),
+        *bound_findings(campaign),
+    )
+    if not run:
+        return PreCheckReport(static)
+    engine = job_engine(campaign)
+    analysis = campaign_analysis(campaign)
+    job = Job(campaign.parameters.values(campaign.start), analysis)
+    try:
+        campaign.solver_version()
+        outcome = engine.solve(job)
+        result = outcome.result(ModalResult)
+    except SolverError as error:
+        told = Finding("wrong", "model", f"the solver gave no modes: {error}")
+        return PreCheckReport((*static, told), failure=error)
+    engine.keep_text()
+    runs = RunCounts(modal=int(not outcome.reused), reused=int(outcome.reused))
+    return judged(campaign, result, static, analysis.n_modes, runs)
+
+
+def judged(
+    campaign: Campaign,
+    result: ModalResult,
+    static: tuple[Finding, ...],
+    n_asked: int,
+    runs: RunCounts,
+) -> PreCheckReport:
+    """The report on a model that was solved; n_asked: modes that were asked for."""
+    facts = model_facts(campaign, result)
+    test = campaign.case.measured  # what is held out has its place in the order of frequencies too
+    lowest_hz = float(test.modes.frequencies_hz.min())
+    held = rigid_findings(result, campaign.case.solver.deck.summary.components, lowest_hz)
+    found = [*static, *mass_findings(campaign, facts), *held]
+    if worst(held) == "wrong" or lowest_hz <= 0.0:
+        return PreCheckReport(
+            tuple(found), facts, runs=runs
+        )  # its modes have nothing to be paired by
+    shapes = campaign.test.has_shapes
+    elastic = campaign.case.sensors.observe(result.elastic) if shapes else result.elastic
+    found += margin_findings(test, elastic, result.modes.n_modes < n_asked)
+    try:
+        every = preview(test, elastic)
+    except ModesError as error:
+        return PreCheckReport((*found, Finding("wrong", "pairing", str(error))), facts, runs=runs)
+    modes = tuple(mode for mode in every if mode.mode in campaign.test.numbers)
+    shares = energy_shares(result, np.array([mode.elastic_mode - 1 for mode in modes]))
+    found += pairing_findings(modes, float(elastic.frequencies_hz.max()))
+    found += suspected_sensors(test, elastic, every)
+    found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
+    found += energy_findings(campaign, result, shares)
+    return PreCheckReport(tuple(found), facts, modes, shares, runs)
+
+
+def _leaves_modes_out(campaign: Campaign) -> bool:
+    """Whether the test measured modes that the campaign neither uses nor judges by."""
+    there = campaign.case.measurement.modes
+    return there is not None and not set(there.numbers) <= set(campaign.case.measured.numbers)

@@ -1,0 +1,236 @@
+"""Whether a test can be true: copied modes, dead or wild sensors, damping in percent.
+
+Nothing here knows the model. Limits are meant so that a sound test passes without a word.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from modetune.core.correlation.correlation import auto_mac
+from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
+from modetune.flows.studies.check.findings import Finding, listed
+
+#: Off the diagonal of the auto-MAC: above it the sensors hardly tell two modes apart.
+ALIKE = 0.8
+#: Numbers this near to each other (relative) were copied: no two measurements agree so well.
+COPIED = 1e-6
+#: 1 - MAC, about the square of the shapes' difference, of shapes that were copied with few digits.
+COPIED_MAC = 1e-8
+#: A sensor that stays below this share of the largest motion in every mode measures nothing.
+STILL = 1e-6
+#: A sensor this many times above all others in a mode dominates it.
+DOMINATES = 10.0
+#: Fewer sensors than this cannot tell an outlier.
+FEW_SENSORS = 6
+#: Fraction of critical; more is not light damping, and most likely percent.
+HIGHEST_DAMPING = 0.2
+
+
+def data_findings(test: MeasuredModes) -> list[Finding]:
+    """All that is strange in the measured modes."""
+    found = _frequencies(test) + _damping(test)
+    if not test.has_shapes:
+        return found
+    moving = np.abs(test.modes.mode_shapes).max(axis=0) > 0.0
+    found += [
+        Finding(
+            "wrong",
+            "test",
+            "the shape is zero at every sensor",
+            f"test mode {number}",
+            "leave the mode out with `test.use`, or export it again",
+        )
+        for number, moves in zip(test.numbers, moving.tolist(), strict=True)
+        if not moves
+    ]
+    return found + _alike(test, moving) + _sensors(test)
+
+
+def sensor_name(modes: ModeSet, row: int) -> str:
+    """`node.component`, as test files name a sensor."""
+    return f"{modes.nodes[row]}.{COMPONENTS[modes.components[row] - 1]}"
+
+
+def _frequencies(test: MeasuredModes) -> list[Finding]:
+    frequencies, found = test.modes.frequencies_hz, list[Finding]()
+    if not (frequencies > 0.0).all():
+        rigid = [test.numbers[place] for place in np.flatnonzero(frequencies <= 0.0).tolist()]
+        return [
+            Finding(
+                "wrong",
+                "test",
+                "the frequency is not above zero",
+                f"test mode {listed(rigid)}",
+                "leave rigid-body modes out with `test.use`",
+            )
+        ]
+    steps = np.diff(frequencies)
+    if (steps < 0.0).any():
+        late = [test.numbers[place + 1] for place in np.flatnonzero(steps < 0.0).tolist()]
+        found.append(
+            Finding(
+                "doubtful",
+                "test",
+                "the frequencies do not ascend",
+                f"test mode {listed(late)}",
+                "look whether columns were mixed up",
+            )
+        )
+    for first, second in combinations(range(len(test.numbers)), 2):
+        if abs(frequencies[second] / frequencies[first] - 1.0) < COPIED:
+            found.append(
+                Finding(
+                    "doubtful",
+                    "test",
+                    f"two modes have one frequency, {frequencies[first]:.6g} Hz",
+                    f"test modes {test.numbers[first]} and {test.numbers[second]}",
+                    "leave one out with `test.use` if it was identified twice",
+                )
+            )
+    return found
+
+
+def _damping(test: MeasuredModes) -> list[Finding]:
+    damping = test.modes.damping_ratios
+    strange = [
+        place
+        for place, value in enumerate(damping.tolist())
+        if value < 0.0 or value > HIGHEST_DAMPING
+    ]
+    if not strange:
+        return []
+    values = listed(f"{damping[place]:.3g}" for place in strange)
+    percent = float(np.median(damping)) > HIGHEST_DAMPING
+    remedy = "damping ratios are fractions of critical: divide by 100 if these are percent"
+    return [
+        Finding(
+            "doubtful",
+            "test",
+            f"damping ratio {values} is below zero or above 20 %",
+            f"test mode {listed(test.numbers[place] for place in strange)}",
+            remedy if percent else "identify the mode again, or leave it out",
+        )
+    ]
+
+
+def _alike(
+    test: MeasuredModes, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]
+) -> list[Finding]:
+    shapes, found = test.modes.mode_shapes, []
+    n_dof, n_modes = shapes.shape
+    if n_dof < n_modes:
+        found.append(
+            Finding(
+                "doubtful",
+                "test",
+                f"{n_dof} sensors cannot tell {n_modes} modes apart",
+                "",
+                "use fewer modes (`test.use`), or more sensors",
+            )
+        )
+    places = np.flatnonzero(moving)
+    if n_dof < 2 or places.size < 2:
+        return found
+    table = auto_mac(shapes[:, places])
+    for first, second in combinations(range(places.size), 2):
+        value = float(table[first, second])
+        names = [test.numbers[places[place]] for place in (first, second)]
+        where = f"test modes {names[0]} and {names[1]}"
+        if n_dof > 2 and 1.0 - value < COPIED_MAC:
+            found.append(
+                Finding(
+                    "wrong",
+                    "test",
+                    "two modes have one shape",
+                    where,
+                    "one is a copy: export the test again, or leave it out with `test.use`",
+                )
+            )
+        elif value > ALIKE:
+            found.append(
+                Finding(
+                    "doubtful",
+                    "test",
+                    f"the sensors hardly tell two modes apart (auto-MAC {value:.3f})",
+                    where,
+                    "pairs of these modes may be swapped; add sensors, or use one of them",
+                )
+            )
+    return found
+
+
+def _sensors(test: MeasuredModes) -> list[Finding]:
+    sizes = np.abs(test.modes.mode_shapes)
+    units = sizes / np.where(sizes.max(axis=0) > 0.0, sizes.max(axis=0), 1.0)
+    found = []
+    still = np.flatnonzero(units.max(axis=1) < STILL)
+    if still.size:
+        found.append(
+            Finding(
+                "doubtful",
+                "test",
+                f"no mode moves {_count(still.size)}",
+                listed(sensor_name(test.modes, row) for row in still.tolist()),
+                "a dead channel, or a direction that the structure does not take; leave the "
+                "row out if it was not measured",
+            )
+        )
+    return found + _copied_rows(test, still.tolist()) + _outliers(test, units)
+
+
+def _copied_rows(test: MeasuredModes, still: list[int]) -> list[Finding]:
+    """Rows of like numbers, which three modes or more cannot have by chance."""
+    shapes = test.modes.mode_shapes
+    if shapes.shape[1] < 3:
+        return []
+    firsts: dict[bytes, int] = {}
+    copies = []
+    for row, values in enumerate(shapes):
+        if row in still:
+            continue
+        pattern = np.round(values / values[np.abs(values).argmax()], 6) + 0.0
+        first = firsts.setdefault(pattern.tobytes(), row)
+        if first != row and np.allclose(np.abs(values), np.abs(shapes[first]), rtol=COPIED, atol=0):
+            copies.append(f"{sensor_name(test.modes, first)} = {sensor_name(test.modes, row)}")
+    if not copies:
+        return []
+    return [
+        Finding(
+            "doubtful",
+            "test",
+            "sensors have like numbers in all modes",
+            listed(copies),
+            "a channel may stand twice; leave one row out if so",
+        )
+    ]
+
+
+def _outliers(test: MeasuredModes, units: Floats) -> list[Finding]:
+    """Sensors that exceed all others by far, with the modes in which they do."""
+    if units.shape[0] < FEW_SENSORS:
+        return []
+    order = np.argsort(units, axis=0)
+    found = []
+    columns = np.arange(units.shape[1])
+    ratio = units[order[-1], columns] / np.maximum(units[order[-2], columns], 1e-300)
+    dominated = (ratio > DOMINATES) & (units.max(axis=0) > 0.0)
+    for row in np.unique(order[-1][dominated]).tolist():
+        modes = [place for place in np.flatnonzero(dominated).tolist() if order[-1][place] == row]
+        found.append(
+            Finding(
+                "doubtful",
+                "test",
+                f"one sensor moves {min(ratio[modes].max(), 1e6):.3g} times as much as any other",
+                f"sensor {sensor_name(test.modes, row)} in test mode "
+                f"{listed(test.numbers[place] for place in modes)}",
+                "look at its calibration and mounting, or leave its row out",
+            )
+        )
+    return found
+
+
+def _count(sensors: int) -> str:
+    return f"{sensors} sensor{'' if sensors == 1 else 's'}"

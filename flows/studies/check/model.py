@@ -1,0 +1,292 @@
+"""Whether the model can be true: its mass and size, and how it is held, from one modal run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.correlation.mass_properties import RigidBody, rigid_body_of_modes
+from modetune.core.errors import ModelError, ModesError
+from modetune.core.mesh import Mesh
+from modetune.core.modes import Floats, ModeSet
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import RIGID_MODES
+from modetune.flows.campaign.schema import Units
+from modetune.flows.campaign.units import KILOGRAMS, METRES
+from modetune.flows.studies.check.findings import Finding
+
+#: Structures that are tested, metres and kilograms; beyond it the units are likely wrong.
+SIZES_M = (1e-3, 1000.0)
+MASSES_KG = (1e-4, 1e7)
+#: Nothing is heavier than osmium over its own box, kg/m3.
+DENSEST = 22_600.0
+#: Eigenvalues this many times smaller than the next one are of motions without strain.
+GAP = 1e4
+#: A rigid-body frequency above this share of the first elastic one is not near zero.
+NEAR_ZERO = 1e-3
+#: Mass by the solver and by rigid-body modes agree within its printed digits.
+MASS_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFacts:
+    """What the run tells of the model.
+
+    size_m: diagonal of the box round all nodes, NaN without geometry. mass, mass_kg: by the
+    solver, NaN where it does not tell. body: from rigid-body modes, the deck's units, None where
+    body_missing says why. n_rigid: as updating counts them; rigid_hz: the largest of their
+    frequencies; elastic_hz: (n_elastic,).
+    """
+
+    size_m: float
+    mass: float
+    mass_kg: float
+    body: RigidBody | None
+    body_missing: str
+    n_rigid: int
+    rigid_hz: float
+    elastic_hz: Floats
+
+
+def model_facts(campaign: Campaign, result: ModalResult) -> ModelFacts:
+    """Facts of the model from its mesh and its modes."""
+    body, missing = _body(campaign, result)
+    rigid = np.abs(result.eigenvalues[: result.n_rigid]).max(initial=0.0)
+    return ModelFacts(
+        size_m=model_size(campaign),
+        mass=result.mass,
+        mass_kg=result.mass * KILOGRAMS[campaign.case.units],
+        body=body,
+        body_missing=missing,
+        n_rigid=result.n_rigid,
+        rigid_hz=float(np.sqrt(rigid) / 2.0 / np.pi),
+        elastic_hz=result.elastic.frequencies_hz,
+    )
+
+
+def model_size(campaign: Campaign) -> float:
+    """Diagonal of the box round the model, metres; NaN where the model has no geometry."""
+    places = _mesh(campaign).coordinates
+    if places.shape[0] < 2:
+        return float("nan")
+    return float(np.linalg.norm(np.ptp(places, axis=0))) * METRES[campaign.case.units]
+
+
+def size_findings(campaign: Campaign) -> list[Finding]:
+    """Whether the model's size fits its units; nothing without geometry."""
+    size = model_size(campaign)
+    if not np.isfinite(size):
+        return []
+    if SIZES_M[0] <= size <= SIZES_M[1]:
+        return [Finding("good", "model", f"{size:.4g} m across", "model.units")]
+    return [
+        Finding(
+            "doubtful",
+            "model",
+            f"in units {campaign.case.units} the model is {size:.3g} m across",
+            "model.units",
+            "name the units that the deck is written in",
+        )
+    ]
+
+
+def mass_findings(campaign: Campaign, facts: ModelFacts) -> list[Finding]:
+    """Whether mass, centre and inertia are plausible."""
+    if not np.isfinite(facts.mass) and facts.body is None:
+        return [
+            Finding(
+                "good",
+                "model",
+                f"the mass is not known: {campaign.solver_name} does not tell it, and "
+                f"{facts.body_missing}",
+            )
+        ]
+    mass_kg = facts.mass_kg
+    if not np.isfinite(mass_kg) and facts.body is not None:
+        mass_kg = facts.body.mass * KILOGRAMS[campaign.case.units]
+    found = [Finding("good", "model", f"the mass is {mass_kg:.6g} kg")]
+    heavy = mass_kg > DENSEST * facts.size_m**3  # the cube round the diagonal: the largest volume
+    if heavy or not MASSES_KG[0] <= mass_kg <= MASSES_KG[1]:
+        found = [
+            Finding(
+                "doubtful",
+                "model",
+                f"in units {campaign.case.units} the mass is {mass_kg:.3g} kg"
+                + (f", in a model {facts.size_m:.3g} m across" if heavy else ""),
+                "model.units",
+                "look at densities, point masses and units (Nastran: PARAM,WTMASS)",
+            )
+        ]
+    return found + _body_findings(facts, campaign.case.units)
+
+
+def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
+    body = facts.body
+    if body is None:
+        unknown = f"centre of gravity and inertia are not known: {facts.body_missing}"
+        return [Finding("good", "model", unknown)]
+    # Zero but for rounding, as along the normal of a plane of symmetry, is shown as zero.
+    shown = np.where(np.abs(body.centre) < 1e-6 * np.abs(body.centre).max(), 0.0, body.centre)
+    centre = ", ".join(f"{value:.5g}" for value in shown)
+    moments = ", ".join(f"{value:.5g}" for value in body.inertia.diagonal())
+    length, mass, _ = units.split("-")
+    said = (
+        f"centre of gravity ({centre}) {length}, moments of inertia about it ({moments}) "
+        f"{mass} {length}^2"
+    )
+    found = [Finding("good", "model", said)]
+    if body.spread > MASS_TOLERANCE:
+        found.append(
+            Finding(
+                "doubtful",
+                "model",
+                f"the mass differs by {100 * body.spread:.2g} % between directions",
+                "",
+                "a point mass may act in some directions only",
+            )
+        )
+    apart = abs(body.mass / facts.mass - 1.0) if np.isfinite(facts.mass) else 0.0
+    if apart > MASS_TOLERANCE:
+        found.append(
+            Finding(
+                "doubtful",
+                "model",
+                f"the rigid-body modes move a mass of {body.mass:.6g} {mass}, the solver "
+                f"tells {facts.mass:.6g} {mass}",
+                "",
+                "some mass is not joined to the structure, or not counted by the solver",
+            )
+        )
+    return found
+
+
+def rigid_findings(
+    result: ModalResult, components: frozenset[int], lowest_hz: float
+) -> list[Finding]:
+    """Whether the model is free, held, or something in between.
+
+    components: of its results; lowest_hz: of the test, which says what is near zero where all is.
+    """
+    near_zero = count_near_zero(result.eigenvalues)
+    elastic = result.eigenvalues[result.n_rigid :]
+    if near_zero > RIGID_MODES:
+        return [
+            Finding(
+                "wrong",
+                "model",
+                f"{near_zero} modes are at zero, a free structure has 6",
+                "",
+                "a mechanism: look for parts that nothing joins, hinges, or nodes "
+                "without stiffness",
+            )
+        ]
+    if GAP * np.abs(result.eigenvalues).max() < (2.0 * np.pi * lowest_hz) ** 2:
+        return [
+            Finding(
+                "wrong",
+                "model",
+                f"all {result.modes.n_modes} computed modes are at zero beside the test's",
+                "",
+                "a mechanism of many motions, or wrong units",
+            )
+        ]
+    if (elastic <= 0.0).any():
+        lowest = float(elastic.min())
+        return [
+            Finding(
+                "wrong",
+                "model",
+                f"an elastic eigenvalue is not above zero ({lowest:.3g} (rad/s)^2)",
+                "",
+                "the stiffness is not positive: look for a mechanism or for preload "
+                "beyond buckling",
+            )
+        ]
+    if result.n_rigid == 0:
+        return [
+            Finding(
+                "good",
+                "model",
+                f"held: no rigid-body mode, the first at {np.sqrt(elastic[0]) / 2 / np.pi:.4g} Hz",
+            )
+        ]
+    free = len(components & {1, 2, 3}) if len(components & {1, 2, 3}) < 3 else RIGID_MODES
+    if result.n_rigid < free:
+        return [
+            Finding(
+                "doubtful",
+                "model",
+                f"half held: {result.n_rigid} modes at zero, a free structure has {free}, "
+                "a held one none",
+                "",
+                "look at the supports; a mechanism shows so too",
+            )
+        ]
+    return [_near_zero(result, elastic)]
+
+
+def _near_zero(result: ModalResult, elastic: Floats) -> Finding:
+    worst = float(np.sqrt(np.abs(result.eigenvalues[: result.n_rigid]).max() / elastic[0]))
+    said = (
+        f"free: {result.n_rigid} rigid-body modes, at most {worst:.1g} of the first elastic "
+        "frequency"
+    )
+    if worst <= NEAR_ZERO:
+        return Finding("good", "model", said)
+    return Finding(
+        "doubtful",
+        "model",
+        said,
+        "",
+        "they should be nearer to zero: look for springs to ground, or for dependent "
+        "nodes that do not turn freely",
+    )
+
+
+def count_near_zero(eigenvalues: Floats) -> int:
+    """How many of the lowest eigenvalues, (n_modes,), lie below a gap, however many these are.
+
+    Unlike core.modes.count_rigid_modes, which stops at six.
+    """
+    sizes = np.maximum.accumulate(np.abs(eigenvalues))
+    gaps = [n for n in range(1, sizes.size) if eigenvalues[n] > GAP * sizes[n - 1]]
+    return gaps[-1] if gaps else 0
+
+
+def _body(campaign: Campaign, result: ModalResult) -> tuple[RigidBody | None, str]:
+    """Mass properties from the rigid-body modes, or why there are none."""
+    if result.n_rigid != RIGID_MODES:
+        return None, "they follow from six rigid-body modes, which a free model alone has"
+    modes = in_global_axes(result.modes, campaign)
+    if modes is None:
+        return None, "the model has no geometry"
+    shapes, places = modes
+    rigid = np.asarray(shapes.mode_shapes[:, :RIGID_MODES], dtype=np.float64)
+    try:
+        return rigid_body_of_modes(rigid, places, shapes.components), ""
+    except ModesError as error:
+        return None, str(error)
+
+
+def in_global_axes(modes: ModeSet, campaign: Campaign) -> tuple[ModeSet, Floats] | None:
+    """Modes at the nodes whose results stand in global axes, and the place of each row (n_dof, 3).
+
+    None where the mesh does not know the nodes.
+    """
+    mesh = _mesh(campaign)
+    rows = np.isin(modes.nodes, mesh.nodes)
+    if mesh.frames:  # a few nodes in axes of their own: the others tell enough
+        rows &= ~np.isin(modes.nodes, np.array(sorted(mesh.frames), dtype=np.int64))
+    if not rows.any():
+        return None
+    kept = modes.rows(np.flatnonzero(rows))
+    return kept, mesh.coordinates[mesh.rows(kept.nodes)]
+
+
+def _mesh(campaign: Campaign) -> Mesh:
+    try:
+        return campaign.case.solver.deck.mesh()
+    except ModelError:  # told where the mesh itself is wanted; here it is one fact less
+        return Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), ())

@@ -1,0 +1,315 @@
+"""Test beside model before updating: which mode answers which, how well, and with what margin.
+
+Modes that the test finds close together turn within their common space, and so does the model: a
+measured shape is judged in the space of the computed modes that answer it and its neighbours, and
+these neighbours make no pair ambiguous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from modetune.core.correlation.correlation import mac, subspace_mac
+from modetune.core.correlation.pairing import (
+    LOST_MAC,
+    Pairing,
+    close_modes,
+    pair_by_order,
+    pair_by_shape,
+)
+from modetune.core.errors import ModesError
+from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
+from modetune.flows.report.tables import Column
+from modetune.flows.studies.check.findings import Finding, listed
+from modetune.flows.studies.check.measured_modes import ALIKE
+
+#: Below it a pair is believed with doubt.
+WEAK_MAC = 0.6
+#: A second mode whose MAC comes this near makes a pair ambiguous.
+AMBIGUOUS = 0.2
+#: A relative frequency error of a first model above this is rarely a matter of parameters.
+LARGE_ERROR = 0.4
+#: Computed modes should reach this share above the highest measured frequency.
+MARGIN = 0.1
+#: Frequencies that are all off by one factor, within this share, are off by a unit.
+COMMON_FACTOR = 0.1
+#: A computed shape this short beside the paired ones, at the sensors, is hardly seen by them.
+HARDLY_SEEN = 0.1
+#: Measured over computed frequency, by the mistake behind it.
+FACTORS = {
+    "frequencies in rad/s": 2.0 * np.pi,
+    "frequencies divided by 2 pi twice": 0.5 / np.pi,
+    "a density a thousandfold too large": 1000.0**0.5,
+    "a density a thousandfold too small": 1000.0**-0.5,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ModePreview:
+    """A test mode and what answers it before updating.
+
+    elastic_mode: number of the model's, from 1; error: of its frequency, relative to the test's;
+    mac, subspace_mac: with that mode, and with the close ones together; second_mode, second_mac:
+    the best of any mode that is not close, from 1, and its MAC; None and NaN where there is none;
+    answering: elastic modes whose space answers it, from 1: its pair and the close ones.
+    """
+
+    mode: Annotated[int, Column("test mode")]
+    test_hz: Annotated[float, Column("test", "Hz")]
+    elastic_mode: Annotated[int, Column("elastic mode")]
+    computed_hz: Annotated[float, Column("model", "Hz")]
+    error: Annotated[float, Column("error", "%", "+.2f")]
+    mac: Annotated[float, Column("MAC", form=".3f")]
+    subspace_mac: Annotated[float, Column("MAC with close modes", form=".3f")]
+    second_mode: Annotated[int | None, Column("next best mode")]
+    second_mac: Annotated[float, Column("its MAC", form=".3f")]
+    answering: tuple[int, ...] = ()
+
+    @property
+    def judged_mac(self) -> float:
+        return float(np.fmax(self.mac, self.subspace_mac))
+
+
+def preview(test: MeasuredModes, elastic: ModeSet) -> tuple[ModePreview, ...]:
+    """Each test mode with its pair. elastic: computed modes as the test's sensors see them.
+
+    Raises ModesError where there are fewer computed modes than measured, or no common sensor.
+    """
+    measured = test.modes
+    if not test.has_shapes:
+        return tuple(_by_order(test, elastic, pair_by_order(measured, elastic)))
+    pairing = pair_by_shape(measured, elastic, lost_mac=-1.0)  # low ones are to be shown
+    table = mac_table(measured, elastic)
+    return tuple(
+        _by_shape(test, elastic, pairing, place, table) for place in range(pairing.measured.size)
+    )
+
+
+def mac_table(measured: ModeSet, computed: ModeSet) -> Floats:
+    """MAC at common degrees of freedom, (n_measured, n_computed); 0 where a shape rests there."""
+    rows_m, rows_c = common_dofs(measured, computed)
+    if rows_m.size == 0:
+        raise ModesError("no sensor of the test is a node of the model's results")
+    a, b = measured.mode_shapes[rows_m], computed.mode_shapes[rows_c]
+    table = np.zeros((a.shape[1], b.shape[1]))
+    moving_a, moving_b = np.flatnonzero(a.any(axis=0)), np.flatnonzero(b.any(axis=0))
+    if moving_a.size and moving_b.size:
+        table[np.ix_(moving_a, moving_b)] = mac(a[:, moving_a], b[:, moving_b])
+    return table
+
+
+def _by_order(test: MeasuredModes, elastic: ModeSet, pairing: Pairing) -> Iterator[ModePreview]:
+    unknown = float("nan")
+    for row, column in zip(pairing.measured.tolist(), pairing.computed.tolist(), strict=True):
+        test_hz = float(test.modes.frequencies_hz[row])
+        computed_hz = float(elastic.frequencies_hz[column])
+        yield ModePreview(
+            test.numbers[row],
+            test_hz,
+            column + 1,
+            computed_hz,
+            computed_hz / test_hz - 1.0,
+            unknown,
+            unknown,
+            None,
+            unknown,
+        )
+
+
+def _by_shape(
+    test: MeasuredModes, elastic: ModeSet, pairing: Pairing, place: int, table: Floats
+) -> ModePreview:
+    row, column = int(pairing.measured[place]), int(pairing.computed[place])
+    neighbours = np.isin(pairing.measured, close_modes(test.modes.frequencies_hz, row))
+    close = np.union1d(pairing.computed[neighbours], close_modes(elastic.frequencies_hz, column))
+    rows_m, rows_c = common_dofs(test.modes, elastic)
+    shape, basis = test.modes.mode_shapes[rows_m, row], elastic.mode_shapes[rows_c][:, close]
+    moving = basis[:, basis.any(axis=0)]
+    space = subspace_mac(shape, moving) if moving.shape[1] and shape.any() else 0.0
+    others = table[row].copy()
+    others[close] = -1.0
+    test_hz = float(test.modes.frequencies_hz[row])
+    computed_hz = float(elastic.frequencies_hz[column])
+    return ModePreview(
+        test.numbers[row],
+        test_hz,
+        column + 1,
+        computed_hz,
+        computed_hz / test_hz - 1.0,
+        float(table[row, column]),
+        space,
+        int(others.argmax()) + 1,
+        max(float(others.max()), 0.0),
+        tuple((close + 1).tolist()),
+    )
+
+
+def pairing_findings(modes: tuple[ModePreview, ...], highest_hz: float) -> list[Finding]:
+    """What is doubtful in the pairs. highest_hz: of the computed elastic modes."""
+    factor = _factor(modes)
+    found = list(factor)
+    for mode in modes:
+        where = f"test mode {mode.mode}"
+        if np.isfinite(mode.mac) and mode.judged_mac < LOST_MAC:
+            found.append(_lost(mode, where, highest_hz))
+            continue
+        if np.isfinite(mode.mac) and mode.judged_mac < WEAK_MAC:
+            found.append(
+                Finding(
+                    "doubtful",
+                    "pairing",
+                    f"its best pair, elastic mode {mode.elastic_mode}, has MAC "
+                    f"{mode.judged_mac:.2f}",
+                    where,
+                    "look at sensor directions, and at `modetune correlate`",
+                )
+            )
+        if mode.second_mac >= max(mode.judged_mac - AMBIGUOUS, LOST_MAC):
+            found.append(
+                Finding(
+                    "doubtful",
+                    "pairing",
+                    f"ambiguous: elastic mode {mode.elastic_mode} has MAC {mode.mac:.2f}, mode "
+                    f"{mode.second_mode} has {mode.second_mac:.2f}",
+                    where,
+                    "add sensors that tell the two apart, or leave the mode out",
+                )
+            )
+        if abs(mode.error) > LARGE_ERROR and not factor:
+            found.append(
+                Finding(
+                    "doubtful",
+                    "pairing",
+                    f"{mode.computed_hz:.4g} Hz computed, {mode.test_hz:.4g} Hz measured: "
+                    f"{100 * mode.error:+.0f} %",
+                    where,
+                    "no parameter may reach so far: look at the model",
+                )
+            )
+    return found
+
+
+def _lost(mode: ModePreview, where: str, highest_hz: float) -> Finding:
+    """A mode near the end of the computed range may be beyond it, where updating looks itself."""
+    beyond = mode.test_hz > highest_hz / (1.0 + MARGIN)
+    return Finding(
+        "doubtful" if beyond else "wrong",
+        "pairing",
+        f"no computed mode answers it: the best left has MAC {mode.judged_mac:.2f}, at least "
+        f"{LOST_MAC:.1f} is needed",
+        where,
+        "it may lie above the computed range, which updating widens twice"
+        if beyond
+        else "look at sensor nodes, directions and signs (`modetune correlate` names the worst), "
+        "or leave it out with `test.use`",
+    )
+
+
+def _factor(modes: tuple[ModePreview, ...]) -> list[Finding]:
+    """Whether all frequencies are off by the factor of a mistaken unit."""
+    ratios = np.array([mode.test_hz / mode.computed_hz for mode in modes])
+    if ratios.size < 2:
+        return []
+    middle = float(np.median(ratios))
+    for reason, factor in FACTORS.items():
+        if (np.abs(ratios / factor - 1.0) < 2 * COMMON_FACTOR).all() and (
+            abs(middle / factor - 1.0) < COMMON_FACTOR
+        ):
+            return [
+                Finding(
+                    "wrong",
+                    "modes",
+                    f"all measured frequencies are about {middle:.3g} times the computed "
+                    f"ones, as with {reason}",
+                    "",
+                    "look at the test's and the deck's units",
+                )
+            ]
+    return []
+
+
+def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> list[Finding]:
+    """Whether enough modes are computed above the test's band.
+
+    all_there: the model has no further modes.
+    """
+    highest, last = float(test.modes.frequencies_hz.max()), float(elastic.frequencies_hz.max())
+    said = f"{elastic.n_modes} elastic modes to {last:.4g} Hz, the test's reach {highest:.4g} Hz"
+    if all_there or last >= (1.0 + MARGIN) * highest:
+        return [Finding("good", "modes", said)]
+    return [
+        Finding(
+            "doubtful",
+            "modes",
+            f"{said}: less than {100 * MARGIN:.0f} % to spare",
+            "",
+            "updating widens the range when a mode is not found; a model much too soft, or "
+            "test modes that were left out, show so",
+        )
+    ]
+
+
+def unmeasured(
+    test: MeasuredModes, elastic: ModeSet, modes: tuple[ModePreview, ...], left_out: bool
+) -> list[Finding]:
+    """Computed modes within the test's band that answer no test mode.
+
+    A fault of the test unless the campaign left modes of it out (left_out), or its sensors hardly
+    see such a mode or cannot tell it from another one; then it is told and no more.
+    """
+    if not test.has_shapes:
+        return []
+    paired = {mode.elastic_mode for mode in modes}
+    low, high = test.modes.frequencies_hz.min(), test.modes.frequencies_hz.max()
+    free = [
+        place
+        for place, frequency in enumerate(elastic.frequencies_hz.tolist())
+        if place + 1 not in paired and low <= frequency <= high
+    ]
+    told_apart = [] if left_out else _told_apart(test, elastic, free, len(modes), paired)
+    found = (
+        [
+            Finding(
+                "doubtful",
+                "modes",
+                f"the test has no mode for the model's {_at(elastic, told_apart)} within its band",
+                "",
+                "not excited, or not identified?",
+            )
+        ]
+        if told_apart
+        else []
+    )
+    rest = [place for place in free if place not in told_apart]
+    if rest:
+        said = f"elastic mode {_at(elastic, rest)} answers no mode of the test"
+        found.append(Finding("good", "modes", said))
+    return found
+
+
+def _at(elastic: ModeSet, places: list[int]) -> str:
+    """Numbers of elastic modes with their frequencies."""
+    return listed(f"{place + 1} ({elastic.frequencies_hz[place]:.4g} Hz)" for place in places)
+
+
+def _told_apart(
+    test: MeasuredModes, elastic: ModeSet, free: list[int], n_paired: int, paired: set[int]
+) -> list[int]:
+    """Which of these computed modes the sensors see, and as no other computed one of the band."""
+    _, rows = common_dofs(test.modes, elastic)
+    shapes = elastic.mode_shapes[rows]
+    if rows.size < n_paired + len(free):  # fewer sensors than modes
+        return []
+    sizes = np.linalg.norm(shapes, axis=0)
+    usual = float(np.median(sizes[[number - 1 for number in paired]]))
+    seen = [place for place in free if sizes[place] > HARDLY_SEEN * usual]
+    apart = []
+    for place in seen:
+        others = [n for n in {*free, *(number - 1 for number in paired)} if n != place and sizes[n]]
+        if not others or mac(shapes[:, [place]], shapes[:, others]).max() <= ALIKE:
+            apart.append(place)
+    return apart

@@ -1,0 +1,153 @@
+"""Whether parameters can be found: sensible bounds, alive in the modes that are used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import Parameter
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.studies.check.findings import Finding, Level
+from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE
+
+#: A parameter with less of the strain energy in every used mode cannot be found from them.
+DEAD = 1e-3
+#: Bounds wider than this factor either way hold nothing back, narrower than this share nothing.
+WIDEST, NARROWEST = 10.0, 0.02
+#: An isotropic material does not bear more.
+POISSON_LIMIT = 0.5
+#: Steps that need at least as many data as parameters.
+DETERMINED = ("pseudo_inverse", "weighted_least_squares")
+
+
+@dataclass(frozen=True, slots=True)
+class EnergyShare:
+    """A parameter's share of the strain energy in each used mode, (n_pairs,); NaN if not known."""
+
+    parameter: str
+    shares: Floats
+
+    @property
+    def largest(self) -> float:
+        return float(self.shares.max(initial=0.0))
+
+
+def bound_findings(campaign: Campaign) -> list[Finding]:
+    """What is strange about bounds, starts, and the number of parameters."""
+    found = []
+    for parameter in campaign.parameters.parameters:
+        found += [
+            Finding(level, "parameters", said, f"parameter {parameter.name}", remedy)
+            for level, said, remedy in _bounds(campaign, parameter)
+        ]
+    test, weighting = campaign.test, campaign.weighting
+    data = len(test.numbers) * (weighting.frequency_weight > 0.0)
+    data += test.modes.mode_shapes.size * (weighting.shape_weight > 0.0)
+    count = len(campaign.parameters)
+    if count > data and campaign.update.step in DETERMINED:
+        found.append(
+            Finding(
+                "doubtful",
+                "parameters",
+                f"{count} parameters from {data} measured numbers by {campaign.update.step}",
+                "update.step",
+                "use regularised or pulled_to_initial, or fewer parameters",
+            )
+        )
+    return found
+
+
+def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]:
+    bounds = f"bounds {item.lower:g} to {item.upper:g}"
+    found: list[tuple[Level, str, str]] = []
+    if item.quantity == "poissons_ratio":
+        reach = campaign.case.solver.deck.deck_value(item) * item.upper
+        if reach >= POISSON_LIMIT:
+            found.append(
+                ("wrong", f"{bounds} let Poisson's ratio reach {reach:.3g}", "keep it below 0.5")
+            )
+    if not item.lower <= 1.0 <= item.upper:
+        found.append(
+            (
+                "doubtful",
+                f"{bounds} leave the deck's own value out",
+                "bounds are relative to the deck's value, 1",
+            )
+        )
+    if item.lower < 1.0 / WIDEST or item.upper > WIDEST:
+        found.append(
+            (
+                "doubtful",
+                f"{bounds} hold nothing back",
+                "give what is physically possible, such as 0.5 to 2",
+            )
+        )
+    if item.upper - item.lower < NARROWEST:
+        found.append(("doubtful", f"{bounds} leave no room", "widen them, or fix the parameter"))
+    if min(item.initial - item.lower, item.upper - item.initial) < 1e-6:
+        found.append(
+            ("doubtful", f"it starts on a bound ({item.initial:g})", "start inside the bounds")
+        )
+    return found
+
+
+def energy_shares(result: ModalResult, computed: Integers) -> tuple[EnergyShare, ...]:
+    """Shares of all parameters whose energies the run tells, in these elastic modes."""
+    total = result.total_strain_energy[result.n_rigid :][computed]
+    if not (np.isfinite(total).all() and (total > 0.0).all()):
+        return ()
+    return tuple(
+        EnergyShare(name, result.elastic_energies(name)[computed] / total)
+        for name in result.groups
+        if np.isfinite(result.elastic_energies(name)[computed]).all()
+    )
+
+
+def energy_findings(
+    campaign: Campaign, result: ModalResult, shares: tuple[EnergyShare, ...]
+) -> list[Finding]:
+    """Parameters that no used mode strains, and those of which the run cannot tell."""
+    found = [
+        Finding(
+            "doubtful",
+            "parameters",
+            f"dead: at most {100 * item.largest:.2g} % of the strain energy of any used mode",
+            f"parameter {item.parameter}",
+            "leave it out, or use modes that strain it",
+        )
+        for item in shares
+        if item.largest < DEAD
+    ]
+    told = {item.parameter for item in shares}
+    silent = [name for name in campaign.parameters.names if name not in told]
+    if silent:
+        found.append(
+            Finding(
+                "good",
+                "parameters",
+                "strain energies do not tell whether it is alive; the first sensitivity will",
+                f"parameter {', '.join(silent)}",
+            )
+        )
+    return found + _balance(campaign, result, bool(shares))
+
+
+def _balance(campaign: Campaign, result: ModalResult, told: bool) -> list[Finding]:
+    if campaign.sensitivity.method != "strain_energy" or not told:
+        return []
+    balance = result.energy_balance
+    if (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():
+        return []
+    return [
+        Finding(
+            "wrong",
+            "parameters",
+            f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
+            "eigenvalues say",
+            "sensitivity.method",
+            "use `auto`: the solver leaves some energy out (reduced elements)",
+        )
+    ]

@@ -1,0 +1,84 @@
+"""Whether the sensors look at the model where and how the test says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.mapping import SensorRow
+from modetune.flows.studies.check.findings import Finding, listed
+from modetune.flows.studies.check.measured_modes import sensor_name
+
+#: Readers of test files begin a note of something doubtful with it.
+DOUBT = "doubtful:"
+#: Cosine of an angle between directions that are as good as one.
+ONE_DIRECTION = 0.99
+
+
+def sensor_findings(campaign: Campaign) -> list[Finding]:
+    """Sensors that are doubtful, left out, or see the same; what reader and mapping say."""
+    if not campaign.test.has_shapes:
+        return []
+    mapping = campaign.case.mapping
+    found = (
+        [_of_note(note) for note in (*campaign.case.measurement.notes, *mapping.notes)]
+        + _by_reason(mapping.doubtful)
+        + _by_reason(mapping.left_out, "left out: ")
+    )
+    if mapping.alignment is not None:
+        nodes, unit = np.unique(mapping.sensors.model_nodes).size, mapping.unit
+        furthest = float(mapping.sensors.distances.max())
+        said = f"{mapping.sensors.n_sensors} sensors on {nodes} nodes, at most"
+        away = f"{furthest:.4g} {unit}".rstrip()
+        found.append(Finding("good", "sensors", f"{said} {away} away"))
+    return found + _alike(campaign)
+
+
+def _of_note(note: str) -> Finding:
+    """What reader or mapping said: a doubt where the sentence begins so."""
+    if note.startswith(DOUBT):
+        return Finding(
+            "doubtful", "sensors", note.removeprefix(DOUBT).strip(), "", "look at the test's files"
+        )
+    return Finding("good", "sensors", note)
+
+
+def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
+    """One finding for all sensors of one reason."""
+    names: dict[str, list[str]] = {}
+    for row in rows:
+        names.setdefault(row.reason, []).append(f"{row.test_node}.{row.component}")
+    return [
+        Finding(
+            "doubtful",
+            "sensors",
+            f"{before}{reason}",
+            f"sensor {listed(sensors)}",
+            "look at the test's geometry and `test.sensors`, or name the node by hand",
+        )
+        for reason, sensors in names.items()
+    ]
+
+
+def _alike(campaign: Campaign) -> list[Finding]:
+    """Sensors that look along one direction at one node."""
+    seen = campaign.case.sensors
+    cosines = np.abs(seen.directions @ seen.directions.T)
+    same = (seen.model_nodes[:, None] == seen.model_nodes) & (seen.turns[:, None] == seen.turns)
+    first, second = np.nonzero(np.triu(same & (cosines > ONE_DIRECTION), 1))
+    if first.size == 0:
+        return []
+    modes = campaign.test.modes
+    pairs = [
+        f"{sensor_name(modes, a)} and {sensor_name(modes, b)}"
+        for a, b in zip(first.tolist(), second.tolist(), strict=True)
+    ]
+    return [
+        Finding(
+            "doubtful",
+            "sensors",
+            "they look along one direction at one node",
+            f"sensors {listed(pairs)}",
+            "refine the mesh there, or look at the sensors' places",
+        )
+    ]

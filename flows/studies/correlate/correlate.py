@@ -1,0 +1,212 @@
+"""Two mode sets side by side, whatever they are of: tests, models, or one of each.
+
+Degrees of freedom are those that both sets name alike. Modes are paired one-to-one by MAC; pairs
+below the limit of pairing (core.pairing.LOST_MAC) are none. Without shapes on one side, modes are
+paired in the order of frequency, and frequencies are all that is compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from modetune.core.algebra.factorisation import Matrix
+from modetune.core.brief import brief
+from modetune.core.correlation.correlation import (
+    Shapes,
+    comac,
+    cross_orthogonality,
+    ecomac,
+    modal_scale_factor,
+)
+from modetune.core.correlation.pairing import LOST_MAC, mac_or_zero, pair_by_order, pair_by_shape
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
+
+SideKind = Literal["test", "model", "record"]
+Dof = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One of two mode sets.
+
+    label: what it is called in tables; numbers: of its modes, (n_modes,).
+    """
+
+    label: str
+    kind: SideKind
+    numbers: tuple[int, ...]
+    modes: ModeSet
+
+
+@dataclass(frozen=True, slots=True)
+class CorrelatedPair:
+    """A mode of the first side and its partner.
+
+    first, second: positions in both sides, from 0. difference: of frequency, relative to the
+    first. mac: NaN without shapes. scale: the factor that brings the first shape to the second's
+    size (modal scale factor), NaN without shapes.
+    """
+
+    first: int
+    second: int
+    difference: float
+    mac: float
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class Orthogonality:
+    """Shapes in the metric of kinetic energy, signs their own; method: of the reduced mass.
+
+    dofs: (n,), where; cross: (n_first, n_second); first, second: each side with itself.
+    """
+
+    method: Literal["guyan", "serep"]
+    dofs: tuple[Dof, ...]
+    cross: Shapes
+    first: Shapes
+    second: Shapes
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Correlation:
+    """Two sides and how alike they are.
+
+    dofs: (n_common,), node and component; only_first, only_second: those that one side has.
+    mac: (n_first, n_second); auto_first, auto_second: MAC of each side with itself, at its own
+    degrees of freedom; empty without shapes. comac, ecomac: (n_common,), over the pairs; empty
+    where there is no pair with shapes.
+    """
+
+    first: Side
+    second: Side
+    dofs: tuple[Dof, ...]
+    only_first: tuple[Dof, ...]
+    only_second: tuple[Dof, ...]
+    pairs: tuple[CorrelatedPair, ...]
+    mac: Floats
+    auto_first: Floats
+    auto_second: Floats
+    comac: Floats
+    ecomac: Floats
+    orthogonality: Orthogonality | None = None
+
+    __repr__ = brief
+
+    @property
+    def alone_first(self) -> tuple[int, ...]:
+        """Numbers of modes of the first side that have no partner."""
+        paired = {pair.first for pair in self.pairs}
+        return tuple(n for place, n in enumerate(self.first.numbers) if place not in paired)
+
+    @property
+    def alone_second(self) -> tuple[int, ...]:
+        paired = {pair.second for pair in self.pairs}
+        return tuple(n for place, n in enumerate(self.second.numbers) if place not in paired)
+
+    def worst(self, count: int) -> list[tuple[Dof, float, float]]:
+        """Degrees of freedom that agree least, with COMAC and eCOMAC.
+
+        Half of them by either: COMAC is blind to a sensor mounted upside down.
+        """
+        by_comac, by_ecomac = np.argsort(self.comac), np.argsort(-self.ecomac)
+        mixed = np.stack([by_comac, by_ecomac], axis=1).ravel()
+        places = list(dict.fromkeys(mixed.tolist()))[:count]
+        return [(self.dofs[n], float(self.comac[n]), float(self.ecomac[n])) for n in places]
+
+
+def correlate(first: Side, second: Side) -> Correlation:
+    """Compare two sides. Raises CampaignError where both have shapes, but at no common place."""
+    with_shapes = bool(first.modes.n_dof and second.modes.n_dof)
+    rows_first, rows_second = common_dofs(first.modes, second.modes)
+    if with_shapes and rows_first.size == 0:
+        raise CampaignError(
+            f"{first.label} and {second.label} have no common degree of freedom: the first has "
+            f"{_some(first.modes)}, the second {_some(second.modes)}; sensors of another numbering "
+            "are laid over a model by `test.sensors` of a campaign"
+        )
+    a, b = first.modes.mode_shapes[rows_first], second.modes.mode_shapes[rows_second]
+    table = mac_or_zero(a, b) if with_shapes else np.zeros((0, 0))
+    pairs = _pairs(first.modes, second.modes, table, a, b)
+    shaped = with_shapes and bool(pairs)
+    left = a[:, [pair.first for pair in pairs]]
+    right = b[:, [pair.second for pair in pairs]]
+    return Correlation(
+        first=first,
+        second=second,
+        dofs=_dofs(first.modes, rows_first),
+        only_first=_dofs(first.modes, _others(rows_first, first.modes.n_dof)),
+        only_second=_dofs(second.modes, _others(rows_second, second.modes.n_dof)),
+        pairs=pairs,
+        mac=table,
+        auto_first=_auto(first.modes),
+        auto_second=_auto(second.modes),
+        comac=comac(left, right) if shaped else np.zeros(0),
+        ecomac=ecomac(left, right) if shaped else np.zeros(0),
+    )
+
+
+def orthogonality(
+    found: Correlation, method: Literal["guyan", "serep"], dofs: tuple[Dof, ...], mass: Matrix
+) -> Orthogonality:
+    """Both sides in the metric of a mass matrix at these common degrees of freedom, (n, n).
+
+    Raises ModesError where a shape carries no mass.
+    """
+    a, b = (_at(side.modes, dofs) for side in (found.first, found.second))
+    return Orthogonality(
+        method,
+        dofs,
+        cross_orthogonality(a, b, mass),
+        cross_orthogonality(a, a, mass),
+        cross_orthogonality(b, b, mass),
+    )
+
+
+def _at(modes: ModeSet, dofs: tuple[Dof, ...]) -> Shapes:
+    names = list(zip(modes.nodes.tolist(), modes.components.tolist(), strict=True))
+    return modes.mode_shapes[[names.index(dof) for dof in dofs]]
+
+
+def _pairs(
+    first: ModeSet, second: ModeSet, table: Floats, a: Shapes, b: Shapes
+) -> tuple[CorrelatedPair, ...]:
+    """Pairs in the order of the first side; the side with fewer modes is given partners."""
+    swapped = first.n_modes > second.n_modes
+    fewer, more = (second, first) if swapped else (first, second)
+    if table.size:
+        found = pair_by_shape(fewer, more, lost_mac=-1.0)
+    else:
+        found = pair_by_order(fewer, more)
+    columns = (found.computed, found.measured) if swapped else (found.measured, found.computed)
+    pairs = []
+    for row, column in sorted(zip(*(index.tolist() for index in columns), strict=True)):
+        value = float(table[row, column]) if table.size else float("nan")
+        if value < LOST_MAC:
+            continue
+        scale = modal_scale_factor(a[:, row], b[:, column]) if table.size else float("nan")
+        difference = float(second.frequencies_hz[column] / first.frequencies_hz[row] - 1.0)
+        pairs.append(CorrelatedPair(row, column, difference, value, scale))
+    return tuple(pairs)
+
+
+def _auto(modes: ModeSet) -> Floats:
+    return mac_or_zero(modes.mode_shapes, modes.mode_shapes) if modes.n_dof else np.zeros((0, 0))
+
+
+def _dofs(modes: ModeSet, rows: Integers) -> tuple[Dof, ...]:
+    nodes, components = modes.nodes[rows].tolist(), modes.components[rows].tolist()
+    return tuple(zip(nodes, components, strict=True))
+
+
+def _others(rows: Integers, count: int) -> Integers:
+    return np.setdiff1d(np.arange(count, dtype=np.int64), rows)
+
+
+def _some(modes: ModeSet) -> str:
+    names = [dof_name(dof) for dof in _dofs(modes, np.arange(min(3, modes.n_dof)))]
+    return f"{', '.join(names)}{', ...' if modes.n_dof > 3 else ''}"

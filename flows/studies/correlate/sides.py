@@ -1,0 +1,302 @@
+"""What `modetune correlate` compares: campaign files, records and test files as two sides.
+
+A model is seen by the test's sensors: with a test file at its side the campaign is read with that
+test in place of its own, so that sensors are laid over the model as the campaign says.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.adapters.test_files.measurements import read_measurement
+from modetune.core.algebra.eigen import solve_modes
+from modetune.core.condensation.reduction import guyan, serep
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
+from modetune.core.parameters import Values
+from modetune.core.storage.record_file import is_record, read_record
+from modetune.core.updating.results import MatrixResult, ModalResult
+from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.measured import tracking_nodes
+from modetune.flows.jobs.job import Job
+from modetune.flows.studies.correlate.correlate import (
+    Correlation,
+    Dof,
+    Orthogonality,
+    Side,
+    correlate,
+    orthogonality,
+)
+from modetune.flows.updating.baseline import State
+from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.modal_run import parse_values
+from modetune.flows.updating.running import job_engine
+
+SourceKind = Literal["campaign", "record", "test"]
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSource:
+    """A file to compare, and what it is. at: parameter values of a campaign, NAME=VALUE."""
+
+    path: Path
+    kind: SourceKind
+    at: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A campaign's model at parameter values, and its elastic modes at all nodes asked for."""
+
+    campaign: Campaign
+    values: Values
+    elastic: ModeSet
+
+    def side(self, seen: ModeSet, label: str) -> Side:
+        return Side(label, "model", tuple(range(1, seen.n_modes + 1)), seen)
+
+
+def source(path: Path, at: Sequence[str] = ()) -> ComparedSource:
+    """What a path is of. Raises CampaignError where it is nothing, or `at` is for no campaign."""
+    if path.is_dir():
+        path = path / "campaign.h5"
+    if not path.exists():
+        raise CampaignError(
+            f"{path} is not there; expected a campaign file, a campaign.h5 or its run folder, or "
+            "a test file"
+        )
+    kind: SourceKind = "test"
+    if path.suffix.lower() in (".yaml", ".yml"):
+        kind = "campaign"
+    elif _is_record(path):
+        kind = "record"
+    if at and kind != "campaign":
+        raise CampaignError(f"{path} is not a campaign file, so it has no values to set")
+    return ComparedSource(path, kind, tuple(at))
+
+
+def _is_record(path: Path) -> bool:
+    """Whether a file is a campaign's record, to be left to its own reader."""
+    try:
+        return is_record(path) or path.name == "campaign.h5"
+    except OSError:
+        return path.name == "campaign.h5"  # its reader says what is wrong
+
+
+def correlate_sources(
+    first: ComparedSource,
+    second: ComparedSource | None,
+    state: State = "updated",
+    settings: Sequence[str] = (),
+    method: Literal["guyan", "serep"] | None = None,
+) -> Correlation:
+    """Compare two sources, or a campaign or record with its own test.
+
+    state: which model of a record. method: how the mass matrix is reduced to the common degrees
+    of freedom for orthogonality, None for none. A test stands first beside a model.
+    Raises CampaignError, SolverError, StoreError.
+    """
+    model: Model | None = None
+    if second is None:
+        left, right, model = _alone(first, state, settings)
+    elif first.kind == second.kind == "campaign":
+        left, right, model = _two_models(first, second, settings)
+    elif "campaign" in (first.kind, second.kind):
+        campaign, other = (first, second) if first.kind == "campaign" else (second, first)
+        model, mine, theirs = _model_beside(campaign, other, state, settings)
+        ordered = other.kind == "test" or campaign is second
+        left, right = (theirs, mine) if ordered else (mine, theirs)
+    else:
+        left, right = (_read(item, state) for item in (first, second))
+        if right.kind == "test" and left.kind != "test":
+            left, right = right, left
+    found = correlate(left, right)
+    if method is None:
+        return found
+    if model is None:
+        raise CampaignError("orthogonality needs a mass matrix: name a campaign file for one side")
+    return replace(found, orthogonality=_orthogonality(found, model, method))
+
+
+def _alone(
+    item: ComparedSource, state: State, settings: Sequence[str]
+) -> tuple[Side, Side, Model | None]:
+    """A campaign's or record's model beside its own test."""
+    if item.kind == "test":
+        raise CampaignError(
+            f"{item.path} is a test; name what it is to be compared with: a campaign file, a "
+            "campaign.h5 or another test"
+        )
+    if item.kind == "record":
+        record = read_record(item.path)
+        test = Side("test", "test", record.test.numbers, record.test.modes)
+        return test, _read(item, state), None
+    model = _model(load_campaign(item.path, list(settings)), item.at)
+    campaign = model.campaign
+    test = Side("test", "test", campaign.test.numbers, campaign.test.modes)
+    return test, model.side(_seen(model), campaign.name), model
+
+
+def _model_beside(
+    item: ComparedSource, other: ComparedSource, state: State, settings: Sequence[str]
+) -> tuple[Model, Side, Side]:
+    """A campaign's model as the other side's sensors see it, and the other side."""
+    if other.kind == "record":
+        theirs = _read(other, state)
+        model = _model(load_campaign(item.path, list(settings)), item.at)
+        return model, model.side(_seen(model), model.campaign.name), theirs
+    named = json.dumps(str(other.path.resolve()))  # JSON is YAML, whatever the path holds
+    swapped = [*settings, f"test.modes={named}", "test.use=null"]
+    model = _model(load_campaign(item.path, swapped), item.at)
+    test = model.campaign.test
+    theirs = Side(other.path.name, "test", test.numbers, test.modes)
+    return model, model.side(_seen(model), model.campaign.name), theirs
+
+
+def _two_models(
+    first: ComparedSource, second: ComparedSource, settings: Sequence[str]
+) -> tuple[Side, Side, Model]:
+    """Two models at the sensors of their tests, or where these share none, at common nodes."""
+    models = [_model(load_campaign(item.path, list(settings)), item.at) for item in (first, second)]
+    seen = [_seen(model) for model in models]
+    if common_dofs(*seen)[0].size == 0:
+        ids = (
+            models[0].campaign.case.solver.deck.summary.node_ids
+            & models[1].campaign.case.solver.deck.summary.node_ids
+        )
+        if not ids:
+            raise CampaignError(
+                f"{first.path} and {second.path} have neither sensors nor nodes in common; give "
+                "both campaigns the same test, with coordinates, so that each model is seen by it"
+            )
+        models = [
+            _model(model.campaign, item.at, tracking_nodes(ids))
+            for model, item in zip(models, (first, second), strict=True)
+        ]
+        seen = [model.elastic for model in models]
+    labels = _labels(models, first, second)
+    left, right = (
+        model.side(modes, label) for model, modes, label in zip(models, seen, labels, strict=True)
+    )
+    return left, right, models[1]
+
+
+def _labels(models: list[Model], first: ComparedSource, second: ComparedSource) -> list[str]:
+    names = [model.campaign.name for model in models]
+    if names[0] != names[1]:
+        return names
+    said = [", ".join(item.at) for item in (first, second)]
+    if said[0] == said[1]:
+        said = ["(first)", "(second)"]
+    return [f"{names[0]} {text or '(initial)'}" for text in said]
+
+
+def _model(campaign: Campaign, at: Sequence[str], nodes: tuple[int, ...] | None = None) -> Model:
+    """The modes of a campaign's model, from the store or the solver."""
+    values = parse_values(campaign, list(at))
+    analysis = campaign_analysis(campaign)
+    if nodes is not None:
+        analysis = ModalAnalysis(analysis.n_modes, nodes)
+    result = job_engine(campaign).solve(Job(values, analysis)).result(ModalResult)
+    return Model(campaign, values, result.elastic)
+
+
+def _seen(model: Model) -> ModeSet:
+    """The model's modes as its test's sensors see them; no shapes where the test has none."""
+    if not model.campaign.test.has_shapes:
+        return model.elastic.rows(np.zeros(0, dtype=np.int64))
+    return model.campaign.case.sensors.observe(model.elastic)
+
+
+def _read(item: ComparedSource, state: State) -> Side:
+    """A record's model or a test file as a side."""
+    if item.kind == "record":
+        record = read_record(item.path)
+        accepted = [iteration for iteration in record.iterations if iteration.accepted]
+        chosen = accepted[-1 if state == "updated" else 0].computed
+        numbers = tuple(range(1, chosen.n_modes + 1))
+        return Side(f"{record.name} {state}", "record", numbers, chosen)
+    test = read_measurement([item.path]).modes
+    if test is None:
+        raise CampaignError(f"{item.path} holds no modes; `modetune identify` makes them from FRFs")
+    return Side(item.path.name, "test", test.numbers, test.modes)
+
+
+def _orthogonality(
+    found: Correlation, model: Model, method: Literal["guyan", "serep"]
+) -> Orthogonality:
+    """One matrix job; sensors along the model's own axes that have an equation are masters."""
+    solver = model.campaign.case.solver
+    if not solver.program.capabilities.matrices or not solver.deck.summary.solid_shapes:
+        raise CampaignError(
+            "orthogonality needs a mass matrix at the sensors, which "
+            f"{solver.program.name} does not give for {solver.deck.summary.name} (solids without "
+            "dependent nodes, or matrices); leave --orthogonality out: the MAC matrix says much "
+            "the same"
+        )
+    outcome = job_engine(model.campaign).solve(Job(model.values, MatrixAnalysis()))
+    matrices = outcome.result(MatrixResult)
+    dofs, rows, signs = _masters(found, model, matrices)
+    if method == "serep":
+        # No more modes than masters: only so each is kept exactly.
+        count = min(model.campaign.case.n_modes, rows.size)
+        _, shapes = solve_modes(matrices.stiffness, matrices.mass, count)
+        mass = serep(matrices.stiffness, matrices.mass, rows, shapes).mass
+    else:
+        mass = guyan(matrices.stiffness, matrices.mass, rows).mass
+    return orthogonality(found, method, dofs, mass * np.outer(signs, signs))
+
+
+def _masters(
+    found: Correlation, model: Model, matrices: MatrixResult
+) -> tuple[tuple[Dof, ...], Integers, Floats]:
+    """Common degrees of freedom that are unknowns of the model, their rows there, and signs.
+
+    A sensor that is held in place has no row and is left out. Raises CampaignError for one that
+    looks along none of the model's axes.
+    """
+    equations: dict[Dof, int] = {}
+    names = zip(matrices.nodes.tolist(), matrices.components.tolist(), strict=True)
+    for row, name in enumerate(names):
+        equations.setdefault(name, row)
+    seen = _model_dofs(found, model)
+    tilted = [dof_name(dof) for dof in found.dofs if dof not in seen]
+    if tilted:
+        raise CampaignError(
+            f"sensor {', '.join(tilted[:5])} looks along none of the model's axes, so the mass "
+            "matrix has no row for it; leave --orthogonality out"
+        )
+    kept = [dof for dof in found.dofs if seen[dof][0] in equations]
+    if not kept:
+        raise CampaignError("no common degree of freedom is an unknown of the model's matrices")
+    rows = np.array([equations[seen[dof][0]] for dof in kept], dtype=np.int64)
+    if np.unique(rows).size < rows.size:
+        raise CampaignError(
+            "two sensors look along one direction at one node, so the mass matrix cannot be "
+            "reduced to both; leave --orthogonality out"
+        )
+    return tuple(kept), rows, np.array([seen[dof][1] for dof in kept])
+
+
+def _model_dofs(found: Correlation, model: Model) -> dict[Dof, tuple[Dof, float]]:
+    """What each common degree of freedom is in the model, and its sign, where along an axis."""
+    sensors = model.campaign.case.sensors
+    if not sensors.n_sensors:
+        return {dof: (dof, 1.0) for dof in found.dofs}
+    seen: dict[Dof, tuple[Dof, float]] = {}
+    for place in range(sensors.n_sensors):
+        direction = sensors.directions[place]
+        axis = int(np.abs(direction).argmax())
+        if abs(direction[axis]) > 1.0 - 1e-9:
+            name = int(sensors.nodes[place]), int(sensors.components[place])
+            turned = 3 * bool(sensors.turns[place])
+            dof = int(sensors.model_nodes[place]), axis + 1 + turned
+            seen[name] = dof, float(np.sign(direction[axis]))
+    return seen

@@ -1,0 +1,127 @@
+"""One model on several solvers: the Python API of `modetune twin`.
+
+The modal analysis of a campaign runs on each solver that is there, and the modes of each are
+paired with those of the first by shape. Frequencies side by side with MAC between the solvers'
+shapes tell how far, say, CI with CalculiX stands from Nastran.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from modetune.core.correlation.pairing import Pairing, pair_by_shape
+from modetune.core.errors import CampaignError, SolverMissing
+from modetune.core.modes import Floats, ModeSet
+from modetune.core.storage.keys import Json
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.case import EXTRA_MODES
+from modetune.flows.campaign.measured import tracking_nodes
+from modetune.flows.report.tables import json_object
+from modetune.flows.updating.modal_run import model_modes, parse_values
+
+
+@dataclass(frozen=True, slots=True)
+class SolverModes:
+    """The modes that one solver gives, and how they answer those of the first solver.
+
+    pairing: of the first solver's lowest elastic modes with this one's.
+    """
+
+    solver: str
+    version: str
+    wall_s: float
+    result: ModalResult
+    pairing: Pairing
+
+    @property
+    def frequencies_hz(self) -> Floats:
+        """Of the paired modes, (n_pairs,)."""
+        return self.result.elastic.frequencies_hz[self.pairing.computed]
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """A model's modes by several solvers; absent: solvers that could not run, and why."""
+
+    name: str
+    solvers: tuple[SolverModes, ...]
+    absent: tuple[tuple[str, str], ...]
+
+    def differences(self, solver: SolverModes) -> Floats:
+        """Relative frequency differences of a solver from the first one, (n_pairs,)."""
+        return solver.frequencies_hz / self.solvers[0].frequencies_hz - 1.0
+
+
+def run_twin(
+    campaign_file: Path, solvers: Sequence[str], at: list[str], settings: list[str]
+) -> Twin:
+    """Run a campaign's modal analysis on each of these solvers.
+
+    A solver that is not installed, or cannot take the model, is told as absent with the reason.
+    Raises CampaignError where none is left, SolverError, StoreError.
+    """
+    if len(set(solvers)) != len(solvers):
+        raise CampaignError(f"--solvers names one twice: {', '.join(solvers)}")
+    campaigns: list[Campaign] = []
+    absent: list[tuple[str, str]] = []
+    for solver in solvers:
+        try:
+            campaign = load_campaign(campaign_file, [*settings, f"model.solver={solver}"])
+            campaign.solver_version()
+            campaigns.append(campaign)
+        except (CampaignError, SolverMissing) as error:
+            absent.append((solver, str(error)))
+    if not campaigns:
+        raise CampaignError([f"{solver}: {reason}" for solver, reason in absent])
+    # Shapes at a few sensors would not tell modes apart.
+    models = [campaign.case.solver.deck.summary for campaign in campaigns]
+    nodes = tracking_nodes(frozenset.intersection(*(model.node_ids for model in models)))
+    done: list[SolverModes] = []
+    for campaign in campaigns:
+        campaign = replace(campaign, cases=(replace(campaign.case, nodes=nodes),))
+        started = time.monotonic()
+        result = model_modes(campaign, parse_values(campaign, at))
+        wall_s = time.monotonic() - started
+        first = done[0].result if done else result
+        pairing = _pairs(first.elastic, result.elastic)
+        name, version = campaign.solver_name, campaign.solver_version()
+        done.append(SolverModes(name, version, wall_s, result, pairing))
+    return Twin(campaigns[0].name, tuple(done), tuple(absent))
+
+
+def _pairs(first: ModeSet, second: ModeSet) -> Pairing:
+    """Pairs of the first solver's modes with the second's; the highest are left to spare.
+
+    A mode at the end of the range may have its partner beyond it. No MAC is too low: a low one is
+    what a twin run is to show.
+    """
+    count = max(1, min(first.n_modes, second.n_modes) - EXTRA_MODES // 2)
+    return pair_by_shape(first.select(np.arange(count)), second, lost_mac=-1.0)
+
+
+def twin_summary(twin: Twin) -> dict[str, Json]:
+    """What `modetune twin --json` tells."""
+    return json_object(
+        twin,
+        "name",
+        solvers=[
+            json_object(
+                item,
+                "solver wall_s frequencies_hz",
+                solver_version=item.version,
+                rigid_modes=item.result.n_rigid,
+                mass=item.result.mass,
+                differences=twin.differences(item),
+                mac=item.pairing.judged_mac,
+                pairing=item.pairing.reasons,
+            )
+            for item in twin.solvers
+        ],
+        absent=dict(twin.absent),
+    )

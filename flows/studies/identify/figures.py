@@ -1,0 +1,129 @@
+"""Charts of an identification: what was stable, how well it fits, and how different the modes are.
+
+The stabilisation diagram is also written as a page that tells each pole's values under the mouse,
+to pick from.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from modetune.core.measurement.stabilisation import OrderPoles, Stability
+from modetune.core.storage.files import writing
+from modetune.flows.report.chart import AFTER, TEST, Axis, Chart, Curve, HeatMap, Panel, Rule
+from modetune.flows.report.charts import responses
+from modetune.flows.report.matplotlib_charts import save
+from modetune.flows.report.responses import ResponseCurve
+from modetune.flows.studies.identify.identify import Identification
+
+#: Mark, colour, size and name of a pole, by what it agrees in with the order before.
+POLES: dict[Stability, tuple[str, str, float, str]] = {
+    Stability.NEW: ("o", "#C0C0C0", 2.0, "new"),
+    Stability.FREQUENCY: ("v", "#56B4E9", 3.5, "frequency"),
+    Stability.DAMPING: ("s", "#E69F00", 3.5, "frequency, damping"),
+    Stability.STABLE: ("+", "#009E73", 5.5, "frequency, damping, shape: stable"),
+}
+
+
+def stabilisation_chart(title: str, found: Identification) -> Chart:
+    """Poles over order and frequency, the chosen as lines, above the sum of the functions."""
+    lines = found.frfs.frequencies_hz
+    chosen = found.modes.modes.frequencies_hz.tolist()
+    above = [
+        Rule("chosen" if place == 0 else "", value, AFTER, "-", upright=True)
+        for place, value in enumerate(chosen)
+    ]
+    below = [Rule("", value, AFTER, "-", upright=True) for value in chosen]
+    sums = Curve("", lines, np.abs(found.frfs.values).sum(axis=1), TEST, width=1.0)
+    span = (float(lines[0]), float(lines[-1]))
+    panels = (
+        Panel(
+            (*(_poles(found.orders, kind) for kind in POLES), *above),
+            Axis(span=span),
+            Axis("order (pairs of poles)", span=(0.0, found.settings.order + 1.0)),
+        ),
+        Panel((sums, *below), Axis("Hz", span=span), Axis(f"sum of |{found.frfs.kind}|", log=True)),
+    )
+    return Chart(
+        title,
+        "stabilisation diagram",
+        panels,
+        size=(9.0, 3.4),
+        same_x=True,
+        legend="a pole agrees with the order before in",
+    )
+
+
+def synthesis_chart(found: Identification, place: int, word: str) -> Chart:
+    """Synthesised over measured function; word: why this one, for the title."""
+    curves = [
+        ResponseCurve("test", "measured", found.frfs.values[:, place]),
+        ResponseCurve("after", "synthesised", found.synthesised[:, place]),
+    ]
+    title = f"{found.function_name(place)} ({word}), FRAC {found.frac[place]:.4f}"
+    return responses(title, found.frfs.kind, found.frfs.frequencies_hz, curves)
+
+
+def auto_mac_chart(found: Identification) -> Chart:
+    """MAC of the modes with themselves, as a map with its values."""
+    names = tuple(
+        f"{place}: {frequency:.4g}"
+        for place, frequency in enumerate(found.modes.modes.frequencies_hz, start=1)
+    )
+    heat = HeatMap(found.auto_mac, "{row} with {column}: MAC {value:.3f}", "MAC")
+    panel = Panel((heat,), Axis("mode: Hz", names, slant=60), Axis(names=names))
+    side = max(3.2, 0.5 * len(names) + 1.2)
+    title = "auto-MAC of the identified modes"
+    return Chart(title, title, (panel,), size=(side + 0.6, side))
+
+
+def write_figures(folder: Path, title: str, found: Identification) -> tuple[Path, ...]:
+    """All charts of an identification, and the diagram as a page. Raises StorageUnavailable."""
+    shown = {"worst": int(found.worst_functions[0])}
+    if found.frac.size > 1:
+        shown["best"] = int(found.worst_functions[-1])
+    if found.driving_points:
+        shown["driving point"] = found.driving_points[0]
+    diagram = stabilisation_chart(title, found)
+    charts = {"stabilisation": diagram, "auto_mac": auto_mac_chart(found)}
+    charts |= {
+        f"synthesis_{word.replace(' ', '_')}": synthesis_chart(found, place, word)
+        for word, place in shown.items()
+    }
+    written = [save(chart, folder / f"{name}.png") for name, chart in charts.items()]
+    return (*written, _write_page(folder / "stabilisation.html", diagram))
+
+
+def _write_page(path: Path, chart: Chart) -> Path:
+    from modetune.flows.report.plotly_charts import plotly_figure
+
+    figure = plotly_figure(chart).update_layout(template="plotly_white")
+    with writing(path) as part:
+        part.write_text(figure.to_html(include_plotlyjs=True, full_html=True), encoding="utf-8")
+    return path
+
+
+def _poles(orders: tuple[OrderPoles, ...], stability: Stability) -> Curve:
+    """All poles of a kind, order over frequency."""
+    mark, colour, size, name = POLES[stability]
+    kept = [item.stability == stability for item in orders]
+    x, damping = (
+        np.concatenate([values[mask] for values, mask in zip(found, kept, strict=True)])
+        for found in (
+            [item.frequencies_hz for item in orders],
+            [item.damping_ratios for item in orders],
+        )
+    )
+    y = np.concatenate(
+        [
+            np.full(np.count_nonzero(mask), float(item.order))
+            for item, mask in zip(orders, kept, strict=True)
+        ]
+    )
+    told = tuple(
+        f"{frequency:.4f} Hz, damping {ratio:.3%}, order {order:.0f}"
+        for frequency, ratio, order in zip(x, damping, y, strict=True)
+    )
+    return Curve(name, x, y, colour, "", mark, size=size, told=told)

@@ -1,0 +1,119 @@
+"""Figures of where a model is wrong: groups and parameters ranked, and the error on its surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]  # has no stubs
+    Line3DCollection,
+    Poly3DCollection,
+)
+from scipy.spatial import KDTree
+
+from modetune.core.mesh import Mesh
+from modetune.core.modes import Floats
+from modetune.core.surface import Surface
+from modetune.core.updating.localisation import Removal
+from modetune.flows.report.chart import AFTER, BEFORE, Axis, Bars, Chart, Panel
+from modetune.flows.report.matplotlib_charts import new_figure, plain, save
+from modetune.flows.studies.localise.error_maps import ErrorMaps
+from modetune.flows.studies.localise.localise import Localisation
+
+#: Bars that can be told apart on a page.
+BARS = 30
+COLOURS = "YlOrRd"
+
+
+def write_figures(
+    title: str, found: Localisation, mesh: Mesh, surface: Surface, folder: Path
+) -> list[Path]:
+    """Write all figures that were found out, as PNG. Raises StorageUnavailable."""
+    paths = [save(removal_chart(title, found.parameters, found.singles), folder / "removals.png")]
+    if found.maps is not None:
+        paths.append(save(group_chart(title, found.maps), folder / "groups.png"))
+        if mesh.nodes.size:
+            strains = on_surface(found.maps.strains, mesh, surface)
+            paths.append(save(surface_figure(title, surface, strains), folder / "map.png"))
+    return paths
+
+
+def group_chart(title: str, maps: ErrorMaps) -> Chart:
+    """Of each group its share of the force residual and of the error's energy, worst on top."""
+    order = maps.errors.ranking[:BARS]
+    bars = (
+        Bars("explains of the force residual", 100.0 * maps.errors.force_shares[order], BEFORE),
+        Bars("holds of the error's energy", 100.0 * maps.errors.error_shares[order], AFTER),
+    )
+    return _shares(title, bars, [maps.groups[place] for place in order.tolist()])
+
+
+def removal_chart(title: str, names: Sequence[str], singles: Sequence[Removal]) -> Chart:
+    """What each parameter alone can remove of the weighted residual, the best on top."""
+    shown = list(singles)[:BARS]
+    values = np.array([100.0 * item.removed for item in shown])
+    bars = (Bars("", values, BEFORE),)
+    return _shares(
+        title,
+        bars,
+        [names[item.members[0]] for item in shown],
+        "removes of the weighted residual, %",
+    )
+
+
+def _shares(title: str, bars: tuple[Bars, ...], names: Sequence[str], label: str = "%") -> Chart:
+    panel = Panel(
+        bars, Axis(label, span=(0.0, 100.0)), Axis(names=tuple(names), turned=True), sideways=True
+    )
+    return Chart(title, title, (panel,), size=(5.8, 1.2 + 0.36 * len(names)))
+
+
+def on_surface(strains: Floats, mesh: Mesh, surface: Surface) -> Floats:
+    """Strain of the error at the nodes of the surface, (n,): of the mesh's nodes next to each.
+
+    strains: (n_mesh_nodes,). Root mean squares, so that thinning smooths and loses nothing.
+    """
+    _, owner = KDTree(surface.coordinates).query(mesh.coordinates)
+    count = np.bincount(owner, minlength=surface.nodes.size)
+    squares = np.bincount(owner, strains**2, surface.nodes.size)
+    return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
+
+
+def surface_figure(title: str, surface: Surface, strains: Floats) -> Figure:
+    """The model with colours for the strain of the error at its nodes, (n,)."""
+    figure = new_figure(7.2, 5.6)
+    axes: Any = figure.add_subplot(projection="3d")
+    shades = strains / (float(strains.max(initial=0.0)) or 1.0)
+    paint = ScalarMappable(Normalize(0.0, 1.0), colormaps[COLOURS])
+    if surface.triangles.size:
+        colours = paint.to_rgba(shades[surface.triangles].mean(axis=1))
+        axes.add_collection3d(
+            Poly3DCollection(
+                surface.coordinates[surface.triangles], facecolors=colours, edgecolors="none"
+            )
+        )
+    elif surface.edges.size:
+        ends = shades[surface.edges].mean(axis=1)
+        axes.add_collection3d(
+            Line3DCollection(
+                surface.coordinates[surface.edges], colors=paint.to_rgba(ends), linewidths=4.0
+            )
+        )
+    else:
+        axes.scatter(*surface.coordinates.T, c=paint.to_rgba(shades))
+    low, high = surface.coordinates.min(axis=0), surface.coordinates.max(axis=0)
+    # A flat or straight model gets some room, or its axes would have no scale.
+    room = np.maximum(high - low, 0.05 * (float((high - low).max()) or 1.0))
+    for name, centre, width in zip("xyz", (low + high) / 2.0, room / 2.0, strict=True):
+        axes.set(**{f"{name}lim": (centre - width, centre + width)})
+    axes.set_box_aspect(room, zoom=1.3)
+    axes.set_axis_off()
+    axes.set_title(plain(title), fontsize=10)
+    figure.colorbar(paint, ax=axes, shrink=0.6, label="strain of the error, of the largest")
+    return figure

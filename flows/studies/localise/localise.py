@@ -1,0 +1,151 @@
+"""Where a campaign's model is wrong: the Python API of `modetune localise`.
+
+Three kinds of evidence, each from what the store has first: what single parameters and pairs can
+remove of the residual (sensitivities), maps of the error on the model (stored matrices at the
+test's modes, see `core/updating/localisation`), and whether any admissible parameter set can remove
+the residual at all (`core/updating/model_form`). Maps need measured shapes, and a solver whose
+matrices have their unknowns at the model's nodes; without them the other two are told, and why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from modetune.core.brief import brief
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
+from modetune.core.storage.record import RunCounts
+from modetune.core.storage.record_file import read_record
+from modetune.core.updating.localisation import Removal, removals
+from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.report.form_verdict import residual_form
+from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.running import job_engine
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Localisation:
+    """Where a model is wrong.
+
+    parameters: names; theta: (n_parameters,), the values that were looked at. modes: numbers of
+    the test's modes, in the order of the pairs. singles, pairs: what parameters remove of the
+    residual, the best first. form: the test for model-form error; labels: of its entries;
+    updated: whether it is a verdict on the updated model. maps: None where they cannot be made,
+    and why_no_maps says why. runs: what it cost.
+    """
+
+    parameters: tuple[str, ...]
+    theta: Floats
+    modes: tuple[int, ...]
+    singles: tuple[Removal, ...]
+    pairs: tuple[Removal, ...]
+    form: ModelForm
+    labels: tuple[str, ...]
+    updated: bool
+    maps: ErrorMaps | None
+    why_no_maps: str
+    runs: RunCounts
+
+    __repr__ = brief
+
+    @property
+    def sentence(self) -> str:
+        """What the test for model-form error says."""
+        return model_form_sentence(self.form, self.labels, self.parameters, self.updated)
+
+
+@dataclass(frozen=True, slots=True)
+class LocalisedModel:
+    """What is looked at: a campaign of one model, at parameter values; None at its start."""
+
+    campaign: Campaign
+    theta: Floats | None
+
+
+def place_of(campaign: Campaign, record: Path | None, configuration: str | None) -> LocalisedModel:
+    """The one model that is meant, at its start or where updating left it.
+
+    record: run folder or campaign.h5; configuration: name of one, where there are several.
+    Raises CampaignError where these are not of the campaign; StoreError.
+    """
+    theta = None if record is None else _updated_values(campaign, record)
+    names = [item.name for item in campaign.cases if item.name]
+    if configuration is None and not names:
+        return LocalisedModel(campaign, theta)
+    if configuration not in names:
+        there = f"there is {', '.join(names)}" if names else "the campaign has none"
+        said = "none is named" if configuration is None else repr(configuration)
+        raise CampaignError(
+            f"{campaign.file}: --configuration: one of the campaign's configurations is looked at "
+            f"at a time; {said}, {there}"
+        )
+    case = campaign.cases[names.index(configuration)]
+    columns = slice(None) if case.columns is None else list(case.columns)
+    return LocalisedModel(campaign.alone(case), None if theta is None else theta[columns])
+
+
+def _updated_values(campaign: Campaign, place: Path) -> Floats:
+    path = place / "campaign.h5" if place.is_dir() else place
+    record = read_record(path)
+    if record.parameters.names != campaign.parameters.names:
+        raise CampaignError(
+            f"{path} has the parameters {', '.join(record.parameters.names)}, but {campaign.file} "
+            f"has {', '.join(campaign.parameters.names)}; name the record of this campaign"
+        )
+    return record.updated
+
+
+def localise(campaign: Campaign, theta: Floats | None = None) -> Localisation:
+    """Look for the error at parameter values, at the campaign's start if left out.
+
+    theta: (n_parameters,), values that updating ended on; the test for model-form error is then a
+    verdict, not a forecast. Raises ModesError, SolverError, StoreError.
+    """
+    updated = theta is not None
+    values = campaign.start if theta is None else theta
+    engine = job_engine(campaign)
+    try:
+        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+        evaluation, matrix = evaluator.evaluate(0, values, None, alone=False)
+        assert matrix is not None
+        why = why_no_maps(campaign)
+        maps = None
+        if not why:
+            maps, why = error_maps(campaign, evaluator, evaluation.parts[0])
+    except BaseException:
+        engine.cancelled.set()  # jobs of other threads end with the command
+        raise
+    numbers = tuple(campaign.test.numbers[place] for place in evaluation.pairing.measured.tolist())
+    found = evaluation.residual
+    singles, pairs = removals(
+        matrix.values,
+        found.values,
+        found.weights,
+        campaign.parameters.lower - values,
+        campaign.parameters.upper - values,
+    )
+    form, labels = residual_form(
+        matrix.values,
+        found,
+        [f"mode {number}" for number in numbers],
+        campaign.parameters,
+        values,
+        least=0.0 if updated else FORECAST,
+    )
+    return Localisation(
+        parameters=campaign.parameters.names,
+        theta=values,
+        modes=numbers,
+        singles=singles,
+        pairs=pairs,
+        form=form,
+        labels=labels,
+        updated=updated,
+        maps=maps,
+        why_no_maps=why,
+        runs=evaluator.runs,
+    )

@@ -1,0 +1,1 @@
+"""Modes before and after, as files for ParaView."""

@@ -1,0 +1,161 @@
+"""Modes of a campaign's model before and after updating, as files for ParaView.
+
+Each state takes one modal job with shapes at all nodes. For a CalculiX deck it leaves its .frd
+file, which ccx2paraview converts; where the store has the result of an earlier job and the file is
+gone, and for all other solvers, the files are written from mesh and result, in the same form.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from modetune.adapters.calculix.frd import convert_frd
+from modetune.adapters.calculix.solver import JOB, CalculixDeck, CalculixProgram
+from modetune.adapters.paraview import check_series, mode_grids, write_series
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.errors import CampaignError
+from modetune.core.parameters import Values
+from modetune.core.storage.files import check_writable
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.record_file import read_record
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.job import Job
+from modetune.flows.updating.running import job_engine
+
+#: Which models of a campaign: as it started, as updating left it.
+State = Literal["initial", "updated"]
+RECORD = "campaign.h5"
+#: How far above a run folder its campaign file is looked for.
+LEVELS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesSource:
+    """A campaign, and its record where it was run."""
+
+    campaign: Campaign
+    record: CampaignRecord | None
+    run_folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Files of one state. ran: whether a solver had to run; converted: by ccx2paraview."""
+
+    state: State
+    file: Path
+    n_modes: int
+    ran: bool
+    converted: bool
+
+
+def open_source(place: Path, settings: list[str], runs: Path) -> SeriesSource:
+    """The campaign of a campaign file or of a run folder. Raises CampaignError, StoreError."""
+    if not place.is_dir():
+        campaign = load_campaign(place, settings)
+        folder = runs / campaign.name
+        record = read_record(folder / RECORD) if (folder / RECORD).is_file() else None
+    else:
+        folder = place
+        record = read_record(folder / RECORD)
+        file = _campaign_file(folder, record)
+        campaign = load_campaign(file, [*record.settings, *settings])
+    if record is not None and record.parameters.names != campaign.parameters.names:
+        raise CampaignError(
+            f"{folder / RECORD} has the parameters {', '.join(record.parameters.names)}, but "
+            f"{campaign.file} has {', '.join(campaign.parameters.names)}; run `modetune update` "
+            "again, or name the campaign file it was made with"
+        )
+    return SeriesSource(campaign, record, folder)
+
+
+def _campaign_file(folder: Path, record: CampaignRecord) -> Path:
+    """The campaign file of a record: the same text, in a folder above. Raises CampaignError."""
+    above = [Path.cwd(), *folder.resolve().parents[:LEVELS]]
+    for path in (file for parent in above for file in sorted(parent.glob("*.y*ml"))):
+        try:
+            if path.read_text(encoding="utf-8") == record.campaign_text:
+                return path
+        except (OSError, UnicodeDecodeError):
+            continue
+    raise CampaignError(
+        f"{folder / RECORD} tells no file of its campaign {record.name}, and none above {folder} "
+        "has its text; name the campaign file instead of the folder (with --runs where run folders "
+        "are not in ./runs)"
+    )
+
+
+def states_of(source: SeriesSource, wanted: str) -> dict[State, Values]:
+    """Parameter values of the wanted states: initial, updated, or both. Raises CampaignError.
+
+    `both` of a campaign that was never run is its initial state alone.
+    """
+    if wanted not in ("initial", "updated", "both"):
+        raise CampaignError(f"--state {wanted!r}: expected initial, updated or both")
+    campaign, record = source.campaign, source.record
+    if record is None:
+        if wanted == "updated":
+            raise CampaignError(
+                f"{source.run_folder / RECORD} is not there, so there is no updated model; run "
+                "`modetune update` first, or say --state initial"
+            )
+        return {"initial": campaign.parameters.values(campaign.start)}
+    first = next(item for item in record.iterations if item.accepted)
+    found: dict[State, Values] = {
+        "initial": campaign.parameters.values(first.parameters),
+        "updated": campaign.parameters.values(record.updated),
+    }
+    return {state: values for state, values in found.items() if wanted in (state, "both")}
+
+
+def write_paraview(
+    campaign: Campaign, states: Mapping[State, Values], out: Path
+) -> tuple[Series, ...]:
+    """Write STATE.pvd and its .vtu files for each state: one modal job each, the store first.
+
+    Raises CampaignError where the model has no geometry; SolverError, StoreError.
+    """
+    if not campaign.case.solver.deck.mesh().cells:
+        raise CampaignError(
+            f"{campaign.file}: a model of the solver {campaign.solver_name} has no elements, so "
+            "there is nothing to show in ParaView"
+        )
+    check_writable(out, "name another place with --out")
+    for state in states:
+        check_series(out, state)
+    return tuple(_write_state(campaign, state, values, out) for state, values in states.items())
+
+
+def _write_state(campaign: Campaign, state: State, values: Values, out: Path) -> Series:
+    solver, keep_jobs = campaign.case.solver, campaign.run.keep_jobs
+    job = Job(
+        values, ModalAnalysis(campaign.case.n_modes, tuple(sorted(solver.deck.summary.node_ids)))
+    )
+    if isinstance(solver.program, CalculixProgram) and isinstance(solver.deck, CalculixDeck):
+        # Its job's folder stays until the .frd file there is converted.
+        kept = campaign.run.model_copy(update={"keep_jobs": True})
+        program = replace(solver.program, with_frd=True)
+        case = replace(campaign.case, solver=replace(solver, program=program))
+        campaign = replace(campaign, cases=(case,), run=kept)
+    engine = job_engine(campaign)
+    outcome = engine.solve(job)
+    result = outcome.result(ModalResult)
+    frequencies = result.modes.frequencies_hz
+    folder = campaign.store.folder / "jobs" / outcome.key
+    frd = folder / f"{JOB}.frd"
+    converted = frd.is_file()
+    if converted:
+        with tempfile.TemporaryDirectory(prefix="modetune-") as work:
+            grids = convert_frd(frd, frequencies.size, Path(work))
+            series = write_series(out, state, grids, frequencies)
+        if not keep_jobs:
+            shutil.rmtree(folder, ignore_errors=True)
+    else:
+        series = write_series(out, state, mode_grids(solver.deck.mesh(), result.modes), frequencies)
+    return Series(state, series, frequencies.size, not outcome.reused, converted)

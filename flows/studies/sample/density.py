@@ -1,0 +1,166 @@
+"""The posterior density of the parameters, its peaks, and what a linear model would say of it.
+
+Measured values have independent normal errors of the campaign's deviations, the parameters a normal
+prior around their initial values, cut at the range:
+
+    log p(theta | test) = -1/2 |w(theta)|^2 - 1/2 sum ((theta - theta_0) / s)^2 + constant
+
+with w the surrogate's residual in standard deviations of the test. Emphasis takes no part: it says
+what an updating shall care for, not how exactly something was measured.
+
+Both terms are squares, so peaks are found by bounded least squares from many starts. Two ends are
+two peaks where the density sinks between them. The share of a peak is Laplace's estimate: density
+times the volume of the normal distribution with the same curvature.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import qmc
+
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.estimation import parameter_covariance
+
+#: Ends are peaks of their own where the log density sinks by as much between them.
+SINK = 1.0
+#: A peak with a smaller share of the whole is left out.
+LEAST_SHARE = 1e-3
+#: Starts of the search for peaks: drawn from the range, of which so many of the best are taken.
+DRAWN, STARTS = 400, 16
+
+
+class Features(Protocol):
+    """A residual in standard deviations of the test."""
+
+    def features(self, points: Floats) -> Floats:
+        """(n, n_features) at points (n, n_parameters)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """A posterior density over a range.
+
+    prior_mean, prior_deviation: (n_parameters,); lower, upper: (n_parameters,), where the density
+    ends: the bounds, or the range that was learned where that is less.
+    """
+
+    surrogate: Features
+    prior_mean: Floats
+    prior_deviation: Floats
+    lower: Floats
+    upper: Floats
+
+    def log_density(self, points: Floats) -> Floats:
+        """(n,), but for a constant; minus infinity outside the range. points: (n, n_parameters)."""
+        found = np.full(points.shape[0], -np.inf)
+        inside = ((points >= self.lower) & (points <= self.upper)).all(axis=1)
+        if inside.any():
+            found[inside] = -0.5 * (self._squares(points[inside]) ** 2).sum(axis=1)
+        return found
+
+    def slopes(self, point: Floats) -> Floats:
+        """Derivatives of the features, (n_features, n_parameters), by central differences."""
+        reach = 1e-4 * (self.upper - self.lower)
+        moved = np.vstack([point + np.diag(reach), point - np.diag(reach)])
+        found = self.surrogate.features(moved)
+        n = point.size
+        return np.asarray((found[:n] - found[n:]).T / (2.0 * reach))
+
+    def linear_covariance(self, point: Floats) -> Floats:
+        """Covariance (n, n) that the slopes at a point and the prior give, bounds left aside."""
+        slopes = self.slopes(point)
+        ones = np.ones(slopes.shape[0])
+        return parameter_covariance(slopes, ones, ones, self.prior_deviation**-2)
+
+    def _squares(self, points: Floats) -> Floats:
+        pull = (points - self.prior_mean) / self.prior_deviation
+        return np.hstack([self.surrogate.features(points), pull])
+
+    def _squares_at(self, point: Floats) -> Floats:
+        return np.asarray(self._squares(point[None])[0])
+
+    def _climb(self, start: Floats) -> tuple[Floats, float]:
+        """Where the density is greatest, uphill from a point, and the log density there."""
+        width = self.upper - self.lower
+        margin = 1e-9 * width  # the method starts inside the bounds only
+        ended = least_squares(
+            self._squares_at,
+            np.clip(start, self.lower + margin, self.upper - margin),
+            bounds=(self.lower, self.upper),
+            x_scale=width,
+            xtol=1e-10,
+            ftol=1e-12,
+            max_nfev=200,
+        )
+        return np.asarray(ended.x), -float(ended.cost)
+
+
+@dataclass(frozen=True, slots=True)
+class Peaks:
+    """Maxima of the density, the one of greatest density first.
+
+    points: (n_peaks, n_parameters); log_densities, shares (of the whole, by Laplace): (n_peaks,);
+    covariances: (n_peaks, n_parameters, n_parameters), linear.
+    """
+
+    points: Floats
+    log_densities: Floats
+    shares: Floats
+    covariances: Floats
+
+    @property
+    def n_peaks(self) -> int:
+        return self.points.shape[0]
+
+    def nearest(self, samples: Floats) -> Integers:
+        """Which peak each of samples (n, n_parameters) belongs to, by its own covariance."""
+        squares = np.stack(
+            [
+                _squared_distances(samples - point, covariance)
+                for point, covariance in zip(self.points, self.covariances, strict=True)
+            ]
+        )
+        return np.asarray(squares.argmin(axis=0))
+
+
+def find_peaks(posterior: Posterior, rng: np.random.Generator, also: Floats | None = None) -> Peaks:
+    """The peaks of a density. also: (n, n_parameters), starts beside those that are drawn."""
+    n_parameters = posterior.lower.size
+    unit = qmc.LatinHypercube(n_parameters, rng=rng).random(DRAWN)
+    starts = posterior.lower + unit * (posterior.upper - posterior.lower)
+    order = np.argsort(-posterior.log_density(starts))
+    # The best draws crowd on one peak, so half of the starts are taken as they come.
+    chosen = [*starts[order[: STARTS // 2]], *starts[: STARTS // 2]]
+    chosen += [] if also is None else list(also)
+    ends = sorted((posterior._climb(start) for start in chosen), key=lambda end: -end[1])
+    kept: list[tuple[Floats, float]] = []
+    for point, height in ends:
+        if all(_is_apart(posterior, point, height, other) for other, _ in kept):
+            kept.append((point, height))
+    points = np.stack([point for point, _ in kept])
+    heights = np.array([height for _, height in kept])
+    covariances = np.stack([posterior.linear_covariance(point) for point in points])
+    weights = heights - heights[0] + 0.5 * np.linalg.slogdet(covariances)[1]
+    shares = np.exp(weights - weights.max())
+    shares /= shares.sum()
+    large = shares >= LEAST_SHARE
+    return Peaks(
+        points[large], heights[large], shares[large] / shares[large].sum(), covariances[large]
+    )
+
+
+def _is_apart(posterior: Posterior, point: Floats, height: float, other: Floats) -> bool:
+    """Whether the density sinks between a point and a higher one."""
+    steps = np.linspace(0.0, 1.0, 41)[1:-1, None]
+    between = posterior.log_density(point + steps * (other - point))
+    return bool(between.min() < height - SINK)
+
+
+def _squared_distances(differences: Floats, covariance: Floats) -> Floats:
+    turned = np.linalg.solve(np.linalg.cholesky(covariance), differences.T)
+    return np.asarray((turned**2).sum(axis=0))

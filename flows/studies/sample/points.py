@@ -1,0 +1,118 @@
+"""Solving parameter sets: ordinary modal jobs of a campaign, and the residuals they leave.
+
+They go through the evaluator, its store, limits and retries, so that what was solved once is never
+solved again. Without measured shapes a set's modes are tracked from the nearest set that has been
+paired already, beginning at the campaign's start.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modetune.core.errors import CampaignError, ModetuneError
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.residual import Residual
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.studies.sample.surrogate import Training
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.evaluator import Evaluator
+
+logger = logging.getLogger(__name__)
+
+#: Of the sets asked for, the share that may fail.
+MOST_FAILED = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedPoints:
+    """Sets that could be solved: their residuals, their jobs, and which of those asked for."""
+
+    training: Training
+    keys: tuple[str, ...]
+    places: Integers
+
+
+class PointSolver:
+    """Solves parameter sets of one campaign and keeps those that modes are tracked from."""
+
+    def __init__(self, campaign: Campaign, evaluator: Evaluator) -> None:
+        self.campaign = campaign
+        self.evaluator = evaluator
+        self.failures: list[str] = []
+        self._known: list[Evaluation] = []
+
+    def solve(self, title: str, points: Floats) -> SolvedPoints:
+        """Residuals at points (n, n_parameters); sets that fail are left out with a warning.
+
+        Raises CampaignError where more than half fail; SolverError, ModesError where all do;
+        StoreError.
+        """
+        found = self.evaluator.points(title, points, self._known, grows=True)
+        self._tell([item for item in found if isinstance(item, ModetuneError)], len(found))
+        sets = {n: item for n, item in enumerate(found) if isinstance(item, Evaluation)}
+        self._known += sets.values()
+        return SolvedPoints(
+            self._training(list(sets.values())),
+            tuple(item.key for item in sets.values()),
+            np.array(list(sets), dtype=np.int64),
+        )
+
+    def _tell(self, failed: Sequence[ModetuneError], asked: int) -> None:
+        for error in failed:
+            logger.warning("a solver run is left out: %s", error)
+            self.failures.append(str(error))
+        if len(failed) == asked:
+            raise failed[0]
+        if len(failed) > MOST_FAILED * asked:
+            raise CampaignError(
+                f"{len(failed)} of {asked} solver runs gave no residual, the first because: "
+                f"{failed[0]}\nnarrow the parameters' bounds"
+            )
+
+    def _training(self, found: Sequence[Evaluation]) -> Training:
+        responses, names = response_names(self.campaign, found[0] if found else self._known[0])
+        values = [standardised(self.campaign, evaluation.residual) for evaluation in found]
+        return Training(
+            points=np.array([item.theta for item in found]).reshape(
+                -1, len(self.campaign.parameters)
+            ),
+            values=np.array(values).reshape(-1, responses.size),
+            responses=responses,
+            names=names,
+        )
+
+
+def standardised(campaign: Campaign, residual: Residual) -> Floats:
+    """Entries of a residual that take part, in standard deviations of the test, (n_residuals,).
+
+    Frequencies where they have a weight, then shapes pair by pair where these have one. A
+    surrogate knows that a shape moves on a curve, so its entries have their measured deviation
+    alone, without what the residual adds for a linear model's sake.
+    """
+    weighting, n = campaign.weighting, residual.n_frequencies
+    parts = []
+    if weighting.frequency_weight > 0.0:
+        parts.append(residual.values[:n] / (2.0 * weighting.frequency_deviation))
+    shapes = residual.values[n:]
+    if shapes.size:
+        parts.append(shapes * np.sqrt(shapes.size / n) / weighting.shape_deviation)
+    return np.concatenate(parts)
+
+
+def response_names(campaign: Campaign, evaluation: Evaluation) -> tuple[Integers, tuple[str, ...]]:
+    """Which response each entry of a standardised residual is of, and what they are called."""
+    residual = evaluation.residual
+    numbers = [campaign.test.numbers[place] for place in evaluation.pairing.measured.tolist()]
+    n, names, responses = residual.n_frequencies, [], []
+    if campaign.weighting.frequency_weight > 0.0:
+        names += [f"frequency of mode {number}" for number in numbers]
+        responses += list(range(n))
+    each = (residual.values.size - n) // n
+    if each:
+        responses += [len(names) + pair for pair in range(n) for _ in range(each)]
+        names += [f"shape of mode {number}" for number in numbers]
+    return np.array(responses, dtype=np.int64), tuple(names)

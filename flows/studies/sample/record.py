@@ -1,0 +1,108 @@
+"""The record of a sampling, posterior.h5: samples, what they came from, and how they were judged.
+
+The file is the dataclass PosteriorRecord below as `core/storage/codec` writes it, behind a seal:
+single values are attributes, arrays and tuples datasets, dataclasses groups, each by the name of
+its field.
+
+    attributes      name, seed, walkers, steps (of each walker), burned, acceptance, enough (chains
+                    long enough), begun (training points before any was added near the posterior),
+                    solver, solver_version, modetune_version, units, campaign_text, wall_s
+    (n_parameters,) names, lower, upper (range of the samples), bound_lower, bound_upper,
+                    prior_mean, prior_deviation, mean, deviation, interval_lower, interval_upper
+                    (95 %), most_likely, linear_deviation, autocorrelation_times,
+                    effective_sizes, r_hat; correlation (n_par, n_par)
+    samples         (n, n_parameters), thinned; log_densities (n,), but for a constant
+    peaks           (n_peaks, n_parameters); shares (n_peaks,), by the samples
+    training/       points (n_points, n_parameters), values (n_points, n_residuals) in standard
+                    deviations of the test, responses (n_residuals,), names
+    training_keys   of the jobs (n_points,); near (n_points,), whether a point counts as near the
+                    posterior
+    check_points    (n_checks, n_parameters); check_keys; check_errors, left_out (n_responses,):
+                    errors of the surrogate in standard deviations of the test, at the checks and
+                    with each near training point left out
+    failures        texts of solver runs that were left out
+    runs/           attributes modal, sensitivity, reused, core_s, licence_s
+
+Values of parameters are relative to the deck's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modetune.core.brief import brief
+from modetune.core.modes import Floats
+from modetune.core.storage.record import RunCounts
+from modetune.core.storage.record_file import RecordFile
+from modetune.flows.studies.sample.surrogate import Training
+
+FILE = "posterior.h5"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class PosteriorRecord:
+    """A sampling from its solver runs to its judgement; the module says what each field is."""
+
+    name: str
+    seed: int
+    walkers: int
+    steps: int
+    burned: int
+    acceptance: float
+    enough: bool
+    solver: str
+    solver_version: str
+    modetune_version: str
+    units: str
+    wall_s: float
+    campaign_text: str
+    names: tuple[str, ...]
+    lower: Floats
+    upper: Floats
+    bound_lower: Floats
+    bound_upper: Floats
+    prior_mean: Floats
+    prior_deviation: Floats
+    mean: Floats
+    deviation: Floats
+    interval_lower: Floats
+    interval_upper: Floats
+    most_likely: Floats
+    linear_deviation: Floats
+    correlation: Floats
+    autocorrelation_times: Floats
+    effective_sizes: Floats
+    r_hat: Floats
+    samples: Floats
+    log_densities: Floats
+    peaks: Floats
+    shares: Floats
+    training: Training
+    training_keys: tuple[str, ...]
+    near: NDArray[np.bool_]
+    begun: int
+    left_out: Floats
+    check_points: Floats
+    check_keys: tuple[str, ...]
+    check_errors: Floats
+    failures: tuple[str, ...]
+    runs: RunCounts
+
+    __repr__ = brief
+
+
+POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 2)
+
+
+def write_posterior(path: Path, record: PosteriorRecord) -> None:
+    """Write the record whole or not at all. Raises StorageUnavailable."""
+    POSTERIOR.write(path, record)
+
+
+def read_posterior(path: Path) -> PosteriorRecord:
+    """The record as it was written. Raises CampaignError, StoreDamaged."""
+    return POSTERIOR.read(path)

@@ -1,0 +1,211 @@
+"""Running a sampling: the Python API behind `modetune sample`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.stats import qmc
+
+from modetune import __version__
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
+from modetune.core.storage.files import check_writable
+from modetune.core.storage.record import CampaignRecord, RunCounts
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.studies.sample.checking import Checks, check_surrogate
+from modetune.flows.studies.sample.learning import Learned, learn
+from modetune.flows.studies.sample.points import PointSolver
+from modetune.flows.studies.sample.record import PosteriorRecord
+from modetune.flows.studies.sample.sampling import Chains, check_walkers, sample
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.running import solving_engine
+
+#: Without a number: runs over the range and walkers a parameter, and the least of both.
+POINTS_EACH, LEAST_POINTS, WALKERS_EACH, LEAST_WALKERS = 10, 16, 4, 32
+#: Around the end of an update the range reaches so many standard deviations of the prior.
+RANGE = 3.0
+#: More of anything than this is a slip of the hand.
+MOST = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class SamplingRequest:
+    """What is asked for.
+
+    points: solver runs over the range; as many again may follow near the posterior. steps: of each
+    walker at first. checks: solver runs at points of the posterior. None: by the number of
+    parameters.
+    """
+
+    points: int | None = None
+    walkers: int | None = None
+    steps: int = 2000
+    seed: int = 1
+    checks: int = 8
+
+    def problems(self, n_parameters: int) -> list[str]:
+        """What is unavailable, a sentence each."""
+        least = n_parameters + 3
+        asked = (
+            ("--points", self.points, least), ("--steps", self.steps, 100),
+            ("--checks", self.checks, 0), ("--seed", self.seed, 0),
+        )  # fmt: skip
+        return [
+            f"{name} {value}: expected {low} to {MOST}"
+            for name, value, low in asked
+            if value is not None and not low <= value <= MOST
+        ]
+
+
+class SamplingProgress(Protocol):
+    """Who watches a sampling."""
+
+    def working(self, text: str) -> None:
+        """What is being computed now."""
+        ...
+
+
+def sample_campaign(
+    campaign: Campaign,
+    request: SamplingRequest,
+    progress: SamplingProgress,
+    earlier: CampaignRecord | None = None,
+) -> PosteriorRecord:
+    """The posterior of a campaign's parameters. earlier: an updated campaign to start from.
+
+    Raises CampaignError (what was asked cannot be; the surrogate stays too poor), SolverError,
+    ModesError, StoreError.
+    """
+    campaign = campaign.alone(campaign.case)  # several are refused before anything runs
+    started, parameters = time.monotonic(), campaign.parameters
+    if problems := request.problems(len(parameters)):
+        raise CampaignError(problems)
+    walkers = request.walkers or max(LEAST_WALKERS, WALKERS_EACH * len(parameters))
+    check_walkers(walkers, len(parameters))
+    centre = campaign.start if earlier is None else carried_over(campaign, earlier)
+    limits = learning_range(campaign, None if earlier is None else centre)
+    at_points, at_search, at_chains, at_checks = np.random.default_rng(request.seed).spawn(4)
+    asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
+    unit = qmc.LatinHypercube(len(parameters), rng=at_points).random(asked)
+    spread = limits[0] + unit * (limits[1] - limits[0])
+    version = campaign.solver_version()  # a missing solver is told before anything else starts
+    check_writable(campaign.store.folder, STORE_REMEDY)
+    with solving_engine(campaign) as engine:
+        try:
+            evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+            solver = PointSolver(campaign, evaluator)
+            # Where nothing was measured but frequencies, pairs are those that updating begins with.
+            solver.solve("start", campaign.start[None])
+            points = np.vstack([centre, spread])
+            learned = learn(solver, points, limits, asked, walkers, at_search, progress.working)
+            progress.working("sampling")
+            chains = sample(learned.posterior, learned.peaks, walkers, request.steps, at_chains)
+            progress.working(f"{request.checks} solver runs at points of the posterior")
+            checks = check_surrogate(solver, learned.surrogate, chains, request.checks, at_checks)
+        except BaseException:
+            engine.cancelled.set()  # jobs of other threads end with the sampling
+            raise
+        runs = evaluator.runs
+    record = _record(campaign, request, learned, chains, checks)
+    return replace(
+        record,
+        solver_version=version,
+        failures=tuple(solver.failures),
+        runs=runs,
+        wall_s=time.monotonic() - started,
+    )
+
+
+def carried_over(campaign: Campaign, earlier: CampaignRecord) -> Floats:
+    """The parameters (n_parameters,) that an update ended on, relative to the campaign's deck.
+
+    Raises CampaignError where the update was of other parameters.
+    """
+    updated = dict(
+        zip(earlier.parameters.names, earlier.updated * earlier.deck_values, strict=True)
+    )
+    missing = [name for name in campaign.parameters.names if name not in updated]
+    if missing:
+        raise CampaignError(
+            f"the record given with --record is of {', '.join(updated)} and lacks "
+            f"{', '.join(missing)}; name the run folder of this campaign, or leave --record out"
+        )
+    values = [
+        updated[item.name] / campaign.case.solver.deck.deck_value(item)
+        for item in campaign.parameters.parameters
+    ]
+    return np.clip(np.array(values), campaign.parameters.lower, campaign.parameters.upper)
+
+
+def learning_range(campaign: Campaign, centre: Floats | None) -> tuple[Floats, Floats]:
+    """Lower and upper end, (n_parameters,): the bounds, or nearer around a centre that is known."""
+    parameters = campaign.parameters
+    if centre is None:
+        return parameters.lower, parameters.upper
+    reach = RANGE * parameters.standard_deviations
+    return (
+        np.maximum(parameters.lower, centre - reach),
+        np.minimum(parameters.upper, centre + reach),
+    )
+
+
+def _record(
+    campaign: Campaign, request: SamplingRequest, learned: Learned, chains: Chains, checks: Checks
+) -> PosteriorRecord:
+    """What the samples tell; runs and times are still to be filled in."""
+    parameters, posterior, flat = campaign.parameters, learned.posterior, chains.flat
+    samples, log_densities = chains.thinned()
+    interval = np.quantile(flat, [0.025, 0.975], axis=0)
+    which = learned.peaks.nearest(flat)
+    n = len(parameters)
+    return PosteriorRecord(
+        name=campaign.name,
+        seed=request.seed,
+        walkers=chains.samples.shape[1],
+        steps=chains.steps,
+        burned=chains.burned,
+        acceptance=chains.acceptance,
+        enough=chains.are_enough,
+        solver=campaign.solver_name,
+        solver_version="",
+        modetune_version=__version__,
+        units=campaign.case.units,
+        wall_s=0.0,
+        campaign_text=campaign.text,
+        names=parameters.names,
+        lower=posterior.lower,
+        upper=posterior.upper,
+        bound_lower=parameters.lower,
+        bound_upper=parameters.upper,
+        prior_mean=posterior.prior_mean,
+        prior_deviation=posterior.prior_deviation,
+        mean=flat.mean(axis=0),
+        deviation=flat.std(axis=0),
+        interval_lower=interval[0],
+        interval_upper=interval[1],
+        most_likely=learned.peaks.points[0],
+        linear_deviation=np.sqrt(np.diag(learned.peaks.covariances[0])),
+        correlation=np.corrcoef(flat, rowvar=False).reshape(n, n),
+        autocorrelation_times=chains.autocorrelation_times,
+        effective_sizes=chains.effective_sizes,
+        r_hat=chains.r_hat,
+        samples=samples,
+        log_densities=log_densities,
+        peaks=learned.peaks.points,
+        shares=np.bincount(which, minlength=learned.peaks.n_peaks) / which.size,
+        training=learned.training,
+        training_keys=learned.keys,
+        near=learned.near,
+        begun=learned.begun,
+        left_out=learned.errors,
+        check_points=checks.points,
+        check_keys=checks.keys,
+        check_errors=checks.errors,
+        failures=(),
+        runs=RunCounts(),
+    )

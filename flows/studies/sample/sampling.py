@@ -1,0 +1,188 @@
+"""Sampling of a density by emcee, and whether the samples can be believed.
+
+Walkers move by differences of other walkers (ter Braak 2006), which scale with the density by
+themselves, some of them by whole differences, which jump between peaks; others stretch (Goodman
+and Weare 2010). They start around the peaks, as many at each as its share asks for.
+
+Neighbouring samples of a walker resemble each other. Over the integrated autocorrelation time tau
+(Goodman and Weare 2010) they forget; of n samples n / tau count (the effective sample size). The
+chains are long enough where each walker made 50 tau steps, and where the variance between half
+chains is that within them: split R-hat (Gelman et al. 2013, 11.4) below 1.05. Where they are not,
+sampling goes on up to ten times the steps asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
+from modetune.flows.studies.sample.density import Peaks, Posterior
+
+#: Steps of a walker that count as long enough, in autocorrelation times; R-hat likewise.
+ENOUGH_TIMES, LARGEST_R_HAT = 50.0, 1.05
+#: Autocorrelation times that are thrown away at the start; steps asked for that are made at most.
+BURN_TIMES, LONGEST = 5.0, 10
+
+
+@dataclass(frozen=True, slots=True)
+class Chains:
+    """What the walkers left after they had forgotten where they began.
+
+    samples: (n_steps, n_walkers, n_parameters); log_densities: (n_steps, n_walkers).
+    autocorrelation_times, effective_sizes, r_hat: (n_parameters,). steps, burned: of each walker,
+    made in all and thrown away; acceptance: share of moves that were accepted.
+    """
+
+    samples: Floats
+    log_densities: Floats
+    autocorrelation_times: Floats
+    effective_sizes: Floats
+    r_hat: Floats
+    steps: int
+    burned: int
+    acceptance: float
+
+    @property
+    def are_enough(self) -> bool:
+        """Whether the chains are long enough to be believed."""
+        return _are_enough(self.samples.shape[0], self.autocorrelation_times, self.r_hat)
+
+    @property
+    def flat(self) -> Floats:
+        """All samples, (n, n_parameters)."""
+        return self.samples.reshape(-1, self.samples.shape[2])
+
+    def thinned(self) -> tuple[Floats, Floats]:
+        """Samples (n, n_parameters) that forgot half of the one before, and log densities (n,)."""
+        every = max(1, int(self.autocorrelation_times.max() / 2.0))
+        samples = self.samples[::every]
+        return samples.reshape(-1, samples.shape[2]), self.log_densities[::every].ravel()
+
+
+def sample(
+    posterior: Posterior, peaks: Peaks, walkers: int, steps: int, rng: np.random.Generator
+) -> Chains:
+    """Sample a density. Reproducible for a generator's state.
+
+    Raises CampaignError where there are too few walkers for so many parameters.
+    """
+    check_walkers(walkers, posterior.lower.size)
+    sampler = _sampler(posterior, walkers, rng)
+    state = _start(posterior, peaks, walkers, rng)
+    for made in range(1, LONGEST + 1):
+        state = sampler.run_mcmc(state, steps, skip_initial_state_check=made > 1)
+        chains = _judged(sampler, made * steps)
+        if chains.are_enough:
+            break
+    return chains
+
+
+def check_walkers(walkers: int, n_parameters: int) -> None:
+    """Raise CampaignError where the moves of the walkers need more of them."""
+    least = max(6, 2 * n_parameters)
+    if walkers < least or walkers % 2:
+        raise CampaignError(
+            f"--walkers {walkers}: expected an even number of at least {least} for {n_parameters} "
+            "parameters"
+        )
+
+
+def walk(
+    posterior: Posterior, peaks: Peaks, walkers: int, steps: int, rng: np.random.Generator
+) -> Floats:
+    """Rough samples (n, n_parameters): the second half of so many steps, judged by nobody."""
+    sampler = _sampler(posterior, walkers, rng)
+    sampler.run_mcmc(_start(posterior, peaks, walkers, rng), steps)
+    return np.asarray(sampler.get_chain(discard=steps // 2, flat=True))
+
+
+def _sampler(posterior: Posterior, walkers: int, rng: np.random.Generator) -> emcee.EnsembleSampler:
+    # No snooker moves: in emcee 3.1 they accept with a wrong probability and narrow the samples.
+    moves = [
+        (emcee.moves.DEMove(), 0.6),
+        (emcee.moves.DEMove(gamma0=1.0), 0.1),
+        (emcee.moves.StretchMove(), 0.3),
+    ]
+    sampler = emcee.EnsembleSampler(
+        walkers, posterior.lower.size, posterior.log_density, vectorize=True, moves=moves
+    )
+    sampler.random_state = np.random.MT19937(int(rng.integers(2**31))).state
+    return sampler
+
+
+def _start(posterior: Posterior, peaks: Peaks, walkers: int, rng: np.random.Generator) -> Floats:
+    """Where walkers begin, (n_walkers, n_parameters): around the peaks, inside the range."""
+    counts = np.floor(peaks.shares * walkers).astype(np.int64)
+    counts[np.argsort(counts - peaks.shares * walkers)[: walkers - int(counts.sum())]] += 1
+    drawn = np.vstack(
+        [
+            rng.multivariate_normal(point, covariance, size=count)
+            for point, covariance, count in zip(
+                peaks.points, peaks.covariances, counts.tolist(), strict=True
+            )
+        ]
+    )
+    # What fell outside is put back inside at random, so that no two walkers stand on one point.
+    outside = (drawn <= posterior.lower) | (drawn >= posterior.upper)
+    again = posterior.lower + rng.random(drawn.shape) * (posterior.upper - posterior.lower)
+    home = np.repeat(peaks.points, counts, axis=0)
+    nearer = home + rng.random(drawn.shape) * 0.1 * (again - home)
+    return np.where(outside, nearer, drawn)
+
+
+def _judged(sampler: emcee.EnsembleSampler, steps: int) -> Chains:
+    """The chains so far, their beginning thrown away."""
+    chain = np.asarray(sampler.get_chain())
+    times = _autocorrelation_times(chain)
+    # Half of a chain that is too short is kept all the same, so that it can be looked at.
+    burned = min(int(np.ceil(BURN_TIMES * times.max())), steps // 2)
+    kept = chain[burned:]
+    times = _autocorrelation_times(kept)
+    return Chains(
+        samples=kept,
+        log_densities=np.asarray(sampler.get_log_prob())[burned:],
+        autocorrelation_times=times,
+        effective_sizes=kept.shape[0] * kept.shape[1] / times,
+        r_hat=split_r_hat(kept),
+        steps=steps,
+        burned=burned,
+        acceptance=float(np.mean(sampler.acceptance_fraction)),
+    )
+
+
+def _autocorrelation_times(chain: Floats) -> Floats:
+    """Of each parameter, (n_parameters,), at least 1; the chain's length where a walker rests."""
+    if chain.shape[0] < 2:
+        return np.full(chain.shape[2], np.inf)
+    moving = np.ptp(chain, axis=0).min(axis=0) > 0.0
+    times = np.full(chain.shape[2], float(chain.shape[0]))
+    if moving.any():
+        # tol=0: whether the chain is long enough is judged here, not there
+        times[moving] = emcee.autocorr.integrated_time(chain[:, :, moving], tol=0)
+    return np.maximum(np.nan_to_num(times, nan=float(chain.shape[0])), 1.0)
+
+
+def split_r_hat(chain: Floats) -> Floats:
+    """Split R-hat of each parameter, (n_parameters,). chain: (n_steps, n_walkers, n_parameters).
+
+    Root of the variance over all half chains by that within them: 1 where all tell the same.
+    Source: Gelman et al. 2013, 11.4.
+    """
+    half = chain.shape[0] // 2
+    if half < 2:
+        return np.full(chain.shape[2], np.inf)
+    halves = np.concatenate([chain[:half], chain[-half:]], axis=1)
+    within = halves.var(axis=0, ddof=1).mean(axis=0)
+    between = half * halves.mean(axis=0).var(axis=0, ddof=1)
+    whole = (half - 1) / half * within + between / half
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.sqrt(whole / within)
+    return np.asarray(np.where(within > 0.0, ratio, np.inf))
+
+
+def _are_enough(n_steps: int, times: Floats, r_hat: Floats) -> bool:
+    return bool(n_steps >= ENOUGH_TIMES * times.max() and r_hat.max() <= LARGEST_R_HAT)

@@ -1,0 +1,276 @@
+"""What a sampling tells people and machines: sentences of findings, red ones first, and JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from scipy.stats import truncnorm
+
+from modetune.core.modes import Floats
+from modetune.core.storage.keys import Json
+from modetune.flows.report.tables import Column, json_object
+from modetune.flows.studies.sample.learning import GOOD, REFUSED
+from modetune.flows.studies.sample.record import PosteriorRecord
+
+#: Ratio of the sampled to the linear deviation, and distance of the mean from the most likely
+#: value in deviations, from which on the linear picture is said not to hold.
+UNLIKE, SHIFTED = 1.25, 0.35
+#: A parameter of which the test left more than this share of the prior's width is not told by it.
+UNTOLD = 0.9
+#: Share of the samples within a quarter of a deviation of an end, from which on the end cuts: a
+#: normal distribution that is cut at 1.2 deviations has it.
+CUT = 0.05
+#: A second peak with a smaller share of the samples is not told.
+SECOND = 0.01
+#: Two parameters with a larger correlation are told together only.
+TIED = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class PosteriorFinding:
+    """A sentence; red where the posterior cannot be relied on."""
+
+    red: bool
+    text: str
+
+
+def findings(record: PosteriorRecord) -> tuple[PosteriorFinding, ...]:
+    """What is to be said of a posterior, red findings first."""
+    found = [*_of_checks(record), *_of_chains(record), *_of_peaks(record)]
+    found += [*_of_ends(record), *_of_shapes(record), *_of_prior(record), *_of_ties(record)]
+    return tuple(sorted(found, key=lambda finding: not finding.red))
+
+
+def _of_checks(record: PosteriorRecord) -> list[PosteriorFinding]:
+    names, errors = record.training.names, record.check_errors
+    found = []
+    if not record.check_keys:
+        found.append(PosteriorFinding(False, "no point of the posterior was checked by the solver"))
+    elif errors.max() > REFUSED:
+        worst = ", ".join(
+            f"{names[place]} by {errors[place]:.2g}"
+            for place in np.argsort(-errors).tolist()
+            if errors[place] > REFUSED
+        )
+        found.append(
+            PosteriorFinding(
+                True,
+                (
+                    f"at {len(record.check_keys)} points of the posterior the surrogate misses "
+                    f"the solver: {worst} standard deviations of the test; do not rely on this "
+                    "posterior, raise --points"
+                ),
+            )
+        )
+    if GOOD < record.left_out.max() <= REFUSED:
+        place = int(record.left_out.argmax())
+        found.append(
+            PosteriorFinding(
+                False,
+                (
+                    f"the surrogate is coarse: with a run left out it misses {names[place]} by "
+                    f"{record.left_out[place]:.2g} standard deviations of the test"
+                ),
+            )
+        )
+    return found
+
+
+def _of_chains(record: PosteriorRecord) -> list[PosteriorFinding]:
+    if record.enough:
+        return []
+    kept = record.steps - record.burned
+    place = int(record.autocorrelation_times.argmax())
+    times = record.autocorrelation_times[place]
+    return [
+        PosteriorFinding(
+            True,
+            (
+                f"the chains are too short: {kept} steps are {kept / times:.0f} autocorrelation "
+                f"times of {record.names[place]} (50 are wanted), R-hat is "
+                f"{record.r_hat.max():.3f} (at most 1.05); raise --steps or --walkers"
+            ),
+        )
+    ]
+
+
+def _of_peaks(record: PosteriorRecord) -> list[PosteriorFinding]:
+    seen = np.flatnonzero(record.shares >= SECOND)
+    if seen.size < 2:
+        return []
+    places = "; ".join(
+        f"{100 * record.shares[peak]:.0f} % at "
+        + ", ".join(
+            f"{name} {value:.3g}"
+            for name, value in zip(record.names, record.peaks[peak], strict=True)
+        )
+        for peak in seen.tolist()
+    )
+    return [
+        PosteriorFinding(
+            True,
+            (
+                f"{seen.size} sets of parameters explain the test, apart from each other: "
+                f"{places}; mean and deviation say little here, measure another mode or a shape "
+                "that tells them apart"
+            ),
+        )
+    ]
+
+
+def _of_ends(record: PosteriorRecord) -> list[PosteriorFinding]:
+    found = []
+    width = 0.25 * record.deviation
+    by_test = record.deviation <= UNTOLD * prior_width(record)
+    sides = (
+        (record.lower, record.bound_lower, record.samples < record.lower + width),
+        (record.upper, record.bound_upper, record.samples > record.upper - width),
+    )
+    for end, bound, cut in sides:
+        for place in np.flatnonzero((cut.mean(axis=0) > CUT) & by_test).tolist():
+            name, at = record.names[place], end[place]
+            if at == bound[place]:
+                found.append(
+                    PosteriorFinding(
+                        False,
+                        f"{name} presses against its bound {at:.4g}; the test may want it beyond",
+                    )
+                )
+            else:
+                found.append(
+                    PosteriorFinding(
+                        True,
+                        (
+                            f"{name} presses against the end of the learned range, {at:.4g}, "
+                            "which cuts its posterior; leave --record out to learn all between "
+                            "the bounds"
+                        ),
+                    )
+                )
+    return found
+
+
+def _of_shapes(record: PosteriorRecord) -> list[PosteriorFinding]:
+    """Where mean and deviation are not those of the linear model at the most likely values."""
+    found = []
+    for place, name in enumerate(record.names):
+        ratio = record.deviation[place] / record.linear_deviation[place]
+        shift = (record.mean[place] - record.most_likely[place]) / record.deviation[place]
+        said = []
+        if not 1.0 / UNLIKE <= ratio <= UNLIKE:
+            said.append(f"its deviation is {ratio:.2g} times the linear standard error")
+        if abs(shift) > SHIFTED:
+            said.append(
+                f"its mean lies {abs(shift):.2g} deviations "
+                f"{'above' if shift > 0 else 'below'} the most likely value"
+            )
+        if said:
+            found.append(
+                PosteriorFinding(
+                    False,
+                    f"{name} is not as a linear model says: "
+                    f"{' and '.join(said)}; trust the interval",
+                )
+            )
+    return found
+
+
+def _of_prior(record: PosteriorRecord) -> list[PosteriorFinding]:
+    share = record.deviation / prior_width(record)
+    return [
+        PosteriorFinding(
+            False,
+            f"the test says next to nothing of {record.names[place]}: its posterior is the "
+            "knowledge from before",
+        )
+        for place in np.flatnonzero(share > UNTOLD).tolist()
+    ]
+
+
+def prior_width(record: PosteriorRecord) -> Floats:
+    """Standard deviation of the prior as it is cut at the range, (n_parameters,)."""
+    mean, deviation = record.prior_mean, record.prior_deviation
+    ends = (record.lower - mean) / deviation, (record.upper - mean) / deviation
+    return np.asarray(truncnorm.std(*ends, loc=mean, scale=deviation), dtype=np.float64)
+
+
+def _of_ties(record: PosteriorRecord) -> list[PosteriorFinding]:
+    rows, columns = np.nonzero(np.triu(np.abs(record.correlation) > TIED, 1))
+    return [
+        PosteriorFinding(
+            False,
+            f"{record.names[row]} and {record.names[column]} are told together only "
+            f"(correlation {record.correlation[row, column]:+.2f})",
+        )
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class PosteriorRow:
+    """A parameter's posterior, relative to the deck; linear_standard_error: of a linear model."""
+
+    name: Annotated[str, Column("parameter")]
+    prior_mean: Annotated[float, Column("prior mean", form=".3g")]
+    prior_deviation: Annotated[float, Column("prior deviation", form=".2g")]
+    mean: Annotated[float, Column("mean", form=".4f")]
+    deviation: Annotated[float, Column("deviation", form=".2g")]
+    linear_standard_error: Annotated[float, Column("linear standard error", form=".2g")]
+    interval_95: Annotated[tuple[float, float], Column("95 % interval", form=".4f")]
+    most_likely: Annotated[float, Column("most likely", form=".4f")]
+    effective_size: float
+    r_hat: float
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseError:
+    """What the surrogate misses of a response, in standard deviations of the test."""
+
+    response: str
+    left_out: float
+    checked: float
+
+
+def posterior_rows(record: PosteriorRecord) -> list[PosteriorRow]:
+    """Every parameter, in the campaign's order."""
+    columns = zip(
+        record.names,
+        record.prior_mean,
+        record.prior_deviation,
+        record.mean,
+        record.deviation,
+        record.linear_deviation,
+        zip(record.interval_lower, record.interval_upper, strict=True),
+        record.most_likely,
+        record.effective_sizes,
+        record.r_hat,
+        strict=True,
+    )
+    return [PosteriorRow(*values) for values in columns]
+
+
+def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
+    """The `--json` object of `modetune sample`."""
+    said = findings(record)
+    errors = zip(record.training.names, record.left_out, record.check_errors, strict=True)
+    peaks = zip(record.shares, record.peaks, strict=True)
+    return json_object(
+        record,
+        "correlation seed",
+        status="doubtful" if any(finding.red for finding in said) else "done",
+        findings=said,
+        parameters=posterior_rows(record),
+        peaks=[{"share": share, "point": point} for share, point in peaks],
+        surrogate=[ResponseError(*values) for values in errors],
+        training_runs=record.near.size,
+        training_runs_near=record.near.sum(),
+        checks=len(record.check_keys),
+        chains=json_object(record, "walkers steps burned acceptance enough"),
+        solver_runs=record.runs,
+        failed_runs=len(record.failures),
+        wall_s=round(record.wall_s, 3),
+        written=written,
+    )

@@ -1,0 +1,56 @@
+"""How much the test sees of a parameter, in its own standard deviations.
+
+A parameter moves each response by so much over its bounds (`Indices.moves`; the slope at the
+deck's values times the width of the bounds where there is no design). Divided by the standard
+deviation that the campaign gives the measured response, this says how many standard deviations
+the test sees; all responses that the residual compares count together as root of the sum of
+squares. A shape that changes by the relative size d has a MAC of 1 - d^2 with what it was, so a
+MAC that moves by m counts as a shape that moves by the root of m.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modetune.core.modes import Floats
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.studies.screen.design import Design
+from modetune.flows.studies.screen.indices import Indices
+from modetune.flows.studies.screen.record import LocalSensitivity
+
+
+def importance(
+    campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
+) -> Floats:
+    """Standard deviations of the test that each parameter moves the responses by, (n,)."""
+    return np.asarray(np.linalg.norm(seen_moves(campaign, design, local, found), axis=0))
+
+
+def loudest(
+    campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
+) -> tuple[str, ...]:
+    """The response that each parameter moves most, for people."""
+    moves = seen_moves(campaign, design, local, found)
+    numbers, n = campaign.test.numbers, len(campaign.test.numbers)
+    return tuple(
+        f"{'MAC' if row >= n else 'frequency'} of mode {numbers[row % n]}"
+        for row in moves.argmax(axis=0).tolist()
+    )
+
+
+def seen_moves(
+    campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
+) -> Floats:
+    """The same of each response, (n_responses, n_parameters); zero where it is not compared."""
+    weighting, n = campaign.weighting, len(campaign.test.numbers)
+    if found is None:
+        slopes = np.abs(np.vstack([local.frequencies, local.mac]))
+        moves = slopes * (design.upper - design.lower) / campaign.parameters.initial
+    else:
+        moves = found.moves
+    seen = np.zeros(moves.shape)
+    if weighting.frequency_weight > 0.0:
+        seen[:n] = moves[:n] / weighting.frequency_deviation
+    if weighting.shape_weight > 0.0:
+        seen[n:] = np.sqrt(moves[n:]) / weighting.shape_deviation
+    return seen

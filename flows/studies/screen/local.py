@@ -1,0 +1,49 @@
+"""Sensitivities at the deck's values, from the sensitivity matrix of the updating problem.
+
+The residual's rows hold all that is wanted. Of a frequency they are (d lambda / dp) / lambda_m, so
+
+    (df/f) / (dp/p) = p / 2 (lambda_m / lambda) (row).
+
+Of a shape they are v = (I - u_m u_m^T) du, and the residual is z = (u_m . u) u_m - u. Since
+MAC = 1 - |z|^2 and dz = -v,
+
+    dMAC / (dp/p) = 2 p z . v.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modetune.core.modes import Floats
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.studies.screen.record import LocalSensitivity
+from modetune.flows.updating.evaluation import Evaluation, Matrix
+
+
+def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -> LocalSensitivity:
+    """Normalised and weighted sensitivities at an evaluation point."""
+    residual, theta, pairing = nominal.residual, nominal.theta, nominal.pairing
+    n = residual.n_frequencies
+    measured = campaign.test.modes.eigenvalues[pairing.measured]
+    ratio = measured / nominal.seen.eigenvalues[pairing.computed]
+    root = np.sqrt(residual.weights)
+    return LocalSensitivity(
+        frequencies=0.5 * ratio[:, None] * matrix.values[:n] * theta,
+        mac=_mac(residual.values[n:], matrix.values[n:], n, theta),
+        weighted=root[:, None] * matrix.values * campaign.parameters.standard_deviations,
+        weighted_residual=root * residual.values,
+        methods=matrix.methods_had,
+        missing=tuple(
+            "its job failed, the warning says why" if column in matrix.missing else ""
+            for column in range(theta.size)
+        ),
+    )
+
+
+def _mac(values: Floats, rows: Floats, n_modes: int, theta: Floats) -> Floats:
+    """dMAC / (dp/p), (n_modes, n_parameters); without rows where shapes are not compared."""
+    if not values.size:
+        return np.zeros((0, theta.size))
+    shapes = values.reshape(n_modes, -1)
+    slopes = rows.reshape(n_modes, -1, theta.size)
+    return np.asarray(2.0 * np.einsum("ms,msp->mp", shapes, slopes) * theta)

@@ -1,0 +1,129 @@
+"""The record of a screening, screening.h5: everything from which its tables and figures follow.
+
+The file is the dataclass Screening below as `core/storage/codec` writes it, behind a seal: single
+values are attributes, arrays datasets, dataclasses groups, each by the name of its field.
+
+/                     attributes: name, seed, solver, solver_version, units, campaign_text (of the
+                      file), wall_s, wanted; datasets: names, deviations, importance
+                      (n_parameters,), numbers, test_hz, nominal_hz, nominal_mac (n_modes,)
+design/               points (n_points, n_parameters), blocks (n_points,), lower, upper
+                      (n_parameters,); attributes method, levels
+responses/            frequencies_hz, mac (n_points, n_modes), NaN where a point failed; mac
+                      without columns where no shape was measured; failures (text, empty where
+                      good), keys of the jobs (n_points,)
+local/                frequencies: (df/f) / (dp/p) (n_modes, n_parameters), mac likewise where
+                      shapes are compared, weighted (n_residuals, n_parameters),
+                      weighted_residual, methods, missing (text)
+indices/              measures (names), values (n_measures, n_responses, n_parameters), moves,
+                      explained, interactions, interaction_shares; attribute used. Not for `local`.
+choice/               verdicts/0000/...: attributes name, rank, reason; ranking, misfits,
+                      groups/0000, ...
+runs/                 attributes modal, sensitivity, reused, core_s, licence_s
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from modetune.core.brief import brief
+from modetune.core.modes import Floats
+from modetune.core.storage.record import RunCounts
+from modetune.core.storage.record_file import RecordFile
+from modetune.flows.studies.screen.choice import ChosenParameters
+from modetune.flows.studies.screen.design import Design
+from modetune.flows.studies.screen.indices import Indices
+
+FILE = "screening.h5"
+
+
+@dataclass(frozen=True, slots=True)
+class LocalSensitivity:
+    """Sensitivities at the deck's values.
+
+    frequencies: (n_modes, n_parameters), (df/f) / (dp/p). mac: likewise dMAC / (dp/p), without
+    rows where shapes are not compared. weighted, weighted_residual: as `core/updating/subset`
+    requires them. methods: how each column was computed; missing: why a column was unavailable, or
+    empty.
+    """
+
+    frequencies: Floats
+    mac: Floats
+    weighted: Floats
+    weighted_residual: Floats
+    methods: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Responses:
+    """What the points gave.
+
+    frequencies_hz, mac: (n_points, n_modes), of the modes paired with the test's; NaN where a
+    point failed, mac without columns where no shape was measured. failures: a sentence a point,
+    empty where it is good. keys: of the modal jobs.
+    """
+
+    frequencies_hz: Floats
+    mac: Floats
+    failures: tuple[str, ...]
+    keys: tuple[str, ...]
+
+    @property
+    def n_failed(self) -> int:
+        return sum(bool(said) for said in self.failures)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Screening:
+    """A screening from its design to its choice.
+
+    names, deviations: of the parameters; numbers: of the used modes; test_hz, nominal_hz,
+    nominal_mac: (n_modes,), of the pairs at the deck's values. indices: None for `local`.
+    importance: (n_parameters,). wanted: how many parameters were asked for, 0 where the choice
+    was free.
+    """
+
+    name: str
+    seed: int
+    solver: str
+    solver_version: str
+    units: str
+    campaign_text: str
+    names: tuple[str, ...]
+    deviations: Floats
+    numbers: tuple[int, ...]
+    test_hz: Floats
+    nominal_hz: Floats
+    nominal_mac: Floats
+    design: Design
+    responses: Responses
+    local: LocalSensitivity
+    indices: Indices | None
+    importance: Floats
+    choice: ChosenParameters
+    runs: RunCounts = field(default_factory=RunCounts)
+    wall_s: float = 0.0
+    wanted: int = 0
+
+    __repr__ = brief
+
+    @property
+    def response_names(self) -> tuple[str, ...]:
+        """Of the rows of the indices: frequencies of all modes, then their MAC."""
+        frequencies = tuple(f"frequency {number}" for number in self.numbers)
+        macs = tuple(f"MAC {number}" for number in self.numbers)
+        return frequencies + (macs if self.responses.mac.shape[1] else ())
+
+
+SCREENING = RecordFile(Screening, "screening", FILE, 2)
+
+
+def write_screening(path: Path, screening: Screening) -> None:
+    """Write the record whole or not at all. Raises StorageUnavailable."""
+    SCREENING.write(path, screening)
+
+
+def read_screening(path: Path) -> Screening:
+    """The record as it was written. Raises CampaignError, StoreDamaged."""
+    return SCREENING.read(path)

@@ -1,0 +1,231 @@
+"""Running a screening: the Python API behind `modetune screen`.
+
+The points of the design are ordinary modal jobs of the campaign: they go through the same engine,
+under the same limits, retries and licences, and their results stay in the store. So a screening
+that was stopped goes on where it was, and the same one again starts no solver.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from modetune.core.errors import CampaignError, ModetuneError
+from modetune.core.modes import Floats
+from modetune.core.storage.files import check_writable
+from modetune.core.storage.record import RunCounts
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.work import Done, ThreadExecution, Work
+from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
+from modetune.flows.studies.screen.design import Design, Method, make_design
+from modetune.flows.studies.screen.importance import importance, loudest
+from modetune.flows.studies.screen.indices import Indices, design_indices
+from modetune.flows.studies.screen.local import local_sensitivity
+from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening
+from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.evaluator import outcomes_count
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.running import solving_engine
+
+#: What is being run, for people.
+POINTS = "points of the design"
+
+
+@dataclass(frozen=True, slots=True)
+class ScreeningRequest:
+    """What is asked for.
+
+    points: solver runs of the design at most, about ten a parameter where None; levels: of a
+    parameter in morris and factorial; choose: how many parameters are proposed.
+    """
+
+    method: Method = "local"
+    points: int | None = None
+    seed: int = 1
+    levels: int | None = None
+    choose: int | None = None
+
+
+class ScreeningProgress(Protocol):
+    """Who watches a screening."""
+
+    def working(self, text: str) -> None:
+        """What is being computed now."""
+        ...
+
+    def points(self, done: int, total: int, ran: int, failed: int) -> None:
+        """How many points of the design are done, ran the solver, and failed."""
+        ...
+
+
+def screen_campaign(
+    campaign: Campaign, request: ScreeningRequest, progress: ScreeningProgress
+) -> Screening:
+    """Screen a campaign's parameters within their bounds.
+
+    Points that fail are left out as the method allows. Raises CampaignError (a design that cannot
+    be), SolverError, ModesError (too few points are left), StoreError.
+    """
+    started = time.monotonic()
+    if len(campaign.cases) > 1:
+        raise CampaignError(
+            "screen takes one model and one test; this campaign has several configurations, so "
+            "screen each by a campaign file of its own"
+        )
+    # One stream for the points and one for the analysis, so that either stays if the other changes.
+    at_points, at_indices = np.random.default_rng(request.seed).spawn(2)
+    parameters = campaign.parameters
+    design = make_design(
+        request.method,
+        parameters.lower,
+        parameters.upper,
+        at_points,
+        request.points,
+        request.levels,
+    )
+    version = campaign.solver_version()  # a missing solver is told before anything else starts
+    check_writable(campaign.store.folder, STORE_REMEDY)
+    with solving_engine(campaign) as engine, _ended(engine):
+        progress.working("deck's values, sensitivities")
+        evaluator = evaluator_of(campaign, engine, _Shown(engine, campaign.parallel, progress))
+        nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
+        assert matrix is not None
+        responses = _responses(campaign, evaluator.points(POINTS, design.points, [nominal]))
+        runs = evaluator.runs
+    local = local_sensitivity(campaign, nominal, matrix)
+    found = None
+    if request.method != "local":
+        found = design_indices(design, _relative(responses, nominal), at_indices)
+    return _screening(
+        campaign,
+        request,
+        design,
+        nominal,
+        matrix,
+        responses,
+        local,
+        found,
+        runs,
+        version,
+        time.monotonic() - started,
+    )
+
+
+@contextmanager
+def _ended(engine: JobEngine) -> Iterator[None]:
+    """Jobs of other threads end with the screening."""
+    try:
+        yield
+    except BaseException:
+        engine.cancelled.set()
+        raise
+
+
+def _screening(
+    campaign: Campaign,
+    request: ScreeningRequest,
+    design: Design,
+    nominal: Evaluation,
+    matrix: Matrix,
+    responses: Responses,
+    local: LocalSensitivity,
+    found: Indices | None,
+    runs: RunCounts,
+    version: str,
+    wall_s: float,
+) -> Screening:
+    values = importance(campaign, design, local, found)
+    parameters, start = campaign.parameters, nominal.theta
+    allowed = [
+        (bound - start) / parameters.standard_deviations
+        for bound in (parameters.lower, parameters.upper)
+    ]
+    candidates = CandidateParameters(
+        campaign.parameters.names,
+        values,
+        loudest(campaign, design, local, found),
+        local.missing,
+        local.weighted,
+        local.weighted_residual,
+        *allowed,
+    )
+    pairing = nominal.pairing
+    return Screening(
+        name=campaign.name,
+        seed=request.seed,
+        solver=campaign.solver_name,
+        solver_version=version,
+        units=campaign.case.units,
+        campaign_text=campaign.text,
+        names=campaign.parameters.names,
+        deviations=campaign.parameters.standard_deviations,
+        numbers=tuple(campaign.test.numbers[place] for place in pairing.measured.tolist()),
+        test_hz=campaign.test.modes.frequencies_hz[pairing.measured],
+        nominal_hz=nominal.seen.frequencies_hz[pairing.computed],
+        nominal_mac=pairing.judged_mac,
+        design=design,
+        responses=responses,
+        local=local,
+        indices=found,
+        importance=values,
+        choice=choose_parameters(candidates, request.choose),
+        runs=runs,
+        wall_s=wall_s,
+        wanted=request.choose or 0,
+    )
+
+
+def _relative(responses: Responses, nominal: Evaluation) -> Floats:
+    """Responses of the analysis, (n_points, n_responses): f / f_nominal - 1, and MAC."""
+    here = nominal.seen.frequencies_hz[nominal.pairing.computed]
+    return np.hstack([responses.frequencies_hz / here - 1.0, responses.mac])
+
+
+def _responses(campaign: Campaign, found: Sequence[Evaluation | ModetuneError]) -> Responses:
+    """The responses at the points of the design; NaN where one failed."""
+    n, n_modes = len(found), len(campaign.test.numbers)
+    shaped = n_modes if campaign.test.has_shapes else 0
+    frequencies, macs = np.full((n, n_modes), np.nan), np.full((n, shaped), np.nan)
+    for place, item in enumerate(found):
+        if isinstance(item, Evaluation):
+            frequencies[place] = item.seen.frequencies_hz[item.pairing.computed]
+            macs[place] = item.pairing.judged_mac[:shaped]
+    failures = tuple(str(item) if isinstance(item, ModetuneError) else "" for item in found)
+    keys = tuple("" if isinstance(item, ModetuneError) else item.key for item in found)
+    return Responses(frequencies, macs, failures, keys)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """An execution that tells how far the points of the design are."""
+
+    engine: JobEngine
+    parallel: int
+    progress: ScreeningProgress
+
+    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        if iteration != POINTS:
+            return ThreadExecution(self.engine, self.parallel).run(iteration, work)
+        done = ran = failed = 0
+
+        def told(item: Done) -> None:
+            nonlocal done, ran, failed
+            done += 1
+            if isinstance(item, ModetuneError):
+                failed += 1
+            else:
+                ran += outcomes_count("modal", item).modal
+            self.progress.points(done, len(work), ran, failed)
+
+        self.progress.working(POINTS)
+        return ThreadExecution(self.engine, self.parallel, told).run(iteration, work)
+
+    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+        pass

@@ -1,0 +1,242 @@
+"""What a screening says to machines and to people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from modetune.core.modes import Floats
+from modetune.core.storage.keys import Json
+from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.screen.choice import percent
+from modetune.flows.studies.screen.indices import UNITS
+from modetune.flows.studies.screen.notes import notes
+from modetune.flows.studies.screen.record import Screening
+
+#: Modes of which a terminal shows the columns.
+SHOWN = 12
+
+
+def told(screening: Screening) -> dict[str, Json]:
+    """The `--json` object of `modetune screen`."""
+    design, choice, runs = screening.design, screening.choice, screening.runs
+    modes = zip(
+        screening.numbers,
+        screening.test_hz,
+        screening.nominal_hz,
+        screening.nominal_mac,
+        strict=True,
+    )
+    return json_object(
+        screening,
+        "name seed solver solver_version",
+        status="done",
+        method=design.method,
+        points=len(design.points),
+        points_failed=screening.responses.n_failed,
+        points_used=screening.indices.used if screening.indices else 0,
+        levels=design.levels,
+        solver_runs=runs,
+        core_minutes=round(runs.core_s / 60.0, 4),
+        wall_s=round(screening.wall_s, 3),
+        modes=[NominalMode(*values) for values in modes],
+        parameters=[_parameter(screening, place) for place in range(len(screening.names))],
+        interactions=_interactions(screening),
+        collinear=[[screening.names[place] for place in group] for group in choice.groups],
+        chosen=choice.chosen,
+        residual_left=choice.misfits,
+        notes=notes(screening),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NominalMode:
+    """A measured mode and its partner at the deck's values."""
+
+    mode: int
+    test_hz: float
+    nominal_hz: float
+    nominal_mac: float
+
+
+@dataclass(frozen=True, slots=True)
+class InteractionRow:
+    """What two parameters do together to a response, beyond what each does alone."""
+
+    response: Annotated[str, Column("response")]
+    parameters: Annotated[tuple[str, str], Column("parameters")]
+    effect: Annotated[float, Column("effect", form=".3g")]
+    share: Annotated[float, Column("share of the variance", form=".3g")]
+
+
+@dataclass(frozen=True, slots=True)
+class CandidateRow:
+    """A candidate parameter; chosen: in what place, 0 where it is left out; rank: by importance.
+
+    frequencies, mac: its normalised sensitivities, by mode; indices: of the design's method, lists
+    over its responses.
+    """
+
+    name: Annotated[str, Column("parameter")]
+    bounds: tuple[float, float]
+    importance: Annotated[float, Column("importance", form=".3g")]
+    rank: int
+    chosen: Annotated[int, Column("place in the choice (0: left out)")]
+    reason: Annotated[str, Column("reason")]
+    sensitivity: str
+    frequencies: Floats
+    mac: Floats
+    indices: dict[str, Any]
+
+
+def _parameter(screening: Screening, place: int) -> CandidateRow:
+    design, local, choice = screening.design, screening.local, screening.choice
+    return CandidateRow(
+        name=screening.names[place],
+        bounds=(float(design.lower[place]), float(design.upper[place])),
+        importance=float(screening.importance[place]),
+        rank=choice.ranking.index(place) + 1,
+        chosen=choice.verdicts[place].rank,
+        reason=choice.verdicts[place].reason,
+        sensitivity=local.methods[place],
+        frequencies=local.frequencies[:, place],
+        mac=local.mac[:, place],
+        indices=_indices(screening, place),
+    )
+
+
+def _indices(screening: Screening, place: int) -> dict[str, Any]:
+    """Measures of one parameter, a list over the responses each."""
+    found = screening.indices
+    if found is None:
+        return {}
+    measures = {name: found.values[row, :, place] for row, name in enumerate(found.measures)}
+    return {"responses": screening.response_names, **measures, "moves": found.moves[:, place]}
+
+
+def _interactions(screening: Screening) -> list[InteractionRow]:
+    """Interactions of a factorial, those with the largest share first."""
+    found = screening.indices
+    if found is None or not found.interactions.size:
+        return []
+    names, responses = screening.names, screening.response_names
+    rows = [
+        InteractionRow(
+            responses[r],
+            (names[i], names[j]),
+            float(found.interactions[r, i, j]),
+            float(found.interaction_shares[r, i, j]),
+        )
+        for r in range(len(responses))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+    ]
+    return sorted(rows, key=lambda row: -row.share)
+
+
+def tables(screening: Screening) -> list[Table]:
+    """Sensitivities, indices and verdicts."""
+    local = screening.local
+    made = [_local_table(screening, "frequencies, (df/f) / (dp/p)", local.frequencies)]
+    if local.mac.size:
+        made.append(_local_table(screening, "MAC, dMAC / (dp/p)", local.mac))
+    if screening.indices is not None:
+        made.append(_index_table(screening))
+        if screening.indices.interactions.size and len(screening.names) > 1:
+            made.append(
+                table_of(
+                    "Largest interactions of two parameters",
+                    _interactions(screening)[:8],
+                    InteractionRow,
+                )
+            )
+    candidates = [_parameter(screening, place) for place in screening.choice.ranking]
+    return [*made, table_of("Candidates", candidates, CandidateRow)]
+
+
+def _local_table(screening: Screening, what: str, rows: Floats) -> Table:
+    """Sensitivities (n_modes, n_parameters) at the deck's values."""
+    numbers, methods = screening.numbers[:SHOWN], screening.local.methods
+    columns = (
+        Column("parameter", words=True),
+        *(Column(f"mode {number}", form="+.2f") for number in numbers),
+        Column("by", words=True),
+    )
+    lines = tuple(
+        (screening.names[place], *rows[: len(numbers), place].tolist(), methods[place])
+        for place in screening.choice.ranking
+    )
+    return Table(f"At the deck's values: {what} of test modes", columns, lines)
+
+
+#: The measure that a terminal shows of each method, and what may stand behind it.
+SHOWN_MEASURES = {
+    "morris": ("mu_star", "sigma"), "sobol": ("total", "total_confidence"),
+    "lhs": ("regression", ""), "factorial": ("main_effect", ""),
+}  # fmt: skip
+HEADINGS = {
+    "morris": "Morris: mu* of frequencies over the bounds, and sigma",
+    "sobol": "Sobol: total indices of frequencies, and half width of their 95 % intervals",
+    "lhs": "Latin hypercube: standardised regression of frequencies",
+    "factorial": "Full factorial: main effects on frequencies over the bounds",
+}
+
+
+def _index_table(screening: Screening) -> Table:
+    found, method = screening.indices, screening.design.method
+    assert found is not None
+    main, beside = SHOWN_MEASURES[method]
+    numbers = screening.numbers[:SHOWN]
+    rows = []
+    for place in screening.choice.ranking:
+        cells = [f"{value:.3f}" for value in found.measure(main)[: len(numbers), place]]
+        if beside:
+            more = found.measure(beside)[: len(numbers), place]
+            cells = [f"{cell} ({value:.3f})" for cell, value in zip(cells, more, strict=True)]
+        rows.append((screening.names[place], *cells))
+    explained = found.explained[: len(numbers)]
+    foot = [("explained", *explained)] if np.isfinite(explained).any() else []
+    columns = (
+        Column("parameter", words=True),
+        *(Column(f"mode {number}", form=".3f") for number in numbers),
+    )
+    return Table(HEADINGS[method], columns, tuple(rows), tuple(foot))
+
+
+def lines(screening: Screening) -> list[str]:
+    """Sentences below the tables."""
+    said, names, runs = [], screening.names, screening.runs
+    for group in screening.choice.groups:
+        said.append(f"collinear: {', '.join(names[place] for place in group)}")
+    failed, design = screening.responses.n_failed, screening.design
+    if failed and screening.indices is not None:
+        first = next(text for text in screening.responses.failures if text).splitlines()[0]
+        blocks = np.unique(design.blocks[[bool(text) for text in screening.responses.failures]])
+        how = (
+            ", fitted effects stand in for them"
+            if design.method == "factorial"
+            else " and are left out"
+            if design.method == "lhs"
+            else f", {blocks.size} of {np.unique(design.blocks).size} {UNITS[design.method]} are "
+            "left out"
+        )
+        said.append(f"{failed} of {len(design.points)} points failed{how}; the first: {first}")
+    chosen = screening.choice.chosen
+    said.append(
+        f"proposed: {', '.join(chosen) if chosen else 'none of them'}" + _explained(screening)
+    )
+    said.extend(f"note: {note}" for note in notes(screening))
+    said.append(
+        f"solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered "
+        f"by the store; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes"
+    )
+    return said
+
+
+def _explained(screening: Screening) -> str:
+    left = screening.choice.misfits
+    if len(left) < 2:
+        return ""
+    return f"; linearly, {percent(left[-1])} % of the residual's square would be left"

@@ -1,0 +1,231 @@
+"""Does an updated model hold on what it was not updated with?
+
+Leave-one-out cross-validation: as many updates as there are used modes, each without one of them
+and judged on it. The updates share a store and differ little at first, so most of what they ask
+for is there already. That the parameters of all these updates agree is a second sign of a sound
+answer; where they scatter, single modes decide it.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modetune.core.brief import brief
+from modetune.core.correlation.held_out import HeldOut, join_held_out, together
+from modetune.core.errors import CampaignError, ModesError, SolverError
+from modetune.core.modes import Floats, mode_name
+from modetune.core.storage.files import check_writable
+from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.finders import CAMPAIGNS_OWN
+from modetune.flows.updating.running import solving_engine
+from modetune.flows.updating.updating import Updating
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """An update and what was held out of it.
+
+    number, configuration: of the mode that was left out; 0 where it is what the campaign itself
+    holds out. updated: (n_parameters,), NaN where the update failed; held_out: None then.
+    """
+
+    number: int
+    status: str
+    reason: str
+    iterations: int
+    updated: Floats
+    held_out: HeldOut | None
+    configuration: str = ""
+
+    @property
+    def name(self) -> str:
+        """What is done in it."""
+        if not self.number:
+            return "updating"
+        return f"without {mode_name(self.number, self.configuration)}"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Validation:
+    """What was held out, before and after; runs: what all updates took."""
+
+    name: str
+    parameters: tuple[str, ...]
+    folds: tuple[Fold, ...]
+    runs: RunCounts
+    wall_s: float
+
+    __repr__ = brief
+
+    @property
+    def held_out(self) -> HeldOut | None:
+        """What was held out of all updates that came to an end."""
+        return join_held_out([fold.held_out for fold in self.folds if fold.held_out is not None])
+
+    @property
+    def failed(self) -> tuple[Fold, ...]:
+        return tuple(fold for fold in self.folds if fold.held_out is None)
+
+    @property
+    def spread(self) -> tuple[Floats, Floats]:
+        """Least and largest value of each parameter over the updates, (n_parameters,) each."""
+        values = np.array([fold.updated for fold in self.folds if fold.held_out is not None])
+        if values.size == 0:
+            unknown = np.full(len(self.parameters), np.nan)
+            return unknown, unknown
+        return values.min(axis=0), values.max(axis=0)
+
+    @property
+    def status(self) -> str:
+        """good, worse (something held out got worse) or failed (an update came to no end)."""
+        if self.failed:
+            return "failed"
+        return "worse" if self.held_out is not None and self.held_out.any_worse else "good"
+
+
+def leave_out(campaign: Campaign, number: int, configuration: str = "") -> Campaign:
+    """The campaign without one of its used modes, which is held out instead.
+
+    configuration: whose mode it is, where there are several; one is left out whole whose only used
+    mode it is. What the campaign holds out by itself stays so. Raises CampaignError where nothing
+    would be left.
+    """
+    names = [case.name for case in campaign.cases]
+    case = campaign.cases[names.index(configuration)]
+    rest = tuple(other for other in case.test.numbers if other != number)
+    if not rest and len(campaign.used) == 1:
+        raise CampaignError(
+            f"{campaign.file}: mode {number} is the only one that is used, so it cannot be left "
+            "out; leave-one-out needs two used modes or more"
+        )
+    if rest:
+        left = case.test.use((number,))
+        held = left if case.held_out is None else together(left, case.held_out)
+        changed = replace(case, test=case.test.use(rest), held_out=held)
+    else:
+        changed = replace(case, aside=True)
+    cases = tuple(changed if item is case else item for item in campaign.cases)
+    return replace(campaign, cases=cases)
+
+
+def leave_one_out(campaign: Campaign, working: Callable[[str], None]) -> Validation:
+    """Update without each used mode in turn and judge it by that mode.
+
+    The updates go side by side as far as the campaign's engine lets their jobs. One that fails is
+    told of and keeps the others from nothing. working: hears what is being done.
+    Raises CampaignError, SolverMissing, LicenceDenied, StoreError.
+    """
+    modes = [(number, case.name) for case in campaign.used for number in case.test.numbers]
+    campaigns = [leave_out(campaign, *mode) for mode in modes]
+    return _validated(campaign, modes, campaigns, working)
+
+
+def validate(campaign: Campaign, working: Callable[[str], None]) -> Validation:
+    """Update and judge by what the campaign itself holds out.
+
+    Raises CampaignError where it holds out nothing; SolverError, ModesError, StoreError.
+    """
+    if not any(case.aside or case.held_out is not None for case in campaign.cases):
+        raise CampaignError(
+            f"{campaign.file} holds out nothing to judge by: name modes with `test.hold_out`, or "
+            "leave each mode out in turn with --leave-one-out"
+        )
+    return _validated(campaign, [(0, "")], [campaign], working)
+
+
+def _validated(
+    campaign: Campaign,
+    modes: Sequence[tuple[int, str]],
+    campaigns: Sequence[Campaign],
+    working: Callable[[str], None],
+) -> Validation:
+    started = time.monotonic()
+    campaign.solver_version()  # a missing solver is told before anything else starts
+    check_writable(campaign.store.folder, STORE_REMEDY)
+    with solving_engine(campaign) as engine:
+        workers = min(len(campaigns), campaign.parallel)
+        with ThreadPoolExecutor(workers, thread_name_prefix="modetune-fold") as pool:
+            futures = []
+            for (number, configuration), one in zip(modes, campaigns, strict=True):
+                unknown = np.full(len(campaign.parameters), np.nan)
+                begun = Fold(number, "failed", "", 0, unknown, None, configuration)
+                futures.append(pool.submit(_fold, begun, one, engine, working))
+            try:
+                done = [future.result() for future in futures]
+            except BaseException:
+                engine.cancelled.set()
+                for future in futures:
+                    future.cancel()
+                raise
+        runs = RunCounts()
+        for _, counted in done:
+            runs = runs.plus(replace(counted, core_s=0.0, licence_s=0.0))
+        runs = replace(runs, core_s=engine.ledger.core_s, licence_s=engine.ledger.licence_s)
+    return Validation(
+        campaign.name,
+        campaign.parameters.names,
+        tuple(fold for fold, _ in done),
+        runs,
+        time.monotonic() - started,
+    )
+
+
+def _fold(
+    fold: Fold, campaign: Campaign, engine: JobEngine, working: Callable[[str], None]
+) -> tuple[Fold, RunCounts]:
+    """One update; the fold tells what is left out. Where it fails, the reason stands in place of
+    its end."""
+    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+    updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
+    try:
+        record = updating.run()
+    except (SolverError, ModesError) as error:
+        if isinstance(error, CAMPAIGNS_OWN) or fold.number == 0:
+            raise
+        logger.warning("%s: %s", fold.name, error)
+        done = max(len(updating.iterations) - 1, 0)
+        return replace(fold, reason=str(error), iterations=done), evaluator.runs
+    return _judged(fold, record), record.runs
+
+
+def _judged(fold: Fold, record: CampaignRecord) -> Fold:
+    held = record.held_out
+    assert held is not None
+    if fold.number:
+        left_out = mode_name(fold.number, fold.configuration)
+        held = held.only(np.array([name == left_out for name in held.names]))
+    return replace(
+        fold,
+        status=record.status,
+        reason=record.reason,
+        iterations=record.iterations[-1].number,
+        updated=record.updated,
+        held_out=held,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """Progress of one update among several: what it does now, under its name."""
+
+    name: str
+    tell: Callable[[str], None]
+
+    def working(self, text: str) -> None:
+        self.tell(f"{self.name}: {text}")
+
+    def iteration(self, record: IterationRecord) -> None:
+        pass

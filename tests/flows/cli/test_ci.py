@@ -1,0 +1,188 @@
+"""The CI files for users are valid, their commands exist, and they do what the page says."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.command_line import run_command
+
+ROOT = Path(__file__).resolve().parents[3]
+WORKFLOW = ROOT / "configs" / "ci" / "github-actions.yml"
+PAGE = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+SIX_MASS = ROOT / "configs" / "six_mass"
+
+
+def yaml_blocks() -> list[str]:
+    return re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+
+
+def workflow_scripts(job: str) -> list[str]:
+    """What a job of the GitHub workflow runs, step by step."""
+    content: Any = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))
+    return [step["run"] for step in content["jobs"][job]["steps"] if "run" in step]
+
+
+def gitlab_script() -> list[str]:
+    content: Any = yaml.safe_load(yaml_blocks()[1])
+    return list(content["model"]["script"])
+
+
+def our_lines(scripts: list[str]) -> Iterator[list[str]]:
+    """The words of every line that starts modetune."""
+    for script in scripts:
+        for line in script.splitlines():
+            if line.startswith("modetune "):
+                yield shlex.split(re.split(r" [|>]", line)[0])
+
+
+def run(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    """Run a shell line as CI does, with modetune on PATH, in a home of its own."""
+    environment = {
+        **os.environ,
+        "PATH": f"{folder / 'bin'}:{os.environ['PATH']}",
+        "MODETUNE_HOME": str(folder / "home"),
+        "MODETUNE_STORE": str(folder / ".modetune" / "store"),
+        "CAMPAIGN": "campaign.yaml",
+        "BASELINE": "baseline.h5",
+    }
+    return subprocess.run(
+        ["bash", "-e", "-o", "pipefail", "-c", *command],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A repository of a model: the six-mass campaign and its baseline."""
+    folder = tmp_path_factory.mktemp("repository")
+    for name in ("campaign.yaml", "six_mass.yaml", "measured.csv"):
+        shutil.copyfile(SIX_MASS / name, folder / name)
+    ended = run_command(
+        folder,
+        "update",
+        "campaign.yaml",
+        "--no-prefect",
+        MODETUNE_STORE=str(folder / ".modetune" / "store"),
+    )
+    assert ended.returncode == 0, ended.stderr
+    shutil.move(folder / "runs" / "six-mass" / "campaign.h5", folder / "baseline.h5")
+    shutil.rmtree(folder / "runs")
+    return folder
+
+
+@pytest.fixture
+def repository(made: Path, tmp_path: Path) -> Path:
+    """A copy of it, and modetune on PATH."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "bin").mkdir()
+    program = tmp_path / "bin" / "modetune"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m modetune "$@"\n')
+    program.chmod(0o755)
+    return tmp_path
+
+
+def changed(repository: Path, old: str, new: str) -> None:
+    deck = repository / "six_mass.yaml"
+    text = deck.read_text()
+    assert old in text
+    deck.write_text(text.replace(old, new))
+
+
+def test_the_page_shows_the_workflow_as_it_is() -> None:
+    assert yaml_blocks()[0] == WORKFLOW.read_text(encoding="utf-8")
+
+
+def test_the_workflow_is_one() -> None:
+    content: Any = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))
+    assert set(content[True]) == {"push", "pull_request", "workflow_dispatch"}  # YAML 1.1's `on`
+    for job in content["jobs"].values():
+        assert {"runs-on", "timeout-minutes", "steps"} <= job.keys()
+        for step in job["steps"]:
+            assert ("run" in step) != ("uses" in step)
+            assert re.fullmatch(r"actions/[a-z/-]+@v\d+", step.get("uses", "actions/none@v1"))
+
+
+def test_the_gitlab_job_is_one() -> None:
+    content: Any = yaml.safe_load(yaml_blocks()[1])
+    job = content["model"]
+    assert all(isinstance(line, str) for line in (*job["before_script"], *job["script"]))
+    assert job["cache"]["paths"] == [".modetune/store"]
+
+
+def test_every_command_of_ci_is_there_with_its_options() -> None:
+    scripts = [*workflow_scripts("deck"), *workflow_scripts("updated"), *gitlab_script()]
+    blocks = re.findall(r"^```\w*\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    wanted: dict[str, set[str]] = {}
+    for words in our_lines([*scripts, *blocks]):
+        options = {word for word in words[2:] if word.startswith("--")}
+        wanted.setdefault(words[1], set()).update(options)
+    assert wanted.keys() == {"check", "update", "explain"}
+    for name, options in wanted.items():
+        said = run_command(ROOT, name, "--help", COLUMNS="200").stdout
+        assert {option for option in options if option not in said} == set(), name
+
+
+def test_an_unchanged_repository_passes_what_gitlab_runs(repository: Path) -> None:
+    script = gitlab_script()
+    # The repository keeps the deck before updating: its second line is for the updated one.
+    lines = [f"{line} --state initial" if "frequency-band" in line else line for line in script]
+    for line in lines:
+        passed = run(repository, line)
+        assert passed.returncode == 0, passed.stdout + passed.stderr
+    assert "within the band" in passed.stdout
+
+
+def test_the_job_for_updated_models_passes_what_updating_can_make_good(repository: Path) -> None:
+    changed(
+        repository,
+        "k4: {between: [m1, m2], stiffness: 5000.0}",
+        "k4: {between: [m1, m2], stiffness: 5500.0}",
+    )
+    for script in workflow_scripts("updated")[1:]:
+        passed = run(repository, script)
+        assert passed.returncode == 0, passed.stdout + passed.stderr
+
+
+def test_a_change_that_no_parameter_makes_good_fails_both_jobs(repository: Path) -> None:
+    changed(repository, "m6: 0.9", "m6: 2.7")
+    *_, deck = workflow_scripts("deck")
+    failed = run(repository, deck)
+    assert failed.returncode == 3
+    assert "worse than the baseline: mode" in failed.stdout
+    update, judge = workflow_scripts("updated")[2:]
+    assert run(repository, update).returncode == 0  # it ends without e1, which is not the question
+    failed = run(repository, judge)
+    assert failed.returncode == 3, failed.stdout + failed.stderr
+
+
+def test_a_dry_run_says_that_the_deck_changed(repository: Path) -> None:
+    changed(repository, "m2: 2.4", "m2: 3.2")
+    said = run(repository, "modetune update campaign.yaml --dry-run")
+    assert said.returncode == 0
+    assert "the deck's text differs" in said.stdout
+    key = re.findall(r"^run   (\w{12})", said.stdout, re.MULTILINE)[0]
+    told = run(repository, f"modetune explain {key} --store campaign.yaml")
+    assert told.returncode == 0, told.stderr
+    assert "not run" in told.stdout
+
+
+def test_a_record_without_a_baseline_is_refused(repository: Path) -> None:
+    said = run(repository, "modetune check campaign.yaml --record baseline.h5")
+    assert said.returncode == 2
+    assert "--against" in said.stderr

@@ -1,0 +1,241 @@
+"""Indices of functions whose effects are known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modetune.core.errors import CampaignError, ModesError
+from modetune.core.modes import Floats
+from modetune.flows.studies.screen.design import METHODS, Design, Method, make_design
+from modetune.flows.studies.screen.indices import Indices, design_indices, varies
+
+SLOPES = np.array([3.0, -1.0, 0.25])
+LOWER, UPPER = np.array([0.5, 0.8, 0.0]), np.array([1.5, 1.2, 2.0])
+#: What each parameter moves y = SLOPES x by over its bounds.
+WIDTHS = SLOPES * (UPPER - LOWER)
+
+
+def indices(
+    method: Method,
+    function: Callable[[Floats], Floats],
+    lower: Floats,
+    upper: Floats,
+    points: int,
+    levels: int | None = None,
+    seed: int = 1,
+) -> Indices:
+    rng = np.random.default_rng(seed)
+    design = make_design(method, lower, upper, rng, points, levels)
+    return design_indices(design, function(design.points)[:, None], rng)
+
+
+def linear(points: Floats) -> Floats:
+    return np.asarray(7.0 + points @ SLOPES)
+
+
+def ishigami(x: Floats) -> Floats:
+    return np.asarray(
+        np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    )
+
+
+def test_sobol_indices_of_the_ishigami_function_are_those_of_its_integrals() -> None:
+    # Ishigami and Homma 1990: variances of the terms with a = 7, b = 0.1 on [-pi, pi].
+    a, b, pi4, pi8 = 7.0, 0.1, np.pi**4, np.pi**8
+    one, two, both = 0.5 * (1 + b * pi4 / 5) ** 2, a**2 / 8, b**2 * pi8 * (1 / 18 - 1 / 50)
+    total = one + two + both
+    ends = np.full(3, np.pi)
+    found = indices("sobol", ishigami, -ends, ends, 2048 * 5)
+    first, most = found.measure("first")[0], found.measure("total")[0]
+    np.testing.assert_allclose(first, np.array([one, two, 0.0]) / total, atol=0.02)
+    np.testing.assert_allclose(most, np.array([one + both, two, both]) / total, atol=0.02)
+    assert (found.measure("total_confidence")[0] < 0.08).all()
+    assert found.used == 2048 * 5
+
+
+def test_sobol_indices_of_the_g_function_are_products_of_its_variances() -> None:
+    # Saltelli and Sobol 1995: V_i = 1 / (3 (1 + a_i)^2), V = prod(1 + V_i) - 1.
+    a = np.array([0.0, 1.0, 4.5, 9.0])
+    parts = 1.0 / (3.0 * (1.0 + a) ** 2)
+    total = np.prod(1.0 + parts) - 1.0
+
+    def g(x: Floats) -> Floats:
+        return np.asarray(np.prod((np.abs(4.0 * x - 2.0) + a) / (1.0 + a), axis=1))
+
+    found = indices("sobol", g, np.zeros(4), np.ones(4), 2048 * 6)
+    np.testing.assert_allclose(found.measure("first")[0], parts / total, atol=0.03)
+    np.testing.assert_allclose(
+        found.measure("total")[0], parts * np.prod(1.0 + parts) / (1.0 + parts) / total, atol=0.03
+    )
+
+
+@pytest.mark.parametrize(
+    ("method", "points", "tolerance"),
+    [("morris", 40, 1e-9), ("sobol", 5 * 1024, 0.02), ("lhs", 50, 1e-9), ("factorial", 8, 1e-9)],
+)
+def test_every_method_moves_a_linear_response_by_slope_times_range(
+    method: Method, points: int, tolerance: float
+) -> None:
+    found = indices(method, linear, LOWER, UPPER, points)
+    np.testing.assert_allclose(found.moves[0], np.abs(WIDTHS), rtol=tolerance)
+
+
+def test_morris_of_a_linear_response_has_its_slopes_and_no_spread() -> None:
+    found = indices("morris", linear, LOWER, UPPER, 40)
+    np.testing.assert_allclose(found.measure("mu")[0], WIDTHS, rtol=1e-9)
+    np.testing.assert_allclose(found.measure("mu_star")[0], np.abs(WIDTHS), rtol=1e-9)
+    np.testing.assert_allclose(found.measure("sigma")[0], 0.0, atol=1e-9)
+
+
+def test_morris_of_a_square_has_the_two_effects_of_its_grid() -> None:
+    # Four levels step by 2/3: effects of x^2 are 2/3 from 0 and 4/3 from 1/3, equally likely.
+    found = indices("morris", lambda x: x[:, 0] ** 2 + 0.0 * x[:, 1], np.zeros(2), np.ones(2), 600)
+    assert found.measure("mu_star")[0, 0] == pytest.approx(1.0, abs=0.06)
+    assert found.measure("sigma")[0, 0] == pytest.approx(1.0 / 3.0, abs=0.01)
+    assert found.measure("mu_star")[0, 1] == 0.0
+
+
+def test_latin_hypercube_of_a_linear_response_has_its_shares_of_the_spread() -> None:
+    found = indices("lhs", linear, LOWER, UPPER, 2000)
+    # Independent uniform parameters: coefficients are shares of the standard deviation.
+    np.testing.assert_allclose(
+        found.measure("regression")[0], WIDTHS / np.linalg.norm(WIDTHS), atol=0.01
+    )
+    assert found.explained[0] == pytest.approx(1.0)
+
+
+def test_rank_correlation_sees_a_curve_that_regression_does_not_explain() -> None:
+    found = indices("lhs", lambda x: np.exp(12.0 * x[:, 0]), np.zeros(2), np.ones(2), 200)
+    assert found.measure("rank_correlation")[0, 0] == pytest.approx(1.0)  # monotonic
+    assert found.explained[0] < 0.7
+
+
+def test_factorial_tells_main_effects_from_an_interaction() -> None:
+    def product(x: Floats) -> Floats:
+        return np.asarray(3.0 * x[:, 0] * x[:, 1] + 2.0 * x[:, 2])
+
+    found = indices("factorial", product, -np.ones(3), np.ones(3), 8)
+    np.testing.assert_allclose(found.measure("main_effect")[0], [0.0, 0.0, 4.0], atol=1e-12)
+    # Half the difference of the effect of one at the other's ends: (6 - (-6)) / 2.
+    assert found.interactions[0, 0, 1] == pytest.approx(6.0)
+    # Sums of squares of both terms: 9 and 4.
+    assert found.interaction_shares[0, 0, 1] == pytest.approx(9.0 / 13.0)
+    assert found.measure("main_share")[0, 2] == pytest.approx(4.0 / 13.0)
+    assert found.explained[0] == pytest.approx(1.0)
+
+
+def test_a_factorial_of_three_levels_sees_a_curve_without_main_effect() -> None:
+    found = indices("factorial", lambda x: x[:, 0] ** 2, -np.ones(2), np.ones(2), 9, levels=3)
+    assert found.measure("main_effect")[0, 0] == pytest.approx(0.0)
+    assert found.measure("main_share")[0, 0] == pytest.approx(1.0)
+    assert found.moves[0, 0] == pytest.approx(1.0)
+
+
+def test_failed_points_of_a_factorial_do_not_change_what_interactions_of_two_explain() -> None:
+    rng = np.random.default_rng(3)
+    design = make_design("factorial", np.zeros(4), np.ones(4), rng)
+    x = design.points
+    responses = np.stack([x @ np.arange(4.0) + x[:, 0] * x[:, 3], x[:, 1] * x[:, 2]], axis=1)
+    whole = design_indices(design, responses, rng)
+    responses[[2, 11]] = np.nan
+    broken = design_indices(design, responses, rng)
+    np.testing.assert_allclose(broken.values, whole.values, atol=1e-12)
+    np.testing.assert_allclose(broken.interactions, whole.interactions, atol=1e-12)
+    assert (whole.used, broken.used) == (16, 14)
+
+
+@pytest.mark.parametrize("method", ["morris", "sobol"])
+def test_a_failed_point_leaves_out_its_whole_block(method: Method) -> None:
+    design = make_design(method, LOWER, UPPER, np.random.default_rng(5), 200)
+    responses = np.sin(linear(design.points))[:, None]
+    each = int(np.sum(design.blocks == 0))
+    gone = 3 * each + 1  # one point of the fourth block
+    without = replace(
+        design, points=design.points[design.blocks != 3], blocks=design.blocks[design.blocks != 3]
+    )
+    expected = design_indices(without, responses[design.blocks != 3], np.random.default_rng(1))
+    responses[gone] = np.nan
+    found = design_indices(design, responses, np.random.default_rng(1))
+    np.testing.assert_array_equal(found.values, expected.values)
+    assert found.used == len(design.points) - each
+
+
+@pytest.mark.parametrize("method", ["morris", "sobol", "lhs", "factorial"])
+def test_too_few_good_points_are_told(method: Method) -> None:
+    design = make_design(method, LOWER, UPPER, np.random.default_rng(5), 60)
+    responses = np.full((len(design.points), 1), np.nan)
+    responses[0] = 1.0
+    with pytest.raises(ModesError, match=f"{len(responses) - 1} of {len(responses)} points failed"):
+        design_indices(design, responses, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("method", ["morris", "sobol", "lhs", "factorial"])
+def test_a_response_that_nothing_moves_has_no_effects(method: Method) -> None:
+    found = indices(method, lambda x: np.full(len(x), 0.1), LOWER, UPPER, 60)
+    assert not found.values.any()
+    assert not found.moves.any()
+    assert not varies(np.full((4, 1), 0.1 + 0.2)).any()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_designs_lie_in_their_bounds_and_come_again_from_their_seed(method: Method) -> None:
+    first, second, other = (
+        make_design(method, LOWER, UPPER, np.random.default_rng(seed), 90) for seed in (4, 4, 5)
+    )
+    assert (first.points >= LOWER - 1e-12).all()
+    assert (first.points <= UPPER + 1e-12).all()
+    np.testing.assert_array_equal(first.points, second.points)
+    drawn = method in ("morris", "sobol", "lhs")
+    assert drawn == (not np.array_equal(first.points, other.points))
+
+
+@pytest.mark.parametrize(
+    ("method", "points", "n"),
+    # Three parameters: trajectories of 4, base samples of 5 in a power of two, 2^3 corners.
+    [("local", 90, 0), ("morris", 90, 88), ("sobol", 90, 80), ("lhs", 90, 90), ("factorial", 90, 8),
+     ("morris", None, 40), ("sobol", None, 320), ("lhs", None, 30)],
+)  # fmt: skip
+def test_designs_have_at_most_the_points_that_were_asked_for(
+    method: Method, points: int | None, n: int
+) -> None:
+    design = make_design(method, LOWER, UPPER, np.random.default_rng(1), points)
+    assert len(design.points) == len(design.blocks) == n
+
+
+@pytest.mark.parametrize(
+    ("method", "points", "levels", "said"),
+    [
+        ("morris", 7, None, "needs 8"),
+        ("sobol", 39, None, "needs 40"),
+        ("lhs", 4, None, "needs 5"),
+        ("lhs", 0, None, "expected one or more"),
+        ("morris", 40, 3, "even"),
+        ("factorial", 40, 1, "2 or more"),
+        ("sobol", 80, 4, "has none"),
+        ("factorial", 8, 3, "has 27 points"),
+        ("lhs", 10**9, None, "at most"),
+    ],
+)
+def test_a_design_that_cannot_be_is_refused_with_a_remedy(
+    method: Method, points: int, levels: int | None, said: str
+) -> None:
+    with pytest.raises(CampaignError, match=said):
+        make_design(method, LOWER, UPPER, np.random.default_rng(1), points, levels)
+
+
+def test_one_parameter_can_be_screened_by_every_method() -> None:
+    lower, upper = np.array([0.5]), np.array([1.5])
+    for method in METHODS[1:]:
+        found = indices(method, lambda x: 2.0 * x[:, 0], lower, upper, 60)
+        assert found.moves[0, 0] == pytest.approx(2.0, rel=0.35)
+
+
+def test_a_design_knows_its_problem_as_salib_wants_it() -> None:
+    design = Design("lhs", np.zeros((0, 2)), np.zeros(0, np.int64), LOWER[:2], UPPER[:2], 0)
+    assert design.problem == {
+        "num_vars": 2, "names": ["0", "1"], "bounds": [[0.5, 1.5], [0.8, 1.2]],
+    }  # fmt: skip

@@ -1,0 +1,307 @@
+"""Whole screenings with the scripted solver: closed forms, runs counted, failures."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy import special
+
+from modetune.adapters.solver import Analysis, ModalAnalysis, Solver
+from modetune.core.errors import CampaignError, ModesError, SolverError
+from modetune.core.modes import Floats
+from modetune.core.parameters import Values
+from modetune.core.updating.results import ModalResult, Result
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.studies.screen.design import METHODS, Method
+from modetune.flows.studies.screen.figures import write_figures
+from modetune.flows.studies.screen.progress import ConsoleScreening
+from modetune.flows.studies.screen.record import Screening, read_screening, write_screening
+from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.screen.telling import lines, tables, told
+from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, chain_modes, recased
+from tests.flows.studies.screen.conftest import ScreenWatcher, series_hz
+
+ONE = np.ones(1)
+
+
+class ShortProgram(ScriptedProgram):
+    """Leaves out all modes but the first where the first spring is stiff, until asked for more."""
+
+    def read(self, deck: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
+        result = super().read(deck, analysis, folder, return_code)
+        assert isinstance(result, ModalResult)
+        assert isinstance(analysis, ModalAnalysis)
+        if deck["k1"] < 2.0 or analysis.n_modes > 2 + 10:  # two measured, ten to spare
+            return result
+        return ModalResult(
+            result.eigenvalues[:1],
+            result.modes.select(np.array([0])),
+            result.groups,
+            result.strain_energies[:, :1],
+            result.total_strain_energy[:1],
+            result.mass,
+        )
+
+
+def screened(campaign: Campaign, method: Method, **asked: int) -> Screening:
+    return screen_campaign(campaign, ScreeningRequest(method, **asked), ScreenWatcher())
+
+
+def relative(points: Floats) -> Floats:
+    """The closed form of the series system, relative to its nominal frequency."""
+    return np.asarray(series_hz(*points.T) / series_hz(ONE, ONE, ONE) - 1.0)
+
+
+def test_local_sensitivities_of_springs_in_series_are_shares_of_their_flexibility(
+    series: Campaign,
+) -> None:
+    found = screened(series, "local")
+    # f = sqrt(k / m) / 2 pi with 1 / k = 1 / k1 + 1 / k2: half the share of 1 / k, and -1/2.
+    np.testing.assert_allclose(found.local.frequencies, [[0.125, 0.375, -0.5]], rtol=1e-5)
+    assert found.indices is None
+    assert len(found.responses.failures) == 0
+    assert found.runs.modal == 1
+    assert found.runs.sensitivity == 6  # central differences
+
+
+def test_factorial_effects_of_springs_in_series_are_those_of_the_closed_form(
+    series: Campaign,
+) -> None:
+    found = screened(series, "factorial")
+    assert found.indices is not None
+    corners = np.array([[a, b, c] for a in (0.5, 1.5) for b in (0.5, 1.5) for c in (0.5, 1.5)])
+    y = relative(corners)
+    for place in range(3):
+        high = corners[:, place] > 1.0
+        expected = y[high].mean() - y[~high].mean()
+        assert found.indices.measure("main_effect")[0, place] == pytest.approx(expected)
+    # The product form in the mass: half the difference of the first spring's effect at both.
+    heavy, stiff = corners[:, 2] > 1.0, corners[:, 0] > 1.0
+    expected = 0.5 * (
+        (y[heavy & stiff].mean() - y[heavy & ~stiff].mean())
+        - (y[~heavy & stiff].mean() - y[~heavy & ~stiff].mean())
+    )
+    assert found.indices.interactions[0, 0, 2] == pytest.approx(expected)
+
+
+def test_sobol_indices_of_springs_in_series_are_those_of_quadrature(series: Campaign) -> None:
+    found = screened(series, "sobol", points=32 * 5)
+    assert found.indices is not None
+    nodes, weights = special.roots_legendre(12)
+    nodes, weights = 1.0 + 0.5 * nodes, 0.5 * weights
+    grid = np.stack(np.meshgrid(nodes, nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    y, w = relative(grid).reshape(12, 12, 12), weights
+    mean = np.einsum("ijk,i,j,k", y, w, w, w)
+    total = np.einsum("ijk,i,j,k", (y - mean) ** 2, w, w, w)
+    alone = [
+        np.einsum(f"ijk,{rest}->{own}", y, w, w) - mean
+        for own, rest in (("i", "j,k"), ("j", "i,k"), ("k", "i,j"))
+    ]
+    first = np.array([part**2 @ w for part in alone]) / total
+    np.testing.assert_allclose(found.indices.measure("first")[0], first, atol=0.12)
+    # Nearly additive: interactions are what first indices leave, so totals are little more.
+    assert first.sum() > 0.95
+    np.testing.assert_allclose(found.indices.measure("total")[0], first, atol=0.12)
+
+
+def test_morris_ranks_springs_in_series_as_their_closed_form(series: Campaign) -> None:
+    found = screened(series, "morris", points=48)
+    assert found.indices is not None
+    design = found.design
+    effects = np.diff(relative(design.points).reshape(-1, 4), axis=1)
+    moved = np.diff(design.points.reshape(-1, 4, 3), axis=1)
+    expected = [
+        np.abs(effects / moved.sum(axis=2))[moved[:, :, place] != 0.0].mean() for place in range(3)
+    ]
+    np.testing.assert_allclose(found.indices.measure("mu_star")[0], expected, rtol=1e-9)
+    assert [found.names[place] for place in found.choice.ranking] == ["m1", "k2", "k1"]
+
+
+def test_springs_of_a_chain_share_one_half_in_every_mode(bench: Bench) -> None:
+    names = {f"k{place}": 1.0 for place in range(1, 8)}
+    found = screened(bench.campaign({**names, "k2": 1.3}), "local")
+    # Eigenvalues are homogeneous of degree one in all springs together (Euler).
+    np.testing.assert_allclose(found.local.frequencies.sum(axis=1), 0.5, rtol=1e-6)
+    assert bench.runs() == 1  # strain energies: no sensitivity job
+
+
+def test_slopes_of_mac_are_those_of_differences(bench: Bench) -> None:
+    truth = {"k1": 1.4, "k3": 0.7, "k5": 1.2}
+    found = screened(bench.campaign(truth, modes=(1, 2, 3), shapes=True), "local")
+    test = chain_modes(truth)[1]
+
+    def macs(values: dict[str, float]) -> Floats:
+        shapes = chain_modes(values)[1]
+        cosines = (test * shapes).sum(axis=0) ** 2
+        return np.asarray(cosines / ((test**2).sum(axis=0) * (shapes**2).sum(axis=0)))[:3]
+
+    for place, name in enumerate(truth):
+        slope = (macs({name: 1.0 + 1e-5}) - macs({name: 1.0 - 1e-5})) / 2e-5
+        np.testing.assert_allclose(found.local.mac[:, place], slope, atol=1e-7)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_screening_again_starts_no_solver(bench: Bench, method: Method) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2, 3), shapes=True)
+    asked = {} if method == "local" else {"points": 32 if method == "sobol" else 9}
+    first = screened(campaign, method, **asked)
+    ran = bench.runs()
+    assert ran == first.runs.modal + first.runs.sensitivity
+    again = screened(campaign, method, **asked)
+    assert bench.runs() == ran
+    assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
+    np.testing.assert_array_equal(again.importance, first.importance)
+    np.testing.assert_array_equal(again.responses.frequencies_hz, first.responses.frequencies_hz)
+
+
+def test_a_stopped_screening_goes_on_where_it_was(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2, 3))
+    request = ScreeningRequest("lhs", points=60)  # so many that a stop cannot come too late
+    with pytest.raises(KeyboardInterrupt):
+        screen_campaign(campaign, request, ScreenWatcher(stop_after=4))
+    kept = sum(1 for _ in campaign.store.folder.glob("??/*.h5"))
+    before = bench.runs()
+    assert 5 <= kept < 61  # the nominal model and the points that were done
+    found = screen_campaign(campaign, request, ScreenWatcher())
+    assert bench.runs() - before == 61 - kept
+    assert found.runs.modal == 61 - kept
+    assert not any(found.responses.failures)
+
+
+def test_progress_tells_solved_and_stored_points(
+    bench: Bench, screen_watcher: ScreenWatcher
+) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
+    screen_campaign(campaign, ScreeningRequest("factorial"), screen_watcher)
+    assert screen_watcher.told == [(n, 4, n, 0) for n in (1, 2, 3, 4)]
+    again = ScreenWatcher()
+    screen_campaign(campaign, ScreeningRequest("factorial"), again)
+    assert again.told == [(n, 4, 0, 0) for n in (1, 2, 3, 4)]
+
+
+def test_a_failed_point_takes_its_trajectory_along_and_is_told(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
+    bench.script({5: "rejected"})  # the first run is the nominal model's
+    found = screened(campaign, "morris", points=30, levels=50)
+    assert found.indices is not None
+    assert found.responses.n_failed == 1
+    assert found.indices.used == 27
+    said = "\n".join(lines(found))
+    assert "1 of 30 points failed, 1 of 10 trajectories are left out" in said
+    assert "the scripted solver refused its input" in said
+    assert np.isnan(found.responses.frequencies_hz).any(axis=1).sum() == 1
+
+
+def test_a_mode_that_is_lost_at_points_widens_the_range_there(
+    bench: Bench, screen_watcher: ScreenWatcher
+) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
+    short = Solver(ChainDeck(), ShortProgram(bench.folder))
+    found = screen_campaign(
+        recased(campaign, solver=short), ScreeningRequest("factorial"), screen_watcher
+    )
+    assert found.responses.n_failed == 0
+    # The deck's values, four corners, and the two stiff ones once more.
+    assert bench.runs() == found.runs.modal == 1 + 4 + 2
+    assert screen_watcher.told[4:] == [(1, 2, 1, 0), (2, 2, 2, 0)]
+    expected = [
+        np.sqrt(chain_modes({"k1": a, "k3": b})[0][:2]) / 2 / np.pi
+        for a, b in found.design.points.tolist()
+    ]
+    np.testing.assert_allclose(found.responses.frequencies_hz, expected)
+
+
+def test_failed_points_of_a_hypercube_are_left_out_and_told(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
+    bench.script({3: "rejected"})
+    found = screened(campaign, "lhs", points=8)
+    assert found.indices is not None
+    assert found.indices.used == 7
+    assert "1 of 8 points failed and are left out; the first: " in "\n".join(lines(found))
+
+
+def test_a_killed_point_is_tried_again(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2), retries=1)
+    bench.script({4: "killed"})
+    found = screened(campaign, "factorial")
+    assert found.responses.n_failed == 0
+    assert bench.runs() == 1 + 4 + 1
+
+
+def test_a_screening_of_which_too_little_is_left_ends_with_one_sentence(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
+    bench.script({run: "rejected" for run in range(2, 6)})
+    with pytest.raises(ModesError, match=r"4 of 4 points failed .* narrow the bounds"):
+        screened(campaign, "factorial")
+
+
+def test_a_nominal_model_that_fails_ends_the_screening(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2}, modes=(1, 2))
+    bench.script({1: "rejected"})
+    with pytest.raises(SolverError, match="refused its input"):
+        screened(campaign, "lhs", points=10)
+    assert bench.runs() == 1
+
+
+def test_a_design_that_cannot_be_starts_no_solver(bench: Bench) -> None:
+    with pytest.raises(CampaignError, match="needs 6"):
+        screened(bench.campaign({"k1": 1.2, "k2": 1.0}), "morris", points=5)
+    assert bench.runs() == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
+    bench: Bench, method: Method, tmp_path: Path
+) -> None:
+    campaign = bench.campaign({"k1": 1.3, "k3": 0.9, "k6": 1.1}, modes=(1, 2, 3), shapes=True)
+    asked = {} if method == "local" else {"points": 40 if method == "sobol" else 8}
+    found = screened(campaign, method, **asked)
+    path = tmp_path / "screening.h5"
+    write_screening(path, found)
+    again = read_screening(path)
+    assert told(again) == told(found)
+    assert again.response_names == found.response_names
+    for name in ("points", "blocks", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(again.design, name), getattr(found.design, name))
+    np.testing.assert_array_equal(again.responses.mac, found.responses.mac)
+    np.testing.assert_array_equal(again.local.weighted, found.local.weighted)
+    console = Console(file=io.StringIO(), width=160)
+    for table in tables(again):
+        console.print(table)
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    assert all(name in shown for name in found.names)
+    for figure in write_figures(again, tmp_path / "figures"):
+        assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_several_configurations_are_refused_with_a_remedy(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2}, modes=(1, 2))
+    joint = replace(
+        campaign, cases=tuple(replace(campaign.case, name=name) for name in ("full", "empty"))
+    )
+    with pytest.raises(CampaignError, match="screen each by a campaign file of its own"):
+        screened(joint, "local")
+    assert bench.runs() == 0
+
+
+def test_a_file_that_is_no_screening_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "screening.h5"
+    path.write_text("no HDF5")
+    with pytest.raises(CampaignError, match="is not a record of a screening"):
+        read_screening(path)
+
+
+def test_progress_in_a_log_is_a_few_lines() -> None:
+    console = Console(file=io.StringIO(), width=100)
+    with ConsoleScreening(console).shown() as progress:
+        progress.working("points of the design")
+        for done in range(1, 501):
+            progress.points(done, 500, done - 3 if done > 3 else 0, 1 if done > 400 else 0)
+    said = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert len(said) == 10
+    assert said[-1] == "point 500 of 500: 497 solved, 2 in the store, 1 failed"

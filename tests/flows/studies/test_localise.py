@@ -1,0 +1,280 @@
+"""`modetune localise`: what it finds on the scripted chain and on solids, and what it costs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.core.errors import CampaignError
+from modetune.core.mesh import Mesh
+from modetune.core.modes import mode_set
+from modetune.core.storage.record_file import read_record
+from modetune.core.surface import Surface
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.cli.localise import localise as localise_command
+from modetune.flows.jobs.job import Job
+from modetune.flows.report.form_verdict import record_verdict, verdict_summary
+from modetune.flows.report.matplotlib_charts import save
+from modetune.flows.studies.localise.error_maps import OTHER_MASS, OTHER_STIFFNESS
+from modetune.flows.studies.localise.figures import on_surface, surface_figure, write_figures
+from modetune.flows.studies.localise.localise import localise, place_of
+from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.running import job_engine, update_campaign
+
+SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
+ALL = dict.fromkeys([f"k{number}" for number in range(1, 8)], "spring_stiffness")
+THREE = dict.fromkeys(["k1", "k4", "k6"], "spring_stiffness")
+
+needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+
+
+@pytest.fixture
+def app() -> typer.Typer:
+    app = typer.Typer()
+    app.callback()(lambda: None)
+    app.command()(localise_command)
+    return app
+
+
+def test_the_wrong_spring_is_named_with_its_error_and_the_runs_it_took(bench: Any) -> None:
+    campaign = bench.campaign({"k5": 1.3}, shapes=True, parameters=ALL)
+    found = localise(campaign)
+    assert found.maps is not None
+    errors = found.maps.errors
+    first = int(errors.ranking[0])
+    assert found.maps.groups[first] == "k5"
+    # A test without noise at all masses: its forces are those of the spring alone, pulled towards
+    # none by the deviation of 2 % that the campaign gives its shapes.
+    assert errors.force_shares[first] == pytest.approx(1.0, abs=0.03)
+    assert errors.changes[first] == pytest.approx(0.3, abs=0.03)
+    assert int(np.argmax(errors.error_shares)) == first
+    assert found.singles[0].members == (4,)
+    assert found.singles[0].removed > 0.95
+    # One modal run, the model's matrices and two of springs that share no mass; nothing twice.
+    assert (bench.runs("modal"), bench.runs("matrices")) == (1, 3)
+    assert (found.runs.modal, found.runs.sensitivity) == (1, 3)
+    again = localise(campaign)
+    assert bench.runs() == 4
+    assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
+
+
+def test_the_strain_of_the_error_lies_at_the_ends_of_the_wrong_spring(bench: Any) -> None:
+    # Spring 5 holds masses 4 and 5; springs 1 and 7 hold walls, which are not nodes.
+    found = localise(bench.campaign({"k5": 1.3}, shapes=True, parameters=ALL))
+    assert found.maps is not None
+    worst = found.maps.mesh_nodes[np.argsort(-found.maps.strains)[:2]]
+    assert set(worst.tolist()) == {4, 5}
+
+
+def test_an_error_outside_all_parameters_is_found_in_what_no_parameter_scales(bench: Any) -> None:
+    found = localise(bench.campaign({"k5": 1.5}, shapes=True, parameters=THREE))
+    assert found.maps is not None
+    assert found.maps.groups == ("k1", "k4", "k6", OTHER_STIFFNESS, OTHER_MASS)
+    assert found.maps.errors.error_shares[3] == max(found.maps.errors.error_shares)
+
+
+def test_without_shapes_parameters_are_ranked_and_the_reason_is_told(bench: Any) -> None:
+    found = localise(bench.campaign({"k5": 1.3}, parameters=ALL))
+    assert found.maps is None
+    assert "measured shapes" in found.why_no_maps
+    assert found.singles[0].removed > 0.5
+    assert bench.runs("matrices") == 0  # strain energies of the one modal run are enough
+
+
+def test_a_spring_that_no_parameter_has_is_forecast_and_judged_as_model_form_error(
+    bench: Any, watcher: Any, tmp_path: Path
+) -> None:
+    campaign = bench.campaign({"k5": 1.5}, shapes=True, parameters=THREE)
+    forecast = localise(campaign)
+    assert forecast.form.suspected
+    assert "is expected to remove" in forecast.sentence
+    record = update_campaign(campaign, tmp_path / "run", watcher).record
+    verdict = record_verdict(record)
+    assert verdict is not None
+    assert verdict.form.suspected
+    assert "No admissible parameter set removes the residual" in verdict.sentence
+    at_end = localise(campaign, record.updated)
+    assert at_end.form.suspected
+    # The last sensitivity of the record is of a step before; both see the same.
+    assert verdict.form.statistic == pytest.approx(at_end.form.statistic, rel=0.25)
+
+
+def test_a_well_posed_twin_is_not_suspected_before_or_after(
+    bench: Any, watcher: Any, tmp_path: Path
+) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k4": 0.8, "k6": 1.1}, shapes=True)
+    assert not localise(campaign).form.suspected
+    record = update_campaign(campaign, tmp_path / "run", watcher).record
+    verdict = record_verdict(record)
+    assert verdict is not None
+    assert not verdict.form.suspected
+    told = verdict_summary(read_record(tmp_path / "run" / "campaign.h5"))
+    assert isinstance(told, dict)
+    assert told["suspected"] is False
+
+
+def test_the_updated_model_of_a_record_is_looked_at_where_it_is_named(
+    bench: Any, watcher: Any, tmp_path: Path
+) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k4": 0.8}, shapes=True)
+    record = update_campaign(campaign, tmp_path / "run", watcher).record
+    place = place_of(campaign, tmp_path / "run", None)
+    assert place.theta == pytest.approx(record.updated)
+    other = bench.campaign({"k2": 1.2}, shapes=True)
+    with pytest.raises(CampaignError, match="has the parameters k1, k4"):
+        place_of(other, tmp_path / "run" / "campaign.h5", None)
+
+
+def test_a_configuration_that_is_not_there_is_refused(bench: Any) -> None:
+    with pytest.raises(CampaignError, match="the campaign has none"):
+        place_of(bench.campaign({"k1": 1.2}), None, "full tanks")
+
+
+def test_a_solver_that_refuses_its_input_ends_the_command(bench: Any) -> None:
+    from modetune.core.errors import SolverRejected
+
+    bench.script({1: "rejected"})
+    with pytest.raises(SolverRejected):
+        localise(bench.campaign({"k1": 1.2}, shapes=True))
+
+
+def test_figures_are_written_for_what_was_found(bench: Any, tmp_path: Path) -> None:
+    campaign = bench.campaign({"k5": 1.3}, shapes=True, parameters=ALL)
+    found = localise(campaign)
+    mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
+    paths = write_figures("chain $x", found, mesh, surface, tmp_path / "figures")
+    assert [path.name for path in paths] == ["removals.png", "groups.png", "map.png"]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+@pytest.mark.parametrize("triangles", [np.array([[0, 1, 2]]), np.zeros((0, 3), dtype=np.int64)])
+def test_a_flat_surface_and_bare_points_are_drawn(triangles: Any, tmp_path: Path) -> None:
+    places = np.array([[0.0, 0.0, 5.0], [1.0, 0.0, 5.0], [0.0, 1.0, 5.0]])
+    surface = Surface(np.arange(1, 4), places, triangles, np.zeros((0, 2), dtype=np.int64))
+    path = save(surface_figure("flat", surface, np.array([0.0, 0.5, 1.0])), tmp_path / "map.png")
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_strain_at_a_thinned_surface_is_the_mean_square_of_what_it_stands_for() -> None:
+    # Nodes at 0, 1 and 10; the surface keeps 0 and 10, so 0 stands for two: (9 + 1) / 2 = 5.
+    places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    mesh = Mesh(np.arange(1, 4), places, ())
+    none = np.zeros((0, 2), dtype=np.int64)
+    surface = Surface(np.array([1, 3]), places[[0, 2]], np.zeros((0, 3), dtype=np.int64), none)
+    found = on_surface(np.array([3.0, 1.0, 2.0]), mesh, surface)
+    assert found == pytest.approx([np.sqrt(5.0), 2.0])
+
+
+def test_the_command_tells_machines_and_people(
+    app: typer.Typer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("campaign.yaml", "six_mass.yaml", "measured.csv"):
+        shutil.copyfile(SIX_MASS / name, tmp_path / name)
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    campaign = str(tmp_path / "campaign.yaml")
+    folder = tmp_path / "figures"
+    result = CliRunner().invoke(app, ["localise", campaign, "--json", "--figures", str(folder)])
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert told["status"] == "done"
+    assert {item["name"] for item in told["maps"]["groups"]} >= {"k1", "k2", "k3", "k4"}
+    assert len(told["pairs"]) == 6  # of four parameters
+    assert told["maps"]["strains"] == []  # a model of matrices has no mesh
+    assert [Path(path).name for path in told["written"]] == ["removals.png", "groups.png"]
+    shown = CliRunner().invoke(app, ["localise", campaign])
+    assert shown.exit_code == 0, shown.output
+    assert "Where the model is wrong" in shown.stdout
+    assert "results from the store" in shown.stdout
+
+
+#: A cantilever of solids in three materials, 300 x 20 x 10 mm, two elements across its width.
+NX, NY, NZ = 15, 2, 1
+CAMPAIGN = """name: bar
+model: {deck: bar.inp, solver: calculix, units: mm-t-s}
+test: {modes: measured.csv}
+parameters:
+  - {name: E_root, quantity: youngs_modulus, material: ROOT, bounds: [0.5, 1.5]}
+  - {name: E_middle, quantity: youngs_modulus, material: MIDDLE, bounds: [0.5, 1.5]}
+  - {name: E_tip, quantity: youngs_modulus, material: TIP, bounds: [0.5, 1.5]}
+residuals: {shape_weight: 1.0, shape_deviation: 0.02}
+"""
+
+
+def node(i: int, j: int, k: int) -> int:
+    return 1 + i + (NX + 1) * (j + (NY + 1) * k)
+
+
+def bar_deck() -> str:
+    lines = ["*NODE, NSET=ALL"]
+    for k in range(NZ + 1):
+        for j in range(NY + 1):
+            lines += [f"{node(i, j, k)}, {20.0 * i}, {10.0 * j}, {10.0 * k}" for i in range(NX + 1)]
+    for place, name in enumerate(("ROOT", "MIDDLE", "TIP")):
+        lines.append(f"*ELEMENT, TYPE=C3D8I, ELSET={name}")
+        for i in range(5 * place, 5 * place + 5):
+            for j in range(NY):
+                corners = [
+                    node(i + a, j + b, c)
+                    for c in (0, 1)
+                    for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
+                ]
+                lines.append(", ".join(map(str, [1 + i + NX * j, *corners])))
+    for name in ("ROOT", "MIDDLE", "TIP"):
+        lines += [
+            f"*MATERIAL, NAME={name}",
+            "*ELASTIC",
+            "70000., 0.3",
+            "*DENSITY",
+            "2.7e-9",
+            f"*SOLID SECTION, ELSET={name}, MATERIAL={name}",
+        ]
+    lines.append("*BOUNDARY")
+    lines += [f"{node(0, j, k)}, 1, 3" for j in range(NY + 1) for k in range(NZ + 1)]
+    return "\n".join(lines) + "\n"
+
+
+@needs_ccx
+@pytest.mark.parametrize("wrong", ["E_root", "E_middle", "E_tip"])
+def test_the_wrong_third_of_a_bar_of_solids_ranks_first_by_calculix(
+    wrong: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    (tmp_path / "bar.inp").write_text(bar_deck())
+    (tmp_path / "bar.yaml").write_text(CAMPAIGN)
+    sensors = [node(i, j, 0) for i in range(3, NX + 1, 2) for j in (0, NY)]
+    blank = mode_set(
+        np.arange(1.0, 5.0),
+        np.ones((2 * len(sensors), 4)),
+        sensors * 2,
+        [2] * len(sensors) + [3] * len(sensors),
+    )
+    write_modes_csv(tmp_path / "measured.csv", range(1, 5), blank)
+    campaign = load_campaign(tmp_path / "bar.yaml")
+    # The test: the same bar with one modulus 20 % lower, by CalculiX, 1 % of noise on shapes.
+    job = Job({wrong: 0.8}, campaign_analysis(campaign))
+    result = job_engine(campaign).solve(job).result(ModalResult)
+    seen = campaign.case.sensors.observe(result.elastic).select(range(4))
+    rms = np.sqrt(np.mean(seen.mode_shapes**2, axis=0))
+    noise = 0.01 * rms * np.random.default_rng(5).standard_normal(seen.mode_shapes.shape)
+    measured = mode_set(seen.frequencies_hz, seen.mode_shapes + noise, seen.nodes, seen.components)
+    write_modes_csv(tmp_path / "measured.csv", range(1, 5), measured)
+    found = localise(load_campaign(tmp_path / "bar.yaml"))
+    assert found.maps is not None
+    errors, names = found.maps.errors, found.maps.groups
+    assert names[int(errors.ranking[0])] == wrong
+    assert names[int(np.argmax(errors.error_shares))] == wrong
+    assert found.parameters[found.singles[0].members[0]] == wrong
+    assert not found.form.suspected
+    # The strain of the error is largest somewhere in the wrong third.
+    worst = int(found.maps.mesh_nodes[int(np.argmax(found.maps.strains))])
+    third = ("E_root", "E_middle", "E_tip").index(wrong)
+    assert 5 * third <= (worst - 1) % (NX + 1) <= 5 * third + 5

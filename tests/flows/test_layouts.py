@@ -1,0 +1,70 @@
+"""What files of our own look like: a changed layout needs a new number of its format.
+
+Where a case fails, a field of a dataclass that is written was added, renamed, removed or got
+another type. Files of before cannot be read then: raise the FORMAT of the store, or the number of
+the record's RecordFile, and set the new digest here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any, get_args
+
+import pytest
+
+from modetune.core.storage import codec, store
+from modetune.core.storage.record_file import CAMPAIGN
+from modetune.core.updating.results import Result
+from modetune.flows.studies.sample.record import POSTERIOR
+from modetune.flows.studies.screen.record import SCREENING
+
+
+def layout(form: Any) -> Any:
+    """Names and types of what a form writes, all the way down."""
+    match form:
+        case codec._Dataclass():
+            return {name: layout(inner) for name, inner in form.forms}
+        case codec._OneOf():
+            return {name: layout(codec._form(kind)) for name, kind in form.kinds.items()}
+        case codec._Optional():
+            return ["or nothing", layout(form.form)]
+        case codec._Items():
+            return ["group", form.count, [layout(inner) for inner in form.forms]]
+        case codec._Mapping():
+            return ["mapping", layout(form.keys), layout(form.values)]
+        case codec._Column():
+            return ["column", form.count, layout(form.item)]
+        case codec._Array():
+            return ["array", *(dtype.name for dtype in form.dtypes)]
+        case codec._Scalar():
+            return form.kind.__name__
+        case _:
+            return type(form).__name__
+
+
+def digest(kind: Any) -> str:
+    text = json.dumps(layout(codec._form(kind)), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+@pytest.mark.parametrize(
+    ("kind", "number", "expected"),
+    [
+        (CAMPAIGN.kind, CAMPAIGN.format, (3, "1207252cb84f")),
+        (SCREENING.kind, SCREENING.format, (2, "e83fafee7642")),
+        (POSTERIOR.kind, POSTERIOR.format, (2, "dc7474e4c855")),
+        (store.KINDS["modal"], store.FORMAT, (3, "b628987e920e")),
+        (store.KINDS["matrices"], store.FORMAT, (3, "fc2e991bf643")),
+        (store.KINDS["derivatives"], store.FORMAT, (3, "98c110189d0b")),
+        (store.KINDS["parameter_matrices"], store.FORMAT, (3, "60f226b2c49d")),
+        (store.KINDS["reduced"], store.FORMAT, (3, "adff64dcddcc")),
+    ],
+    ids=lambda item: getattr(item, "__name__", None),
+)
+def test_a_layout_belongs_to_its_format(kind: type, number: int, expected: tuple[int, str]) -> None:
+    assert (number, digest(kind)) == expected
+
+
+def test_every_result_has_a_kind_in_the_store() -> None:
+    assert set(store.KINDS.values()) == set(get_args(Result))
