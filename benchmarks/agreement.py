@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.pairing import pair_by_shape
 
 #: Deviations and emphasis as campaigns have them unless told otherwise.
 FREQUENCY_DEVIATION = 0.002

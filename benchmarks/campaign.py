@@ -102,9 +102,13 @@ def compare(
         problem = prepare(case, size.size, target, folder / size.size)
         told = list(rounds(problem, size.letters, repeats, server))
     return problem, SizeResult(
-        problem.size, told[0][0], len(problem.parameters), problem.n_modes, problem.threads,
+        problem.size,
+        told[0][0],
+        len(problem.parameters),
+        problem.n_modes,
+        problem.threads,
         tuple(each for _, each in told),
-    )  # fmt: skip
+    )
 
 
 def parse(arguments: list[str] | None) -> tuple[argparse.Namespace, list[Wanted]]:
@@ -114,8 +118,12 @@ def parse(arguments: list[str] | None) -> tuple[argparse.Namespace, list[Wanted]
     parser.add_argument("--sizes", nargs="+", help="Sizes, as `medium` or `fine:de`.")
     parser.add_argument("--repeats", type=int, default=1, help="Rounds of all ways.")
     parser.add_argument("--target", type=float, default=TARGET, help="Largest frequency error.")
-    parser.add_argument("--server", choices=get_args(ServerUse), default="running",
-                        help="Prefect's server: up, started by each campaign, none.")  # fmt: skip
+    parser.add_argument(
+        "--server",
+        choices=get_args(ServerUse),
+        default="running",
+        help="Prefect's server: up, started by each campaign, none.",
+    )
     parser.add_argument("--no-eigen", action="store_true", help="Without single modal solutions.")
     chosen = parser.parse_args(arguments)
     if chosen.repeats < 1 or not 0.0 < chosen.target < 0.1:
@@ -153,10 +161,14 @@ def main(arguments: list[str] | None = None) -> None:
     if shown:
         sys.stdout.write(f"growth, p of wall ~ equations^p: {', '.join(shown)}\n")
     told = {
-        "case": chosen.case, "target": chosen.target, "repeats": chosen.repeats,
-        "server": chosen.server, "cores": cores(), **summary(results),
+        "case": chosen.case,
+        "target": chosen.target,
+        "repeats": chosen.repeats,
+        "server": chosen.server,
+        "cores": cores(),
+        **summary(results),
         "eigen": [asdict(solution) for solution in solutions],
-    }  # fmt: skip
+    }
     sys.stdout.write(json.dumps(told) + "\n")
 
 

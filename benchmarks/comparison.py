@@ -14,7 +14,7 @@ from statistics import median
 import numpy as np
 from benchmarks.ways import REFERENCE, WAYS, Trial
 
-from modetune.core.keys import Json
+from modetune.core.storage.keys import Json
 
 
 @dataclass(frozen=True, slots=True)

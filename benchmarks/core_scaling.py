@@ -26,12 +26,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-from modetune.core.expansion import kidder_expansion
-from modetune.core.factorisation import factorise
+from modetune.core.algebra.factorisation import factorise
+from modetune.core.condensation.expansion import kidder_expansion
+from modetune.core.condensation.reduction import dynamic, guyan, irs, iterated_irs, serep
+from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
-from modetune.core.pairing import pair_by_shape
-from modetune.core.reduction import dynamic, guyan, irs, iterated_irs, serep
-from modetune.core.sensitivity import nelson
+from modetune.core.updating.sensitivity import nelson
 
 N_MODES = 20
 N_PARAMETERS = 50
@@ -133,9 +133,14 @@ def run_kidder(model: Box) -> None:
 def run_nelson(model: Box) -> None:
     eigenvalues = (2.0 * np.pi * model.frequencies_hz) ** 2
     nelson(
-        model.stiffness, model.mass, eigenvalues, model.mode_shapes, model.changes,
-        list(range(N_MODES)), model.masters,
-    )  # fmt: skip
+        model.stiffness,
+        model.mass,
+        eigenvalues,
+        model.mode_shapes,
+        model.changes,
+        list(range(N_MODES)),
+        model.masters,
+    )
 
 
 def run_pairing(model: Box) -> None:

@@ -24,7 +24,7 @@ from modetune.adapters.calculix.solver import PROGRAM_VARIABLE
 PERIOD_S = 0.05
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
-#: Asking for the version is no run. A job's steps are its deck's last lines.
+#: Asking for the version is not a run. A job's steps are its deck's last lines.
 COUNTER = """\
 #!/bin/sh
 if [ "$1" = -i ]; then
@@ -74,9 +74,13 @@ def run_counted(
     with (folder / "output.txt").open("wb") as output, (folder / "errors.txt").open("wb") as errors:
         started = time.monotonic()
         process = subprocess.Popen(
-            command, cwd=folder, env={**environment, PROGRAM_VARIABLE: str(counter)},
-            stdin=subprocess.DEVNULL, stdout=output, stderr=errors,
-        )  # fmt: skip
+            command,
+            cwd=folder,
+            env={**environment, PROGRAM_VARIABLE: str(counter)},
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=errors,
+        )
         with watched(process.pid) as peak:
             try:
                 _, status, usage = os.wait4(process.pid, 0)
@@ -88,9 +92,12 @@ def run_counted(
     process.returncode = os.waitstatus_to_exitcode(status)
     kinds = log.read_text().split()
     cost = Cost(
-        wall_s, usage.ru_utime + usage.ru_stime, peak[0],
-        kinds.count("modal"), kinds.count("matrices"),
-    )  # fmt: skip
+        wall_s,
+        usage.ru_utime + usage.ru_stime,
+        peak[0],
+        kinds.count("modal"),
+        kinds.count("matrices"),
+    )
     output_text, errors_text = (
         (folder / name).read_text(errors="replace") for name in ("output.txt", "errors.txt")
     )
@@ -106,8 +113,10 @@ def found(program: str) -> str:
     """Full path of a program. Raises SystemExit where there is none."""
     path = shutil.which(program)
     if path is None:
-        sys.exit(f"CalculiX (`{program}`) is not installed; on Debian and Ubuntu: "
-                 "apt-get install calculix-ccx")  # fmt: skip
+        sys.exit(
+            f"CalculiX (`{program}`) is not installed; on Debian and Ubuntu: "
+            "apt-get install calculix-ccx"
+        )
     return path
 
 

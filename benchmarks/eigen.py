@@ -32,13 +32,17 @@ from benchmarks.cost import calculix, watched
 from benchmarks.plain import PlainModel, quickest
 from benchmarks.problem import CASES, Problem, set_up
 
-from modetune.core.affine import AffineMatrices, Share, affine_matrices
-from modetune.core.eigen import ModeSolver, Solved
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModetuneError
-from modetune.core.matrices import MatrixResult
 from modetune.core.modes import Floats
-from modetune.core.shares import differences
-from modetune.flows.by_matrices.modes import SHIFT
+from modetune.core.updating.matrix_samples import differences
+from modetune.core.updating.parameter_matrices import (
+    ParameterMatrices,
+    Powers,
+    parameter_matrices,
+)
+from modetune.flows.updating.stored_modes import SHIFT
 
 #: Ways from the deck's moduli to the hidden ones, in steps as updating takes them.
 STEPS = (0.6, 0.9, 1.0)
@@ -92,14 +96,24 @@ def measure(problem: Problem) -> Solution:
     elastic = np.sqrt(first.eigenvalues[problem.n_rigid :]) / (2.0 * np.pi)
     alike = native.n_equations <= LARGEST_PARALLEL
     return Solution(
-        problem.size, native.n_equations, model.n_modes, native.wall_s, native.peak_bytes,
-        job.solver_s, job.read_s, solve_s, median(later_s), peak[0],
+        problem.size,
+        native.n_equations,
+        model.n_modes,
+        native.wall_s,
+        native.peak_bytes,
+        job.solver_s,
+        job.read_s,
+        solve_s,
+        median(later_s),
+        peak[0],
         float(np.abs(elastic / modes.frequencies_hz - 1.0).max()),
         efficiency(problem) if alike else None,
-    )  # fmt: skip
+    )
 
 
-def later(model: PlainModel, base: MatrixResult, solver: ModeSolver, before: Solved) -> list[float]:
+def later(
+    model: PlainModel, base: MatrixResult, solver: ModeSolver, before: SolvedModes
+) -> list[float]:
     """Seconds of each solution on the way to the hidden moduli; their matrices are linear in it."""
     affine = towards(base, model.matrices(np.array(model.problem.truth))[0])
     seconds = []
@@ -107,18 +121,24 @@ def later(model: PlainModel, base: MatrixResult, solver: ModeSolver, before: Sol
         started = time.monotonic()
         matrices = affine.at(np.array([step]))
         before = solver.solve(
-            matrices.upper_stiffness, matrices.upper_mass, model.n_modes, before.shift,
+            matrices.upper_stiffness,
+            matrices.upper_mass,
+            model.n_modes,
+            before.shift,
             before.shapes,
-        )  # fmt: skip
+        )
         seconds.append(time.monotonic() - started)
     return seconds
 
 
-def towards(base: MatrixResult, other: MatrixResult) -> AffineMatrices:
+def towards(base: MatrixResult, other: MatrixResult) -> ParameterMatrices:
     """The matrices between two states, 0 and 1 the value of their one parameter."""
     stiffness, mass = differences(base, other)
-    return affine_matrices(
-        base, np.zeros(1), [Share(0, (1,), (stiffness,))], [Share(0, (1,), (mass,))]
+    return parameter_matrices(
+        base,
+        np.zeros(1),
+        [Powers(0, (1,), (stiffness,))],
+        [Powers(0, (1,), (mass,))],
     )
 
 

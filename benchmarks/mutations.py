@@ -35,7 +35,7 @@ def main() -> None:
         started = time.monotonic()
         try:
             ends = dict(read_all(KINDS[name], folder / "input", chosen.seed, chosen.count))
-        except BaseException as fault:  # a panic of a library's is no Exception
+        except BaseException as fault:  # a panic of a library's is not an Exception
             if not chosen.go_on or isinstance(fault, KeyboardInterrupt):
                 raise
             broken += 1

@@ -1,8 +1,9 @@
 """What a job costs beside its solver: a program that does nothing, a thousand times.
 
 Four ways of running `true`, two at a time: a bare ThreadPoolExecutor with subprocess.run; the same
-below modetune's supervisor; the job engine with its store, by threads; and by Prefect tasks on the
-shared server. Each line gives milliseconds a job, what it is above the bare pool, and the ratio.
+below modetune's supervisor; the job engine with its store, by threads; and the same beside
+the pages of the shared Prefect server. Each line gives milliseconds a job, what it is above the
+bare pool, and the ratio.
 
     python -m benchmarks.overhead [--jobs 1000] [--parallel 2] [--no-prefect] [--profile]
 
@@ -24,36 +25,34 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from tests.flows.conftest import ScriptedSolver
+from tests.flows.conftest import ChainDeck, ScriptedProgram
 
 from modetune.adapters.process import run_process
-from modetune.adapters.solver import Analysis, Command, ModalAnalysis
+from modetune.adapters.solver import Analysis, Command, ModalAnalysis, Solver
 from modetune.core.parameters import Values
-from modetune.core.results import Result
-from modetune.core.store import Store
-from modetune.flows.execution.engine import Job, JobEngine, Ledger, Policy
-from modetune.flows.execution.limits import CORES, Limit, MachineLimits
-from modetune.flows.execution.work import Execution, ThreadExecution, Work
-from modetune.flows.server.process import use_server
+from modetune.core.storage.store import Store
+from modetune.core.updating.results import Result
+from modetune.flows.jobs.engine import JobEngine, Ledger, Policy
+from modetune.flows.jobs.job import Job, Plans
+from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
+from modetune.flows.jobs.prefect_server import use_server
+from modetune.flows.jobs.work import Execution, ThreadExecution, Work
+from modetune.flows.updating.prefect import shown
 
 PROGRAM = "/bin/true"
 
 
 @dataclass(frozen=True)
-class NothingSolver(ScriptedSolver):
+class NothingProgram(ScriptedProgram):
     """The scripted chain behind a program that does nothing."""
-
-    def write(self, values: Values, analysis: Analysis, folder: Path) -> None:
-        (folder / "job.json").write_text("{}")
 
     def command(self, threads: int) -> Command:
         return Command((PROGRAM,))
 
-    def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
+    def read(self, deck: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         (folder / "solver.log").write_text("END OF JOB")
-        return super().read(values, analysis, folder, return_code)
+        return super().read(deck, analysis, folder, return_code)
 
 
 def bare(count: int, parallel: int) -> None:
@@ -83,7 +82,7 @@ def engine(folder: Path) -> JobEngine:
     """A job engine on its own store."""
     cores = len(os.sched_getaffinity(0))
     return JobEngine(
-        solver=NothingSolver(folder),
+        plans=Plans(Solver(ChainDeck(), NothingProgram(folder))),
         store=Store(folder / "store"),
         policy=Policy(60.0, 0, 0, 0, 1.0, 1.0),
         threads=1,
@@ -115,22 +114,11 @@ def check(execution: Execution, work: Sequence[Work]) -> None:
     assert all(isinstance(done, tuple) and not done[0].reused for done in outcomes)
 
 
-def with_prefect(count: int, parallel: int, folder: Path) -> float:
-    """The engine as Prefect tasks of one flow; seconds without the server's start."""
-    from prefect import flow
-    from prefect.task_runners import ThreadPoolTaskRunner
-
-    from modetune.flows.execution.prefect import PrefectExecution
-
-    runner: ThreadPoolTaskRunner[Any] = ThreadPoolTaskRunner(max_workers=parallel)
-
-    @flow(name="overhead", task_runner=runner, persist_result=False)  # type: ignore[arg-type]  # its futures are PrefectFuture by contract
-    def run() -> float:
-        started = time.monotonic()
-        check(PrefectExecution(engine(folder), parallel), works(count))
-        return time.monotonic() - started
-
-    return float(run())
+def with_pages(count: int, parallel: int, folder: Path) -> None:
+    """The engine as it is beside the pages of a Prefect server."""
+    with shown("overhead") as pages:
+        check(ThreadExecution(engine(folder), parallel, watcher=pages), works(count))
+        pages.end("COMPLETED", "Completed", "")
 
 
 def timed(work: Callable[[], object]) -> float:
@@ -162,20 +150,28 @@ def main() -> None:
             (folder / part).mkdir()
         reference = timed(lambda: bare(count, parallel))
         tell("bare pool", reference, reference, count)
-        tell("supervised", timed(lambda: supervised(count, parallel, folder / "supervised")),
-             reference, count)  # fmt: skip
-        tell("engine, threads", timed(lambda: with_threads(count, parallel, folder / "threads")),
-             reference, count)  # fmt: skip
+        tell(
+            "supervised",
+            timed(lambda: supervised(count, parallel, folder / "supervised")),
+            reference,
+            count,
+        )
+        tell(
+            "engine, threads",
+            timed(lambda: with_threads(count, parallel, folder / "threads")),
+            reference,
+            count,
+        )
         if chosen.no_prefect:
             return
         server = use_server()
         try:
-            assert server.wait()
-            wall_s = with_prefect(count, parallel, folder / "prefect")
-            tell("engine, Prefect", wall_s, reference, count)
+            assert server.wait() == "ready"
+            wall_s = timed(lambda: with_pages(count, parallel, folder / "prefect"))
+            tell("engine, pages", wall_s, reference, count)
         finally:
             server.close()
-            subprocess.run([sys.executable, "-m", "modetune.flows", "server", "stop"], check=True)
+            subprocess.run([sys.executable, "-m", "modetune", "server", "stop"], check=True)
 
 
 def tell(name: str, wall_s: float, reference_s: float, count: int) -> None:

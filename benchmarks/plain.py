@@ -20,11 +20,11 @@ import numpy as np
 from benchmarks.agreement import Agreement
 from benchmarks.problem import Problem
 
-from modetune.adapters.calculix.solver import CalculixSolver, calculix_solver
+from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.process import LOG, run_process
-from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
+from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.results import MatrixResult, ModalResult, Result
 
 #: More modes are asked for where they are paired by shape and may change places.
 SPARE_MODES = 2
@@ -59,7 +59,7 @@ class PlainModel:
     problem: Problem
 
     @cached_property
-    def solver(self) -> CalculixSolver:
+    def solver(self) -> Solver:
         return calculix_solver(self.problem.deck, self.problem.parameters)
 
     @property
@@ -74,7 +74,7 @@ class PlainModel:
         Raises SolverError, as the others do.
         """
         sensors = self.problem.sensors
-        analysis = ModalAnalysis(self.n_modes, sensors or (min(self.solver.model.node_ids),))
+        analysis = ModalAnalysis(self.n_modes, sensors or (min(self.solver.deck.summary.node_ids),))
         result, cost = self._run(theta, analysis)
         assert isinstance(result, ModalResult)
         modes = result.modes.select(range(self.problem.n_rigid, self.n_modes))
@@ -94,8 +94,8 @@ class PlainModel:
         values, solver = self.problem.parameter_set.values(theta), self.solver
         folder = Path(tempfile.mkdtemp(dir=self.problem.folder, prefix="plain-"))
         try:
-            solver.write(values, analysis, folder)
-            command = solver.command(self.problem.threads)
+            solver.render(values, analysis).write(folder)
+            command = solver.program.command(self.problem.threads)
             finished = run_process(command, folder, TIMEOUT_S, threading.Event())
             started = time.monotonic()
             result = solver.read(values, analysis, folder, finished.return_code)
@@ -111,7 +111,7 @@ def quickest(problem: Problem) -> tuple[Problem, ModeSet]:
     """The problem with one thread or all cores, whichever is quicker, and the twin's modes.
 
     CalculiX gains little by threads on most models, and loses much by them where another process
-    wants a core now and then: its threads wait for each other at full speed.
+    requires a core now and then: its threads wait for each other at full speed.
     """
     tried = [replace(problem, threads=count) for count in sorted({1, cores()})]
     runs = [PlainModel(each).modes(np.array(problem.truth)) for each in tried]

@@ -24,7 +24,7 @@ from benchmarks.agreement import (
     agreement,
 )
 
-from modetune.adapters.modes_csv import read_modes_csv, write_modes_csv
+from modetune.adapters.test_files.modes_csv import read_modes_csv, write_modes_csv
 from modetune.configs.garteur import aircraft
 from modetune.configs.launcher import launcher, twin
 from modetune.core.modes import Floats, ModeSet, mode_set
@@ -41,15 +41,18 @@ DEVIATION = 0.2
 #: clear of the two of the drums, so that frequencies alone tell which mode is which all the way.
 GARTEUR_TRUTH = {"FUSELAGE": 1.15, "WING": 0.90, "FIN": 0.85, "TAILPLANE": 0.90, "DRUMS": 1.25}
 #: Between the meshes of the campaigns: 7,979 nodes and 5,108 elements.
-MEDIUM = aircraft.Mesh(size=18.0, layers=2, fuselage_height=18.75)
+MEDIUM = aircraft.AircraftMesh(size=18.0, layers=2, fuselage_height=18.75)
 #: For tests of the benchmark: 804 nodes and 328 elements.
-TINY = aircraft.Mesh(size=50.0, layers=1, fuselage_height=75.0)
+TINY = aircraft.AircraftMesh(size=50.0, layers=1, fuselage_height=75.0)
 #: 145,488 nodes and 119,000 elements.
-LARGE = aircraft.Mesh(size=5.0, layers=5, fuselage_height=7.5)
+LARGE = aircraft.AircraftMesh(size=5.0, layers=5, fuselage_height=7.5)
 AIRCRAFT = {
-    "tiny": TINY, "coarse": aircraft.COARSE, "medium": MEDIUM, "fine": aircraft.FINE,
+    "tiny": TINY,
+    "coarse": aircraft.COARSE,
+    "medium": MEDIUM,
+    "fine": aircraft.FINE,
     "large": LARGE,
-}  # fmt: skip
+}
 #: Degrees of freedom of the launcher, six a node as Nastran counts them, and its modes.
 LAUNCHERS = {"coarse": 20_000, "medium": 100_000, "fine": 400_000, "large": 1_000_000}
 LAUNCHER_MODES = 3
@@ -167,9 +170,17 @@ def set_up(case: str, size: str, target: float, folder: Path) -> Problem:
         for name in model.truth
     )
     problem = Problem(
-        case, size, folder, parameters, tuple(model.truth.values()), model.n_modes, model.n_rigid,
-        model.sensors, target, mode_set([]),
-    )  # fmt: skip
+        case,
+        size,
+        folder,
+        parameters,
+        tuple(model.truth.values()),
+        model.n_modes,
+        model.n_rigid,
+        model.sensors,
+        target,
+        mode_set([]),
+    )
     model.write_deck(problem.deck)
     return problem
 
@@ -186,11 +197,15 @@ def write_problem(problem: Problem) -> None:
     )
     problem.campaign.write_text(
         CAMPAIGN.format(
-            name=f"{problem.case}-{problem.size}", parameters=parameters, target=problem.target,
-            mac=LEAST_MAC, shape_weight=SHAPE_WEIGHT if problem.sensors else 0.0,
-            frequency_deviation=FREQUENCY_DEVIATION, shape_deviation=SHAPE_DEVIATION,
+            name=f"{problem.case}-{problem.size}",
+            parameters=parameters,
+            target=problem.target,
+            mac=LEAST_MAC,
+            shape_weight=SHAPE_WEIGHT if problem.sensors else 0.0,
+            frequency_deviation=FREQUENCY_DEVIATION,
+            shape_deviation=SHAPE_DEVIATION,
         )
-    )  # fmt: skip
+    )
     told = asdict(problem)
     for known in ("folder", "measured"):
         told.pop(known)

@@ -83,10 +83,15 @@ def least_squares(problem: Problem, compare: Compare) -> Updated:
 
     try:
         ended = optimize.least_squares(
-            residual, parameters.initial, jac="2-point", diff_step=[STEP] * len(parameters),
-            bounds=(parameters.lower, parameters.upper), x_scale=1.0, method="trf",
+            residual,
+            parameters.initial,
+            jac="2-point",
+            diff_step=[STEP] * len(parameters),
+            bounds=(parameters.lower, parameters.upper),
+            x_scale=1.0,
+            method="trf",
             max_nfev=MAX_ITERATIONS,
-        )  # fmt: skip
+        )
     except TargetMet as met:
         return Updated(True, tuple(met.theta.tolist()))
     return Updated(False, tuple(np.asarray(ended.x).tolist()))

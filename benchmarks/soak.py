@@ -1,6 +1,6 @@
 """Campaigns on a solver that fails at random, for as long as one likes.
 
-The campaigns and what must hold of them are those of tests/flows/execution/test_faults.py, larger
+The campaigns and what must hold of them are those of tests/flows/jobs/test_faults.py, larger
 (central differences, about 100 jobs each) and with other seeds. Each turn runs two campaigns that
 want the same jobs at the same time, then the same campaign on a sound solver; it ends with an
 error at the first orphan process, damaged entry, wrong answer or job that ran again after success.
@@ -19,7 +19,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.flows.execution.test_faults import pair_of_campaigns
+from tests.flows.jobs.test_faults import pair_of_campaigns
 
 
 def main() -> None:

@@ -25,8 +25,14 @@ from benchmarks.plain import PlainModel
 from benchmarks.problem import Problem
 
 from modetune.core.modes import Floats
-from modetune.flows.schema import STORE_VARIABLE
-from modetune.flows.server.process import HOME_VARIABLE, IDLE_VARIABLE, stop_server, use_server
+from modetune.flows.campaign.schema import STORE_VARIABLE
+from modetune.flows.jobs.prefect_server import (
+    HOME_VARIABLE,
+    IDLE_VARIABLE,
+    machine_home,
+    stop_server,
+    use_server,
+)
 
 #: Prefect's server: already up as on a machine that is in use, started and ended with each
 #: campaign, or not used at all.
@@ -93,12 +99,12 @@ def prefect_server(use: ServerUse, home: Path) -> Iterator[None]:
         os.environ.clear()
         os.environ.update(before)
     try:
-        if not server.wait():
+        if server.wait() != "ready":
             sys.exit(f"Prefect's server does not answer; its log is in {home}")
         yield
     finally:
         server.close()
-        stop_server(home)
+        stop_server(machine_home(home))
 
 
 def run_way(
@@ -118,10 +124,15 @@ def run_way(
     distance = problem.distance(theta)
     shutil.rmtree(folder)
     return Trial(
-        cost, converged, tuple(theta.tolist()), float(errors.max()), float(errors.mean()),
+        cost,
+        converged,
+        tuple(theta.tolist()),
+        float(errors.max()),
+        float(errors.mean()),
         float(final.macs.min()) if final.macs.size else None,
-        float(distance.max()), float(distance.mean()),
-    )  # fmt: skip
+        float(distance.max()),
+        float(distance.mean()),
+    )
 
 
 def _script(way: Way, problem: Problem, folder: Path) -> tuple[bool, Floats, Cost]:
@@ -136,8 +147,16 @@ def _script(way: Way, problem: Problem, folder: Path) -> tuple[bool, Floats, Cos
 def _modetune(
     way: Way, problem: Problem, folder: Path, server: ServerUse
 ) -> tuple[bool, Floats, Cost]:
-    command = [sys.executable, "-m", "modetune.flows", "update", str(problem.campaign), "--json",
-               "--runs", str(folder / "runs")]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "modetune",
+        "update",
+        str(problem.campaign),
+        "--json",
+        "--runs",
+        str(folder / "runs"),
+    ]
     for setting in (*way.settings, f"store={folder / 'store'}"):
         command += ["--set", setting]
     if server == "none":
@@ -149,7 +168,7 @@ def _modetune(
         ended = run_counted(command, folder, environment, calculix())
     finally:
         if server == "cold":
-            stop_server(home)
+            stop_server(machine_home(home))
     told = _told(ended, way)
     theta = np.array([item["updated"] for item in told["parameters"]])
     return told["status"] == "converged", theta, ended.cost
@@ -158,7 +177,9 @@ def _modetune(
 def _told(ended: Ended, way: Way) -> Mapping[str, Any]:
     """The JSON object of a way. Raises SystemExit where it did not come to its end."""
     if ended.return_code not in (0, 3):  # 3: finished, the target not met
-        sys.exit(f"way {way.letter} ({way.name}) failed with code {ended.return_code}:\n"
-                 f"{ended.errors[-2000:]}")  # fmt: skip
+        sys.exit(
+            f"way {way.letter} ({way.name}) failed with code {ended.return_code}:\n"
+            f"{ended.errors[-2000:]}"
+        )
     told: Mapping[str, Any] = json.loads(ended.output)
     return told

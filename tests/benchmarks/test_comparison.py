@@ -28,20 +28,25 @@ def trial(wall: float, peak: int = 10**9) -> Trial:
 def result(size: str, n_equations: int, *rounds: dict[str, float]) -> SizeResult:
     """Rounds of wall times; the plain run is called `plain`."""
     return SizeResult(
-        size, n_equations, 2, 3, 1,
+        size,
+        n_equations,
+        2,
+        3,
+        1,
         tuple(
             Round(walls["plain"], {k: trial(v) for k, v in walls.items() if k != "plain"})
             for walls in rounds
         ),
-    )  # fmt: skip
+    )
 
 
 THREE = result(
-    "coarse", 1000,
+    "coarse",
+    1000,
     {"plain": 1.0, "a": 10.0, "e": 2.0},
     {"plain": 2.0, "a": 90.0, "e": 10.0},
     {"plain": 1.0, "a": 8.0, "e": 4.0},
-)  # fmt: skip
+)
 
 
 def test_a_ratio_is_the_median_of_the_rounds_own_ratios() -> None:

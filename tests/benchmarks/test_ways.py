@@ -43,8 +43,18 @@ def spring_problem(folder: Path) -> Problem:
         Parameter(name, "spring_stiffness", "elset", (name,), 0.5, 2.0, 0.2, initial)
         for name, initial in (("LEFT", 1.1), ("RIGHT", 0.9))
     )
-    return Problem("springs", "one", folder, parameters, TRUTH, 2, 0, (), 1e-6,
-                   mode_set(spring_modes(np.array(TRUTH))[0]))  # fmt: skip
+    return Problem(
+        "springs",
+        "one",
+        folder,
+        parameters,
+        TRUTH,
+        2,
+        0,
+        (),
+        1e-6,
+        mode_set(spring_modes(np.array(TRUTH))[0]),
+    )
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -97,9 +107,17 @@ def test_a_problem_comes_back_from_its_folder(tmp_path: Path) -> None:
     empty = set_up("garteur", "tiny", 1e-3, tmp_path / "tiny")
     hz = np.arange(5.0, 13.0)
     problem = Problem(
-        empty.case, empty.size, empty.folder, empty.parameters, empty.truth, 8, 6, (), 1e-3,
+        empty.case,
+        empty.size,
+        empty.folder,
+        empty.parameters,
+        empty.truth,
+        8,
+        6,
+        (),
+        1e-3,
         mode_set(hz),
-    )  # fmt: skip
+    )
     write_problem(problem)
     again = read_problem(problem.folder)
     np.testing.assert_array_equal(again.measured.frequencies_hz, hz)

@@ -1,0 +1,1 @@
+"""Random structures of families that no campaign of this project was made on."""
