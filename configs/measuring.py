@@ -16,7 +16,7 @@ from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.modes import ModeSet
 from modetune.core.parameters import Parameter
-from modetune.core.results import ModalResult
+from modetune.core.updating.results import ModalResult
 
 #: A run that takes longer has failed.
 TIMEOUT_S = 3600.0
@@ -39,8 +39,8 @@ def true_modes(
         with deck.open("wb") as file:
             write_deck(file)
         solver = calculix_solver(deck, parameters)
-        solver.write(truth, analysis, folder)
-        finished = run_process(solver.command(1), folder, TIMEOUT_S, threading.Event())
+        solver.render(truth, analysis).write(folder)
+        finished = run_process(solver.program.command(1), folder, TIMEOUT_S, threading.Event())
         result = solver.read(truth, analysis, folder, finished.return_code)
     assert isinstance(result, ModalResult)
     return result.elastic

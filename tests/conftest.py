@@ -2,10 +2,65 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shutil
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+#: What tests compute in their own process is small: more threads only wait for each other.
+for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+CCX_ONCE = Path(__file__).with_name("adapters") / "ccx_once.py"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def real_ccx(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """CalculiX itself; `ccx` is, in all tests of a session, one that solves each deck once."""
+    real = shutil.which("ccx")
+    if real is None:
+        yield "ccx"
+        return
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:  # one for all workers
+        shared = shared.parent
+    program = shared / "ccx" / "bin" / "ccx"
+    if not program.exists():
+        part = tmp_path_factory.mktemp("ccx-part")
+        (part / "bin").mkdir()
+        (part / "real-ccx").symlink_to(real)
+        (part / "solved").mkdir()
+        (part / "bin" / "ccx").write_text(f"#!{sys.executable} -IS\n{CCX_ONCE.read_text()}")
+        (part / "bin" / "ccx").chmod(0o755)
+        with contextlib.suppress(OSError):  # another worker was faster
+            part.rename(shared / "ccx")
+    path = os.environ["PATH"]
+    os.environ["PATH"] = f"{program.parent}:{path}"
+    yield real
+    os.environ["PATH"] = path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Limits and servers of the machine's user are not those of its tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MODETUNE_HOME", str(tmp_path_factory.mktemp("home")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _in_this_process() -> Iterator[None]:
+    """Jobs of Python programs start no interpreter, and files need not outlast the machine."""
+    from tests.embedded import run_embedded
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("modetune.flows.jobs.engine.run_process", run_embedded)
+        patch.setattr("os.fsync", lambda number: None)
+        yield
 
 
 @pytest.fixture(scope="session")

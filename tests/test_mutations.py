@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -24,21 +25,23 @@ from modetune.adapters import process
 from modetune.adapters.calculix.matrices import read_matrices
 from modetune.adapters.calculix.results import read_messages, read_modal
 from modetune.adapters.calculix.solver import calculix_solver
-from modetune.adapters.modes_csv import read_modes_csv
 from modetune.adapters.nastran.f06 import read_f06
 from modetune.adapters.nastran.op2 import read_op2
-from modetune.adapters.nastran.solver import nastran_solver
+from modetune.adapters.nastran.solver import NastranProgram, nastran_solver
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, Solver
+from modetune.adapters.test_files.modes_csv import read_modes_csv
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import CampaignError, ModelError, ModetuneError, NoResult
 from modetune.core.parameters import Parameter
-from modetune.core.store import Entry, Store
-from modetune.flows.campaign import load_campaign
+from modetune.core.storage.record_file import read_record, write_record
+from modetune.core.storage.store import Entry, Store
+from modetune.flows.campaign.campaign import load_campaign
 from tests.adapters.test_calculix_model import DECK as CALCULIX_DECK
 from tests.adapters.test_calculix_results import ANALYSIS
 from tests.adapters.test_nastran_f06 import small
 from tests.adapters.test_nastran_model import DECK as NASTRAN_DECK
-from tests.core.test_store import KEY, modal
+from tests.core.storage.test_record import record
+from tests.core.storage.test_store import KEY, modal
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "adapters" / "data"
@@ -171,20 +174,20 @@ def read_all(kind: Kind, path: Path, seed: int, count: int) -> Counter[str]:
 
 def use(solver: Solver, parameters: tuple[Parameter, ...], folder: Path) -> None:
     """What a campaign asks of a solver before anything runs, and the decks of its jobs."""
-    nodes = tuple(sorted(solver.model.node_ids)[:3])
-    solver.wave_speeds()
-    if solver.problems(parameters):
+    nodes = tuple(sorted(solver.deck.summary.node_ids)[:3])
+    solver.deck.wave_speeds()
+    if solver.deck.problems(parameters):
         return
     values = {parameter.name: 1.1 for parameter in parameters}
     for parameter in parameters:
-        solver.deck_value(parameter)
-        solver.energy_sets(parameter)
-        solver.is_linear(parameter)
+        solver.deck.deck_value(parameter)
+        solver.deck.energy_sets(parameter)
+        solver.deck.is_linear(parameter)
     folder.mkdir(exist_ok=True)
     for analysis in (ModalAnalysis(4, nodes), MatrixAnalysis()):
-        if isinstance(analysis, ModalAnalysis) or solver.capabilities.matrices:
-            solver.write(values, analysis, folder)
-    solver.write_updated(values, folder / "updated")
+        if isinstance(analysis, ModalAnalysis) or solver.program.capabilities.matrices:
+            solver.render(values, analysis).write(folder)
+    solver.deck.write_updated(values, folder / "updated")
 
 
 def parameter(name: str, quantity: str, by: str, target: str) -> Parameter:
@@ -197,8 +200,10 @@ CALCULIX = (
     parameter("k", "spring_stiffness", "elset", "GROUND"),
     parameter("m", "mass", "elset", "BALLAST"),
 )
-NASTRAN = (parameter("E", "youngs_modulus", "material", "1"),
-           parameter("rho", "density", "material", "1"))  # fmt: skip
+NASTRAN = (
+    parameter("E", "youngs_modulus", "material", "1"),
+    parameter("rho", "density", "material", "1"),
+)
 
 
 def read_calculix(path: Path) -> None:
@@ -206,7 +211,8 @@ def read_calculix(path: Path) -> None:
 
 
 def read_nastran(path: Path) -> None:
-    use(nastran_solver(path, NASTRAN, "msc"), NASTRAN, path.parent / "jobs")
+    with mock.patch.object(NastranProgram, "version", return_value="2024.1"):
+        use(nastran_solver(path, NASTRAN, "msc"), NASTRAN, path.parent / "jobs")
 
 
 def read_translated(path: Path) -> None:
@@ -218,7 +224,7 @@ def read_campaign(path: Path) -> None:
         if not (path.parent / name).exists():
             (path.parent / name).write_bytes((SIX_MASS / name).read_bytes())
     campaign = load_campaign(path)
-    use(campaign.solver, campaign.parameters.parameters, path.parent / "jobs")
+    use(campaign.case.solver, campaign.parameters.parameters, path.parent / "jobs")
 
 
 def read_spring_mass(path: Path) -> None:
@@ -226,7 +232,7 @@ def read_spring_mass(path: Path) -> None:
         if not (path.parent / name).exists():
             (path.parent / name).write_bytes((SIX_MASS / name).read_bytes())
     campaign = load_campaign(path.parent / "campaign.yaml", [f"model.deck={path.name}"])
-    use(campaign.solver, campaign.parameters.parameters, path.parent / "jobs")
+    use(campaign.case.solver, campaign.parameters.parameters, path.parent / "jobs")
 
 
 def read_stiffness(path: Path) -> None:
@@ -270,6 +276,14 @@ def stored() -> bytes:
         return store.path(KEY).read_bytes()
 
 
+def recorded() -> bytes:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_record(Path(folder) / "campaign.h5", record())
+        return (Path(folder) / "campaign.h5").read_bytes()
+
+
 KINDS = {
     "campaign": Kind((SIX_MASS / "campaign.yaml").read_bytes(), read_campaign),
     "spring-mass deck": Kind((SIX_MASS / "six_mass.yaml").read_bytes(), read_spring_mass),
@@ -289,11 +303,12 @@ KINDS = {
     "OP2": Kind((DATA / "nastran" / "rods.op2").read_bytes(), read_op2),
     "F06": Kind(small().encode(), read_f06),
     "store entry": Kind(stored(), read_entry, believed=False),
+    "record": Kind(recorded(), read_record, believed=False),
     "supervisor's report": Kind(
         b'{"error": "", "return_code": 0, "cpu_s": 0.25, "peak_memory_bytes": 1048576}\n',
         read_report,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(autouse=True)
@@ -332,9 +347,16 @@ BOMB = "a0: &a0 [1, 1]\n" + "".join(
 
 @pytest.mark.parametrize(
     "text",
-    ["name: 2020-99-99", "? [a]\n: b", "name: &x [*x]", "name: " + "[" * 5000, BOMB, "name: \0",
-     "<<: 3"],
-)  # fmt: skip
+    [
+        "name: 2020-99-99",
+        "? [a]\n: b",
+        "name: &x [*x]",
+        "name: " + "[" * 5000,
+        BOMB,
+        "name: \0",
+        "<<: 3",
+    ],
+)
 def test_yaml_that_is_endless_or_no_data_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "campaign.yaml"
     path.write_text(text)

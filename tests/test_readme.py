@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from modetune.flows.schema import CampaignFile
+from modetune.flows.campaign.schema import CampaignFile
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text()
@@ -24,9 +24,8 @@ def test_the_campaign_of_the_readme_is_a_campaign() -> None:
 
 def test_every_command_of_the_readme_is_there() -> None:
     said = subprocess.run(
-        [sys.executable, "-m", "modetune.flows", "--help"],
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
+        [sys.executable, "-m", "modetune", "--help"], capture_output=True, text=True, check=True
+    ).stdout
     blocks = "\n".join(re.findall(r"```\n(.*?)```", README, re.DOTALL))
     for command in set(re.findall(r"^modetune (\w+)", blocks, re.MULTILINE)):
         assert re.search(rf"\b{command}\b", said), command

@@ -5,13 +5,20 @@ from __future__ import annotations
 import ast
 import graphlib
 import importlib.util
+import json
+import re
 import shutil
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
+
+from modetune.flows.campaign.json_schema import campaign_schema
+from modetune.flows.cli.main import app
 
 ROOT = Path(__file__).resolve().parent.parent
 PARTS = ("core", "adapters", "configs", "flows")
@@ -36,10 +43,13 @@ MODULES = {
 }
 
 
-def imports(path: Path) -> set[str]:
-    """Full names of everything a file imports, wherever in it; relative ones resolved."""
+def imports(path: Path, module: str = "") -> set[str]:
+    """Full names of everything a file imports, wherever in it; relative ones resolved.
+
+    module: its name, where it does not stand in the house.
+    """
     found: set[str] = set()
-    package = module_name(path).split(".")
+    package = (module or module_name(path)).split(".")
     if path.name != "__init__.py":
         package = package[:-1]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
@@ -109,6 +119,134 @@ def test_modules_do_not_import_each_other_in_a_ring() -> None:
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the ring
 
 
+#: What stands above what in flows: a room imports those to the right of it, at any distance; rooms
+#: that stand together do not import each other.
+FLOWS = (
+    ("cli", "api"),
+    ("server",),
+    ("studies",),
+    ("updating",),
+    ("report", "jobs"),
+    ("campaign",),
+)
+#: Rooms that know several solvers: a translation from one to another, and the table of all.
+KNOW_SOLVERS = {"adapters.translation", "flows.campaign"}
+Arrows = dict[str, set[str]]
+
+
+def room_of(module: str, folder: str) -> str | None:
+    """The direct child of a folder that a module is, or lies in."""
+    _, _, inside = module.partition(f"modetune.{folder}.")
+    return inside.split(".")[0] or None
+
+
+def arrows(imported: dict[str, set[str]], folder: str) -> Arrows:
+    """The rooms of a folder that each of its rooms imports; imported: names, by module."""
+    found: Arrows = {}
+    for module, names in imported.items():
+        if room := room_of(module, folder):
+            there = (room_of(known, folder) for name in names if (known := module_of(name)))
+            found.setdefault(room, set()).update(other for other in there if other)
+    return {room: there - {room} for room, there in found.items()}
+
+
+def ring(found: Arrows) -> list[str]:
+    """Rooms that import each other, the first again at the end; none where there are none."""
+    try:
+        graphlib.TopologicalSorter(found).prepare()
+    except graphlib.CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+@pytest.fixture(scope="module")
+def imported() -> dict[str, set[str]]:
+    """What each module imports."""
+    return {module: imports(path) for module, path in MODULES.items()}
+
+
+@pytest.mark.parametrize("folder", ["core", "adapters", "flows", "flows.studies"])
+def test_rooms_import_one_way(imported: dict[str, set[str]], folder: str) -> None:
+    found = arrows(imported, folder)
+    assert len(found) > 5  # the folder was read
+    assert ring(found) == []
+
+
+def test_flows_stand_in_their_order(imported: dict[str, set[str]]) -> None:
+    level = {room: place for place, rooms in enumerate(FLOWS) for room in rooms}
+    found = arrows(imported, "flows")
+    assert set(found) == set(level)
+    wrong = [
+        (room, other) for room in found for other in found[room] if level[other] <= level[room]
+    ]
+    assert wrong == []
+
+
+def test_a_ring_is_found_wherever_the_import_stands(
+    tmp_path: Path, imported: dict[str, set[str]]
+) -> None:
+    planted = tmp_path / "planted.py"
+    planted.write_text("def late():\n    from modetune.flows.updating import loop\n")
+    names = imports(planted, "modetune.flows.campaign.planted")
+    assert names == {"modetune.flows.updating.loop"}
+    found = ring(arrows({**imported, "modetune.flows.campaign.planted": names}, "flows"))
+    assert {"campaign", "updating"} <= set(found)
+
+
+def test_only_a_translation_and_the_table_of_solvers_know_two_solvers(
+    imported: dict[str, set[str]],
+) -> None:
+    known: dict[str, set[str]] = {}
+    for module, names in imported.items():
+        rooms = {room_of(name, "adapters") for name in names} & {"nastran", "calculix"}
+        known.setdefault(".".join(module.split(".")[1:3]), set()).update(filter(None, rooms))
+    both = {room for room, solvers in known.items() if len(solvers) == 2}
+    assert both <= KNOW_SOLVERS
+
+
+def test_a_class_name_has_one_meaning() -> None:
+    homes: dict[str, list[str]] = {}
+    for module, path in MODULES.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                homes.setdefault(node.name, []).append(module)
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
+def messages(path: Path) -> set[str]:
+    """The sentences of a file: its texts with a space, docstrings left out."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docs = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    return {
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if " " in node.value and id(node) not in docs
+    }
+
+
+def words(text: str) -> set[str]:
+    return set(re.findall(r"\w+", text))
+
+
+def test_core_names_no_command_no_option_and_no_campaign_key() -> None:
+    keys = set(re.findall(r'"(\w+_\w+)"', json.dumps(campaign_schema())))
+    assert {"frequency_weight", "hold_out", "finite_difference"} <= keys
+    group: Any = typer.main.get_command(app)
+    named = re.compile(rf"\bmodetune ({'|'.join(group.commands)})\b|(?<![-\w])--[a-z]")
+    wrong = []
+    for path in sorted((ROOT / "core").rglob("*.py")):
+        texts = [text for text in messages(path) if "`" in text or keys & words(text)]
+        # Comments and docstrings, too, name no command and no option.
+        texts += [found[0] for found in named.finditer(path.read_text(encoding="utf-8"))]
+        wrong += [f"{path.relative_to(ROOT)}: {text}" for text in texts]
+    assert wrong == []
+
+
 def test_every_module_that_is_imported_exists() -> None:
     wrong = [
         f"{path.relative_to(ROOT)} imports {name}"
@@ -153,5 +291,11 @@ def test_the_wheel_holds_every_module(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
     wanted = {f"modetune/{path.relative_to(ROOT).as_posix()}" for path in MODULES.values()}
+    # The report's template, style and scripts are data of the package.
+    wanted |= {
+        f"modetune/{path.relative_to(ROOT).as_posix()}"
+        for path in (ROOT / "flows" / "report").rglob("*")
+        if path.suffix in (".html", ".css", ".js")
+    }
     assert wanted - held == set()
     assert {"modetune/__init__.py", "modetune/py.typed"} <= held

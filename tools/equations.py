@@ -38,7 +38,7 @@ def on_page_content(content: str, page: object, **_: object) -> str:
 
 
 def equation(tex: str) -> str:
-    """An equation as an SVG element. Raises ValueError where it is no TeX that is understood."""
+    """An equation as an SVG element. Raises ValueError where it is not TeX that is understood."""
     text = f"${' '.join(tex.split())}$"
     font = FontProperties(size=EM, math_fontfamily="cm")
     width, height, descent = text_to_path.get_text_width_height_descent(text, font, True)

@@ -43,10 +43,19 @@ class Stage:
         inside = 'cd "$0" && exec "$@"'
         switch = ["setpriv", f"--reuid={self.user}", f"--regid={self.user}", "--init-groups"]
         subprocess.run(
-            ["chroot", str(self.root), *(switch if self.user != "root" else []),
-             "/bin/sh", "-c", inside, self.folder, *arguments],
-            env={**self.environment, "DEBIAN_FRONTEND": "noninteractive"}, check=True,
-        )  # fmt: skip
+            [
+                "chroot",
+                str(self.root),
+                *(switch if self.user != "root" else []),
+                "/bin/sh",
+                "-c",
+                inside,
+                self.folder,
+                *arguments,
+            ],
+            env={**self.environment, "DEBIAN_FRONTEND": "noninteractive"},
+            check=True,
+        )
 
 
 def instructions(text: str) -> Iterator[tuple[str, str]]:
@@ -163,7 +172,7 @@ def main() -> None:
         own = own[: own.index("--")]
     given = parser.parse_args(own)
     if os.geteuid() != 0:
-        raise SystemExit("debootstrap and chroot want root")
+        raise SystemExit("debootstrap and chroot need root")
     stage = build(given.dockerfile, given.work.resolve(), given.host_file)
     with mounted(stage.root):
         stage.run([*stage.entrypoint, *(command or stage.command)])

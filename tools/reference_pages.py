@@ -3,8 +3,8 @@
     python tools/reference_pages.py            writes them into docs/
     python tools/reference_pages.py --check    names those that are no longer what they would be
 
-Texts come from the docstrings of `flows/schema.py` and of the commands; a key's unit stands in
-square brackets at the end of its docstring.
+Texts come from the docstrings of `flows/campaign/schema` and of the commands; a key's unit stands
+in square brackets at the end of its docstring.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import Any, get_args
 
 import typer
 
-from modetune.flows.cli import app
-from modetune.flows.json_schema import campaign_schema, schema_text
+from modetune.flows.campaign.json_schema import campaign_schema, schema_text
+from modetune.flows.cli.main import app
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 MADE = "<!-- Made by tools/reference_pages.py (`make docs`); change the docstrings instead. -->\n"
@@ -103,8 +103,9 @@ def _keys(schema: dict[str, Any], section: dict[str, Any], above: str) -> Iterat
         shown = "" if default in (None, [], {}) or inner else f"`{_value(default)}`"
         if inner is None or _other_kinds(described):
             kind = _kind(described) or "text"
-            yield Key(above + name, kind, unit, "needed" if name in needed else shown,
-                      _sentence(meaning))  # fmt: skip
+            yield Key(
+                above + name, kind, unit, "needed" if name in needed else shown, _sentence(meaning)
+            )
         if inner is not None:
             yield from _keys(schema, inner, f"{above}{name}[]." if many else f"{above}{name}.")
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ GROUPS = ("FUSELAGE", "WING", "FIN", "TAILPLANE", "DRUMS")
 
 
 @dataclass(frozen=True, slots=True)
-class Mesh:
+class AircraftMesh:
     """Mesh sizes in mm: in the plates' planes, the number of layers through a plate, and the
     height of the fuselage's elements."""
 
@@ -40,14 +41,14 @@ class Mesh:
 
 
 #: 28,374 nodes and 20,580 elements (the thesis's model: 29,028 and 20,540).
-FINE = Mesh(size=10.0, layers=2, fuselage_height=10.0)
+FINE = AircraftMesh(size=10.0, layers=2, fuselage_height=10.0)
 #: 2,356 nodes and 1,108 elements, for tests.
-COARSE = Mesh(size=25.0, layers=1, fuselage_height=50.0)
+COARSE = AircraftMesh(size=25.0, layers=1, fuselage_height=50.0)
 MESHES = {"fine": FINE, "coarse": COARSE}
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class AircraftBlock:
     """A rectangular block of one group: the grid lines of its elements along each axis."""
 
     group: str
@@ -78,7 +79,7 @@ def _mirrored(lines: Floats) -> Floats:
     return np.asarray(np.unique(np.concatenate([-lines, lines])))
 
 
-def blocks(mesh: Mesh) -> list[Block]:
+def blocks(mesh: AircraftMesh) -> list[AircraftBlock]:
     """The aircraft's blocks; grid lines of neighbours coincide on their common faces."""
     size = mesh.size
     fin_half = [0.0, 5.0] if mesh.layers == 2 else [5.0]
@@ -93,21 +94,23 @@ def blocks(mesh: Mesh) -> list[Block]:
         return np.linspace(bottom, bottom + 10.0, mesh.layers + 1)
 
     return [
-        Block(
+        AircraftBlock(
             "FUSELAGE",
             _lines(0.0, 550.0, 650.0, 1400.0, 1500.0, size=size),
             _mirrored(np.array(across)),
             _lines(-75.0, 75.0, size=mesh.fuselage_height),
         ),
-        Block("WING", wing_x, _mirrored(np.concatenate([across, wing_y[1:]])), plate(75.0)),
-        Block("FIN", tail_x, _mirrored(np.array(fin_half)), _lines(75.0, 375.0, size=size)),
-        Block("TAILPLANE", tail_x, _mirrored(np.array([*fin_half, *tail_y[1:]])), plate(375.0)),
-        Block("DRUMS", drum[0], drum[1], plate(85.0)),
-        Block("DRUMS", drum[0], -drum[1][::-1], plate(85.0)),
+        AircraftBlock("WING", wing_x, _mirrored(np.concatenate([across, wing_y[1:]])), plate(75.0)),
+        AircraftBlock("FIN", tail_x, _mirrored(np.array(fin_half)), _lines(75.0, 375.0, size=size)),
+        AircraftBlock(
+            "TAILPLANE", tail_x, _mirrored(np.array([*fin_half, *tail_y[1:]])), plate(375.0)
+        ),
+        AircraftBlock("DRUMS", drum[0], drum[1], plate(85.0)),
+        AircraftBlock("DRUMS", drum[0], -drum[1][::-1], plate(85.0)),
     ]
 
 
-def aircraft(mesh: Mesh) -> Aircraft:
+def aircraft(mesh: AircraftMesh) -> Aircraft:
     """Nodes and elements; nodes at one place are one node."""
     points, cells = [], []
     offset = 0
@@ -117,8 +120,9 @@ def aircraft(mesh: Mesh) -> Aircraft:
         numbers = offset + np.arange(grid[..., 0].size).reshape(shape)
         corners = [
             numbers[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k].ravel()
-            for k in (0, 1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))
-        ]  # fmt: skip
+            for k in (0, 1)
+            for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))
+        ]
         points.append(grid.reshape(-1, 3))
         cells.append((block.group, np.stack(corners, axis=1)))
         offset += numbers.size
@@ -131,7 +135,7 @@ def aircraft(mesh: Mesh) -> Aircraft:
     return Aircraft(np.asarray(nodes, dtype=np.float64), elements)
 
 
-def calculix_deck(mesh: Mesh) -> str:
+def calculix_deck(mesh: AircraftMesh) -> str:
     """The aircraft as a complete CalculiX deck, free-free, first 18 modes."""
     model = aircraft(mesh)
     lines = ["*HEADING", "GARTEUR SM-AG19 testbed; units mm, t, s, MPa", "*NODE, NSET=NALL"]
@@ -153,6 +157,12 @@ def calculix_deck(mesh: Mesh) -> str:
         ]
     lines += ["*STEP", "*FREQUENCY", "18", "*NODE FILE", "U", "*END STEP"]
     return "\n".join(lines) + "\n"
+
+
+def write_decks(folder: Path) -> None:
+    """Write garteur_coarse.inp and garteur_fine.inp."""
+    for name, mesh in MESHES.items():
+        (folder / f"garteur_{name}.inp").write_text(calculix_deck(mesh), encoding="utf-8")
 
 
 def node_at(model: Aircraft, places: Iterable[tuple[float, float, float]]) -> list[int]:

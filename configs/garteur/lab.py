@@ -2,11 +2,10 @@
 
     python -m modetune.configs.garteur.lab FOLDER
 
-writes aircraft.inp, the deck with its nominal moduli, and lab.unv, a universal file: accelerances
-at 39 sensors from two shakers, 1 % noise, seed 2026, from CalculiX's modes of the aircraft with
-moduli that the campaign does not know (TRUTH). The lab numbers its points from 1, measures in
-metres from the tail forwards, and knows its points to 2 mm; one accelerometer at the nose is
-tilted by 30 degrees.
+writes lab.unv, a universal file: accelerances at 39 sensors from two shakers, 1 % noise, seed 2026,
+from CalculiX's modes of the aircraft with moduli that the campaign does not know (TRUTH). The lab
+numbers its points from 1, measures in metres from the tail forwards, and knows its points to 2 mm;
+one accelerometer at the nose is tilted by 30 degrees.
 """
 
 from __future__ import annotations
@@ -16,18 +15,24 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from modetune.adapters.universal.write import write_universal
-from modetune.configs.garteur.aircraft import COARSE, aircraft, calculix_deck, node_at
+from modetune.adapters.test_files.universal.write import write_universal
+from modetune.configs.claims import Claim
+from modetune.configs.garteur.aircraft import COARSE, aircraft, node_at
 from modetune.configs.garteur.twin import truth_modes
-from modetune.core.frf import Complexes
-from modetune.core.geometry import TestGeometry
-from modetune.core.measurement import MeasuredFrfs, Measurement
+from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
 from modetune.core.modes import Floats, Integers, ModeSet
+from modetune.core.storage.record import CampaignRecord
 
 #: Young's moduli relative to the nominal 71,000 MPa.
 TRUTH = {"FUSELAGE": 1.15, "WING": 0.9, "FIN": 0.8, "TAILPLANE": 0.9, "DRUMS": 1.0}
+#: Lowest and highest frequency of the identification, Hz.
+BAND_HZ = (3.0, 57.0)
+#: Identified frequencies, and moduli that the test sees, are to be right within these shares.
+IDENTIFIED, UPDATED = 1e-3, 0.02
 SEED = 2026
 NOISE = 0.01
 POINT_NOISE_MM = 2.0
@@ -37,14 +42,18 @@ DAMPING = 0.004
 LINES_HZ = np.arange(3.0, 60.0, 0.03125)
 #: Of each point: its place, mm, and the directions measured there.
 POINTS: tuple[tuple[float, float, float, str], ...] = (
-    *((x, side * y, 85.0, "z") for y in (300.0, 600.0, 875.0)
-      for side in (-1, 1) for x in (550.0, 650.0)),
+    *(
+        (x, side * y, 85.0, "z")
+        for y in (300.0, 600.0, 875.0)
+        for side in (-1, 1)
+        for x in (550.0, 650.0)
+    ),
     *((x, side * 950.0, 95.0, "xz") for side in (-1, 1) for x in (400.0, 800.0)),
     (0.0, 25.0, 75.0, "z"),
     *((x, 25.0, 75.0, "yz") for x in (375.0, 1000.0, 1500.0)),
     *((x, 5.0, z, "y") for z in (225.0, 375.0) for x in (1400.0, 1500.0)),
     *((x, side * 200.0, 385.0, "xz") for side in (-1, 1) for x in (1400.0, 1500.0)),
-)  # fmt: skip
+)
 #: Points joined by lines: edges of the wing, drums, fuselage, fin, tailplane.
 OUTLINE = (
     (13, 9, 5, 1, 3, 7, 11, 15), (14, 10, 6, 2, 4, 8, 12, 16), (13, 14), (15, 16),
@@ -139,9 +148,44 @@ def _column(names: list[tuple[int, int]], place: int) -> Integers:
 
 
 def write_lab(folder: Path) -> None:
-    """Write lab.unv, and the deck beside it."""
-    (folder / "aircraft.inp").write_text(calculix_deck(COARSE))
+    """Write lab.unv."""
     write_universal(folder / "lab.unv", lab_measurement())
+
+
+def claims(record: CampaignRecord) -> list[Claim]:
+    """What was found beside what the responses were made from."""
+    measured = record.test.modes.frequencies_hz
+    truth = true_modes().frequencies_hz[: measured.size]
+    off = measured / truth - 1.0
+    moduli = np.array([TRUTH[name.removeprefix("E_").upper()] for name in record.parameters.names])
+    errors = record.updated / moduli - 1.0
+    seen = record.standard_errors < UPDATED
+    return [
+        Claim(
+            f"all {measured.size} modes below 57 Hz are identified within {IDENTIFIED:.1%}",
+            measured.size == 8 and bool(np.abs(off).max() < IDENTIFIED),
+            f"worst {100.0 * np.abs(off).max():.3f} %, two of them 0.1 % apart",
+        ),
+        Claim(
+            f"moduli that the test sees are found within {UPDATED:.0%}",
+            bool(seen.sum() >= 3 and np.abs(errors[seen]).max() < UPDATED),
+            _listed(record, errors, seen),
+        ),
+        Claim(
+            "what the test does not see is told by its standard error",
+            bool(np.all(np.abs(errors[~seen]) < 3.0 * record.standard_errors[~seen])),
+            _listed(record, errors, ~seen),
+        ),
+    ]
+
+
+def _listed(record: CampaignRecord, errors: Floats, which: NDArray[np.bool_]) -> str:
+    return "; ".join(
+        f"{name} {100.0 * errors[place]:+.1f} % (standard error "
+        f"{100.0 * record.standard_errors[place]:.1f} %)"
+        for place, name in enumerate(record.parameters.names)
+        if which[place]
+    )
 
 
 if __name__ == "__main__":

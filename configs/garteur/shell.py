@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +75,17 @@ ROOT = Property(8, "WING ON STEEL PLATE", 26.0, PLATE_AND_WING, 3.62e-9)
 PLATE = Property(9, "STEEL PLATE", 16.0, STEEL, 7.8e-9)
 PYLON = Property(10, "PYLON", 50.0)
 PROPERTIES = (
-    FUSELAGE, WING, WING_WITH_LAYER, DRUMS, DRUM_JOINT, FIN, TAILPLANE, ROOT, PLATE, PYLON,
-)  # fmt: skip
+    FUSELAGE,
+    WING,
+    WING_WITH_LAYER,
+    DRUMS,
+    DRUM_JOINT,
+    FIN,
+    TAILPLANE,
+    ROOT,
+    PLATE,
+    PYLON,
+)
 
 WING_PLANE = 96.0
 #: Element number, place (mm) and mass (t) of the added masses: drums, tail.
@@ -103,7 +113,7 @@ SENSORS = (
     (113, (1450.0, -200.0, 375.0)),  # tailplane's tips
     (114, (1450.0, 200.0, 375.0)),
 )
-#: Number of the first grid point that is no sensor.
+#: Number of the first grid point that is not a sensor.
 FIRST_NODE = 1001
 
 
@@ -231,6 +241,11 @@ def nastran_deck() -> str:
         "ENDDATA",
         "",
     ])  # fmt: skip
+
+
+def write_decks(folder: Path) -> None:
+    """Write garteur_shell.bdf."""
+    (folder / "garteur_shell.bdf").write_text(nastran_deck(), encoding="utf-8")
 
 
 def _properties() -> Iterable[str]:

@@ -12,8 +12,8 @@ import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from modetune.adapters.modes_csv import write_modes_csv
 from modetune.adapters.solver import ModalAnalysis
+from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.configs.garteur.aircraft import COARSE, GROUPS, aircraft, calculix_deck, node_at
 from modetune.configs.measuring import noisy, true_modes
 from modetune.core.modes import ModeSet
@@ -28,14 +28,18 @@ SHAPE_NOISE = 0.02
 
 #: Forty places, mm: wing edges, drum ends, fuselage top, fin, tailplane.
 SENSORS: tuple[tuple[float, float, float], ...] = (
-    *((x, side * y, 85.0) for y in (100.0, 300.0, 500.0, 700.0, 875.0)
-      for side in (-1, 1) for x in (550.0, 650.0)),
+    *(
+        (x, side * y, 85.0)
+        for y in (100.0, 300.0, 500.0, 700.0, 875.0)
+        for side in (-1, 1)
+        for x in (550.0, 650.0)
+    ),
     *((x, side * 950.0, 95.0) for side in (-1, 1) for x in (400.0, 800.0)),
     *((x, 25.0, 75.0) for x in (0.0, 250.0, 500.0, 750.0, 1000.0, 1250.0, 1500.0)),
     *((x, 5.0, z) for z in (225.0, 375.0) for x in (1400.0, 1500.0)),
     *((x, side * 200.0, 385.0) for side in (-1, 1) for x in (1400.0, 1500.0)),
     (1450.0, 5.0, 385.0),
-)  # fmt: skip
+)
 
 
 def truth_modes(
@@ -65,9 +69,11 @@ def write_twin(folder: Path) -> None:
     numbers = range(1, N_MEASURED + 1)
     write_modes_csv(folder / "twin_measured.csv", numbers, modes, [*said, "exact"])
     write_modes_csv(
-        folder / "twin_noisy.csv", numbers, noisy(modes, FREQUENCY_NOISE, SHAPE_NOISE, SEED),
+        folder / "twin_noisy.csv",
+        numbers,
+        noisy(modes, FREQUENCY_NOISE, SHAPE_NOISE, SEED),
         [*said, f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}"],
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

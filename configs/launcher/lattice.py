@@ -32,7 +32,7 @@ EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class LatticePart:
     """A block between two corners, or a plate where they agree along one axis; mm.
 
     tetrahedra: the block is cut into them. square_corner: the plate is a triangle, whose right
@@ -68,7 +68,7 @@ class Lattice:
         indices = (along_x, along_y, along_z)
         return np.stack([axis[i] for axis, i in zip(self.axes, indices, strict=True)], axis=1)
 
-    def nodes(self, part: Part) -> Integers:
+    def nodes(self, part: LatticePart) -> Integers:
         """Keys of the part's nodes, (n,)."""
         pace = 1 if part.tetrahedra else 2
         first, last = self._ends(part)
@@ -79,7 +79,7 @@ class Lattice:
         u, v, legs = self._legs(part, 1)
         return np.squeeze(keys)[u + v <= legs]
 
-    def elements(self, part: Part) -> list[Integers]:
+    def elements(self, part: LatticePart) -> list[Integers]:
         """Keys of the part's elements, (n, 8), (n, 10) or (n, 4); also (n, 3) of a triangle."""
         first, last = self._ends(part)
         span = np.flatnonzero(last > first)
@@ -102,10 +102,11 @@ class Lattice:
     def _index(self, axis: int, value: float) -> int:
         return int(np.argmin(np.abs(self.axes[axis] - value)))
 
-    def _ends(self, part: Part) -> tuple[Integers, Integers]:
+    def _ends(self, part: LatticePart) -> tuple[Integers, Integers]:
         """Indices of the part's two corners, (3,) each."""
-        ends = [[self._index(axis, place[axis]) for axis in range(3)]
-                for place in (part.low, part.high)]  # fmt: skip
+        ends = [
+            [self._index(axis, place[axis]) for axis in range(3)] for place in (part.low, part.high)
+        ]
         return np.array(ends[0]), np.array(ends[1])
 
     def _paths(self) -> Integers:
@@ -121,7 +122,7 @@ class Lattice:
             paths.append(np.concatenate([corners, middles]) @ self.strides)
         return np.array(paths)
 
-    def _legs(self, part: Part, more: int) -> tuple[Integers, Integers, int]:
+    def _legs(self, part: LatticePart, more: int) -> tuple[Integers, Integers, int]:
         """Distance of each cell of a triangle's square (of each corner with `more` 1) from the
         right angle along both legs, and the greatest sum of both that belongs to the triangle."""
         first, last = self._ends(part)
@@ -135,7 +136,7 @@ class Lattice:
         u, v = np.meshgrid(*away, indexing="ij")
         return u, v, int(pieces[0]) - 1 + more
 
-    def _far(self, part: Part, span: Integers) -> tuple[int, ...]:
+    def _far(self, part: LatticePart, span: Integers) -> tuple[int, ...]:
         """The corner of a triangle's square that it lacks."""
         assert part.square_corner is not None
         return tuple(int(part.square_corner[axis] == part.low[axis]) for axis in span)

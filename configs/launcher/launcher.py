@@ -29,7 +29,7 @@ from typing import BinaryIO
 import numpy as np
 import polars
 
-from modetune.configs.launcher.lattice import Floats, Integers, Lattice, Part, Place, lattice
+from modetune.configs.launcher.lattice import Floats, Integers, Lattice, LatticePart, Place, lattice
 
 YOUNGS_MODULUS = 71_000.0
 POISSONS_RATIO = 0.3
@@ -65,28 +65,28 @@ SENSORS: tuple[Place, ...] = (
     *((x, side * 80.0, 415.0) for x in (-1200.0, 1200.0) for side in (-1.0, 1.0)),
     *((x, side * 80.0, 300.0) for x in (-150.0, 150.0) for side in (-1.0, 1.0)),
     (0.0, 0.0, 20.0),
-)  # fmt: skip
+)
 
 #: Degrees of freedom at six a node, as Nastran counts them, that the generator was tried between.
 LEAST_DOF, MOST_DOF = 18_000, 5_900_000
 
 
 @dataclass(frozen=True, slots=True)
-class Mesh:
+class LauncherMesh:
     """Length that the elements' edges have at most about, mm."""
 
     size: float
 
 
 #: 3,653 nodes, 21,918 degrees of freedom, for tests.
-COARSE = Mesh(39.0)
+COARSE = LauncherMesh(39.0)
 #: 16,267 nodes, 97,602 degrees of freedom, for campaigns.
-FINE = Mesh(15.4)
+FINE = LauncherMesh(15.4)
 MESHES = {"coarse": COARSE, "fine": FINE}
 
 
 @dataclass(frozen=True, slots=True)
-class Launcher:
+class LauncherModel:
     """nodes: (n_nodes, 3), mm, numbered from 1, the sensors first; elements: node numbers of each
     group's elements, an array (n, nodes an element) a kind; bolted: (n,) node numbers."""
 
@@ -95,32 +95,34 @@ class Launcher:
     bolted: Integers
 
 
-def _sided(group: str, low: Place, high: Place, corner: Place | None = None) -> list[Part]:
+def _sided(group: str, low: Place, high: Place, corner: Place | None = None) -> list[LatticePart]:
     """A part and its mirror image about the plane y = 0."""
 
     def mirrored(place: Place) -> Place:
         return (place[0], -place[1], place[2])
 
-    other = Part(
-        group, (low[0], -high[1], low[2]), (high[0], -low[1], high[2]),
+    other = LatticePart(
+        group,
+        (low[0], -high[1], low[2]),
+        (high[0], -low[1], high[2]),
         square_corner=None if corner is None else mirrored(corner),
-    )  # fmt: skip
-    return [Part(group, low, high, square_corner=corner), other]
+    )
+    return [LatticePart(group, low, high, square_corner=corner), other]
 
 
-def parts() -> list[Part]:
+def parts() -> list[LatticePart]:
     """The launcher's parts."""
     found = [
-        Part("BASE", BASE_LOW, BASE_HIGH),
+        LatticePart("BASE", BASE_LOW, BASE_HIGH),
         *_sided("ARMS", (-150.0, 80.0, 20.0), (150.0, 80.0, 300.0)),
         *_sided("ARMS", (-250.0, 40.0, 20.0), (250.0, 180.0, 20.0)),
-        Part("FITTING", (-100.0, -80.0, 200.0), (100.0, 80.0, 300.0), tetrahedra=True),
-        Part("RAIL_BOTTOM", (-1200.0, -40.0, 300.0), (1100.0, 60.0, 300.0)),
+        LatticePart("FITTING", (-100.0, -80.0, 200.0), (100.0, 80.0, 300.0), tetrahedra=True),
+        LatticePart("RAIL_BOTTOM", (-1200.0, -40.0, 300.0), (1100.0, 60.0, 300.0)),
         *_sided("RAIL_WEB", (-1200.0, 40.0, 300.0), (1100.0, 40.0, 400.0)),
         *_sided("RAIL_WEB", (1100.0, 40.0, 300.0), (1200.0, 40.0, 400.0), (1100.0, 40.0, 400.0)),
-        Part("RAIL_TOP", (-1200.0, -80.0, 400.0), (1200.0, 80.0, 400.0)),
-        *(Part("RIBS", (x, -40.0, 300.0), (x, 40.0, 400.0)) for x in RIBS_X),
-        Part("DUCT", (-900.0, 60.0, 300.0), (900.0, 60.0, 400.0)),
+        LatticePart("RAIL_TOP", (-1200.0, -80.0, 400.0), (1200.0, 80.0, 400.0)),
+        *(LatticePart("RIBS", (x, -40.0, 300.0), (x, 40.0, 400.0)) for x in RIBS_X),
+        LatticePart("DUCT", (-900.0, 60.0, 300.0), (900.0, 60.0, 400.0)),
         *_sided("GUIDES", (-1200.0, 60.0, 400.0), (1200.0, 80.0, 415.0)),
         *_sided("GUIDES", (-1150.0, 60.0, 415.0), (-1100.0, 80.0, 440.0)),
         *_sided("GUIDES", (700.0, 60.0, 415.0), (750.0, 80.0, 440.0)),
@@ -132,17 +134,17 @@ def parts() -> list[Part]:
     return found
 
 
-def _lattice(mesh: Mesh) -> Lattice:
+def _lattice(mesh: LauncherMesh) -> Lattice:
     return lattice((X_STATIONS, Y_STATIONS, Z_STATIONS), mesh.size)
 
 
-def count_nodes(mesh: Mesh) -> int:
+def count_nodes(mesh: LauncherMesh) -> int:
     """How many nodes the launcher has, without its elements."""
     points = _lattice(mesh)
     return int(np.unique(np.concatenate([points.nodes(part) for part in parts()])).size)
 
 
-def mesh_of(degrees_of_freedom: int) -> Mesh:
+def mesh_of(degrees_of_freedom: int) -> LauncherMesh:
     """The mesh whose degrees of freedom, six a node, are next to the wanted number.
 
     Raises ValueError outside of LEAST_DOF to MOST_DOF.
@@ -156,12 +158,14 @@ def mesh_of(degrees_of_freedom: int) -> Mesh:
     fine, coarse = 2.0, 60.0
     while coarse - fine > 1e-3 * fine:
         middle = (fine * coarse) ** 0.5
-        fine, coarse = (middle, coarse) if count_nodes(Mesh(middle)) > wanted else (fine, middle)
-    nearest = min(fine, coarse, key=lambda size: abs(count_nodes(Mesh(size)) - wanted))
-    return Mesh(nearest)
+        fine, coarse = (
+            (middle, coarse) if count_nodes(LauncherMesh(middle)) > wanted else (fine, middle)
+        )
+    nearest = min(fine, coarse, key=lambda size: abs(count_nodes(LauncherMesh(size)) - wanted))
+    return LauncherMesh(nearest)
 
 
-def launcher(mesh: Mesh) -> Launcher:
+def launcher(mesh: LauncherMesh) -> LauncherModel:
     """The launcher's nodes and elements."""
     points = _lattice(mesh)
     by_group: dict[str, list[Integers]] = {group: [] for group in GROUPS}
@@ -182,7 +186,7 @@ def launcher(mesh: Mesh) -> Launcher:
         np.abs(nodes[:, axis]) >= BASE_HIGH[axis] - BOLTED[axis] - 1e-6 for axis in range(2)
     ]
     bolted = np.flatnonzero((nodes[:, 2] == 0.0) & at_edges[0] & at_edges[1]) + 1
-    return Launcher(nodes, elements, bolted)
+    return LauncherModel(nodes, elements, bolted)
 
 
 def _joined(arrays: list[Integers]) -> list[Integers]:
@@ -191,7 +195,7 @@ def _joined(arrays: list[Integers]) -> list[Integers]:
     return [np.concatenate([a for a in arrays if a.shape[1] == width]) for width in widths]
 
 
-def write_deck(file: BinaryIO, mesh: Mesh) -> None:
+def write_deck(file: BinaryIO, mesh: LauncherMesh) -> None:
     """Write the launcher as a complete CalculiX deck, bolted down, first 13 modes."""
     model = launcher(mesh)
     file.write(b"*HEADING\nLauncher of a guided missile; units mm, t, s, MPa\n*NODE, NSET=NALL\n")
@@ -230,11 +234,18 @@ def _properties() -> Iterator[str]:
     yield from ("*STEP", "*FREQUENCY", "13", "*NODE FILE", "U", "*END STEP", "")
 
 
-def calculix_deck(mesh: Mesh) -> str:
+def calculix_deck(mesh: LauncherMesh) -> str:
     """The launcher as a complete CalculiX deck."""
     file = BytesIO()
     write_deck(file, mesh)
     return file.getvalue().decode()
+
+
+def write_decks(folder: Path) -> None:
+    """Write launcher_coarse.inp and launcher_fine.inp."""
+    for name, mesh in MESHES.items():
+        with (folder / f"launcher_{name}.inp").open("wb") as file:
+            write_deck(file, mesh)
 
 
 if __name__ == "__main__":

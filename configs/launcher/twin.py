@@ -12,9 +12,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from modetune.adapters.modes_csv import write_modes_csv
 from modetune.adapters.solver import ModalAnalysis
-from modetune.configs.launcher.launcher import COARSE, SENSORS, Mesh, write_deck
+from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.configs.launcher.launcher import COARSE, SENSORS, LauncherMesh, write_deck
 from modetune.configs.measuring import noisy, signed, true_modes
 from modetune.core.modes import ModeSet
 from modetune.core.parameters import Parameter
@@ -30,7 +30,7 @@ FREQUENCY_NOISE = 0.002
 SHAPE_NOISE = 0.02
 
 
-def truth_modes(mesh: Mesh = COARSE) -> ModeSet:
+def truth_modes(mesh: LauncherMesh = COARSE) -> ModeSet:
     """The first six modes of the true launcher at the sensors, by CalculiX; mass-normalised."""
     parameters = tuple(
         Parameter(name, "youngs_modulus", "material", (name,), 0.5, 2.0, 0.2) for name in TRUTH
@@ -40,7 +40,7 @@ def truth_modes(mesh: Mesh = COARSE) -> ModeSet:
     return modes.select(range(N_MEASURED))
 
 
-def write_twin(folder: Path, mesh: Mesh = COARSE) -> None:
+def write_twin(folder: Path, mesh: LauncherMesh = COARSE) -> None:
     """Write both test files."""
     modes = truth_modes(mesh)
     said = [
@@ -50,10 +50,11 @@ def write_twin(folder: Path, mesh: Mesh = COARSE) -> None:
     numbers = range(1, N_MEASURED + 1)
     write_modes_csv(folder / "exact.csv", numbers, signed(modes), [*said, "exact"])
     write_modes_csv(
-        folder / "measured.csv", numbers,
+        folder / "measured.csv",
+        numbers,
         noisy(signed(modes), FREQUENCY_NOISE, SHAPE_NOISE, SEED),
         [*said, f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}"],
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

@@ -23,9 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.matrices.solver import matrices_solver
-from modetune.adapters.modes_csv import write_modes_csv
-from modetune.core.eigen import solve_modes
+from modetune.adapters.matrices.deck import read_deck
+from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.core.algebra.eigen import solve_modes
 from modetune.core.modes import ModeSet, mode_set
 
 #: Thesis Table 1: analytical and experimental values, kg and N/m.
@@ -75,13 +75,13 @@ MODELS = {
 
 def modes_of(model: Path) -> ModeSet:
     """All six modes of a model file, mass-normalised, at all six masses."""
-    system = matrices_solver(model, ()).deck.model
+    system = read_deck(model).model
     eigenvalues, shapes = solve_modes(system.stiffness, system.mass, len(MASSES))
     frequencies_hz = np.sqrt(eigenvalues) / (2.0 * np.pi)
     return mode_set(frequencies_hz, shapes, system.nodes, system.components, normalisation="mass")
 
 
-def write_case(folder: Path) -> None:
+def write_system(folder: Path) -> None:
     """Write models and test data."""
     for name, text in MODELS.items():
         (folder / name).write_text(text)
@@ -94,4 +94,4 @@ def write_case(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    write_case(Path(sys.argv[1]))
+    write_system(Path(sys.argv[1]))

@@ -12,8 +12,8 @@ from modetune.configs.garteur.aircraft import (
     FINE,
     GROUPS,
     MESHES,
+    AircraftMesh,
     Floats,
-    Mesh,
     aircraft,
     blocks,
 )
@@ -30,7 +30,7 @@ VOLUMES = {
 }
 
 
-def element_volumes(mesh: Mesh) -> dict[str, float]:
+def element_volumes(mesh: AircraftMesh) -> dict[str, float]:
     model = aircraft(mesh)
     volumes = {}
     for group in GROUPS:

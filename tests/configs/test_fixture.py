@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from modetune.configs.cases import write_case
 from modetune.configs.fixture.fixture import (
     CONCRETE_THICKNESS,
     GROUPS,
     MESHES,
     SENSORS,
     SPRINGS,
+    FixtureMesh,
     Floats,
-    Mesh,
     calculix_deck,
     fixture,
 )
@@ -29,7 +29,7 @@ from modetune.configs.fixture.twin import (
 )
 from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import mode_set
-from modetune.flows.campaign import load_campaign
+from modetune.flows.campaign.campaign import load_campaign
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "fixture"
 #: mm^3, length x height x width of each part; each extension less its hole.
@@ -48,20 +48,18 @@ VOLUMES = {
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """The campaigns in a folder of their own, with a CalculiX to run them."""
-    for file in CONFIGS.iterdir():
-        if file.suffix in (".yaml", ".csv"):
-            shutil.copyfile(file, tmp_path / file.name)
+    write_case("fixture", tmp_path)
     return tmp_path
 
 
 def need_ccx(folder: Path) -> None:
     try:
-        load_campaign(folder / "fixture.yaml").solver.version()
+        load_campaign(folder / "fixture.yaml").solver_version()
     except SolverMissing as error:
         pytest.skip(str(error))
 
 
-def volumes(mesh: Mesh, thickness: float = CONCRETE_THICKNESS) -> dict[str, float]:
+def volumes(mesh: FixtureMesh, thickness: float = CONCRETE_THICKNESS) -> dict[str, float]:
     model = fixture(mesh, thickness)
     found = {}
     for group in GROUPS:
@@ -105,10 +103,16 @@ def test_all_parts_hang_together_and_no_two_nodes_stand_at_one_place(name: str) 
     of = {group: set(model.elements[group].ravel().tolist()) for group in GROUPS}
     assert set().union(*of.values()) == set(range(1, len(model.nodes) + 1))
     for first, second in (
-        ("CONCRETE", "BASE"), ("BASE", "WALL_LEFT"), ("BASE", "WALL_RIGHT"), ("BASE", "RIBS"),
-        ("WALL_LEFT", "RIBS"), ("WALL_LEFT", "BRIDGE"), ("WALL_RIGHT", "BRIDGE"),
-        ("WALL_LEFT", "EXTENSION_LEFT"), ("WALL_RIGHT", "EXTENSION_RIGHT"),
-    ):  # fmt: skip
+        ("CONCRETE", "BASE"),
+        ("BASE", "WALL_LEFT"),
+        ("BASE", "WALL_RIGHT"),
+        ("BASE", "RIBS"),
+        ("WALL_LEFT", "RIBS"),
+        ("WALL_LEFT", "BRIDGE"),
+        ("WALL_RIGHT", "BRIDGE"),
+        ("WALL_LEFT", "EXTENSION_LEFT"),
+        ("WALL_RIGHT", "EXTENSION_RIGHT"),
+    ):
         # A face of contact has two lines of nodes at least.
         assert len(of[first] & of[second]) >= 4, (first, second)
 
@@ -143,9 +147,9 @@ def test_sides_have_the_stiffness_of_the_thesis() -> None:
 
 def test_stiffnesses_of_table_25_are_true_parameters_of_the_deck(folder: Path) -> None:
     campaign = load_campaign(folder / "fixture.yaml")
-    values = [campaign.solver.deck_value(item) for item in campaign.parameters.parameters]
+    values = [campaign.case.solver.deck.deck_value(item) for item in campaign.parameters.parameters]
     assert values == [5_000.0, 45_000.0, 5_000.0, 205_000.0, 205_000.0]
-    updated = campaign.solver.write_updated({"K_x": 1.5}, folder / "updated").read_text()
+    updated = campaign.case.solver.deck.write_updated({"K_x": 1.5}, folder / "updated").read_text()
     before = calculix_deck(MESHES["fine"]).splitlines()
     pairs = zip(before, updated.splitlines(), strict=True)
     assert [pair for pair in pairs if pair[0] != pair[1]] == [("5000.0", "7500.0")]
@@ -164,8 +168,7 @@ def test_thirteen_candidates_hold_the_proposed_five_at_1_2_3_5_and_13(folder: Pa
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [
-        ("model={generator: {case: fixture}, solver: nastran, units: mm-t-s}", "no deck for nast"),
-        ("model.generator={case: fixture, mesh: medium}", "'coarse' or 'fine'"),
+        ("model.solver=nastran", "is not a Nastran deck"),
         ("parameters=[{name: K, quantity: spring_stiffness, elset: FOUNDATION}]", "did you mean"),
         ("model.units=m-kg-s", "mm-t-s would fit"),
     ],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,8 @@ import pytest
 from pyNastran.bdf.bdf import BDF
 from pyNastran.bdf.mesh_utils.mass_properties import mass_properties
 
-from modetune.adapters.modes_csv import read_modes_csv
+from modetune.adapters.test_files.modes_csv import read_modes_csv
+from modetune.configs.cases import write_case
 from modetune.configs.garteur.shell import (
     MASSES,
     PROPERTIES,
@@ -25,13 +25,13 @@ from modetune.configs.garteur.shell import (
     node_at,
     shell_model,
 )
-from modetune.core.correlation import mac
+from modetune.core.correlation.correlation import mac
 from modetune.core.errors import SolverMissing
-from modetune.flows.campaign import load_campaign
-from modetune.flows.evaluation import Evaluation
-from modetune.flows.evaluator import Evaluator
-from modetune.flows.execution.work import ThreadExecution
-from modetune.flows.running import job_engine
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.running import job_engine
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"
 #: mm2 of each property, from the published dimensions (Balmes and Wright 1997).
@@ -207,15 +207,14 @@ def test_measured_shapes_are_told_apart_well() -> None:
 def evaluate(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Evaluates the campaign at parameter values on real CalculiX."""
     folder = tmp_path_factory.mktemp("garteur_shell")
-    for name in ("shell.yaml", "participant_c.csv"):
-        shutil.copyfile(CONFIGS / name, folder / name)
+    write_case("garteur", folder)
     campaign = load_campaign(folder / "shell.yaml")
     try:
-        campaign.solver.version()
+        campaign.solver_version()
     except SolverMissing as error:
         pytest.skip(str(error))
     engine = job_engine(campaign)
-    evaluator = Evaluator(campaign, engine, ThreadExecution(engine, 1))
+    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
 
     def at(theta: Floats) -> Evaluation:
         return evaluator.evaluate(0, theta, None, alone=True)[0]

@@ -22,8 +22,8 @@ from modetune.configs.launcher.launcher import (
     SENSORS,
     THICKNESSES,
     YOUNGS_MODULUS,
-    Launcher,
-    Mesh,
+    LauncherMesh,
+    LauncherModel,
     calculix_deck,
     count_nodes,
     launcher,
@@ -33,7 +33,7 @@ from modetune.configs.launcher.launcher import (
 from modetune.configs.launcher.twin import TRUTH, truth_modes, write_twin
 from modetune.core.errors import SolverMissing
 from modetune.core.parameters import Parameter
-from modetune.core.results import ModalResult
+from modetune.core.updating.results import ModalResult
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "launcher"
 #: mm^3: length x width x height, or area x thickness of shells; a gusset is half a square.
@@ -67,12 +67,12 @@ def need_ccx(folder: Path) -> None:
     deck = folder / "asked.inp"
     deck.write_text(calculix_deck(COARSE))
     try:
-        calculix_solver(deck, ()).version()
+        calculix_solver(deck, ()).program.version()
     except SolverMissing as error:
         pytest.skip(str(error))
 
 
-def solved(mesh: Mesh, folder: Path, nodes: tuple[int, ...]) -> ModalResult:
+def solved(mesh: LauncherMesh, folder: Path, nodes: tuple[int, ...]) -> ModalResult:
     """Six modes by CalculiX."""
     deck = folder / "launcher.inp"
     with deck.open("wb") as file:
@@ -80,18 +80,18 @@ def solved(mesh: Mesh, folder: Path, nodes: tuple[int, ...]) -> ModalResult:
     need_ccx(folder)
     solver = calculix_solver(deck, parameters())
     analysis = ModalAnalysis(6, nodes)
-    solver.write({}, analysis, folder)
-    finished = run_process(solver.command(2), folder, 600.0, threading.Event())
+    solver.render({}, analysis).write(folder)
+    finished = run_process(solver.program.command(2), folder, 600.0, threading.Event())
     result = solver.read({}, analysis, folder, finished.return_code)
     assert isinstance(result, ModalResult)
     return result
 
 
-def corners(model: Launcher, rows: Integers) -> Floats:
+def corners(model: LauncherModel, rows: Integers) -> Floats:
     return np.asarray(model.nodes[rows[:, : {10: 4}.get(rows.shape[1], rows.shape[1])] - 1])
 
 
-def volume(model: Launcher, group: str) -> float:
+def volume(model: LauncherModel, group: str) -> float:
     """Sum over a group's elements, each of positive size."""
     total = 0.0
     for rows in model.elements[group]:
@@ -199,7 +199,7 @@ def test_groups_fall_into_three_lots_that_share_no_node(name: str) -> None:
 @pytest.mark.parametrize("size", [39.0, 20.0, 11.0])
 def test_nodes_1_to_26_are_the_sensors_in_every_size(size: float) -> None:
     assert len(SENSORS) == len(set(SENSORS)) == 26  # thesis, chapter 5.2
-    np.testing.assert_array_equal(launcher(Mesh(size)).nodes[:26], SENSORS)
+    np.testing.assert_array_equal(launcher(LauncherMesh(size)).nodes[:26], SENSORS)
 
 
 @pytest.mark.parametrize("wanted", [20_000, 100_000, 1_000_000, 5_786_376])
@@ -219,9 +219,9 @@ def test_every_group_has_a_modulus_of_its_own_in_the_deck(tmp_path: Path) -> Non
     deck = tmp_path / "launcher.inp"
     deck.write_text(calculix_deck(COARSE))
     solver = calculix_solver(deck, parameters())
-    assert solver.problems(parameters()) == []
-    assert [solver.deck_value(item) for item in parameters()] == [YOUNGS_MODULUS] * 10
-    assert solver.model.node_ids == frozenset(range(1, count_nodes(COARSE) + 1))
+    assert solver.deck.problems(parameters()) == []
+    assert [solver.deck.deck_value(item) for item in parameters()] == [YOUNGS_MODULUS] * 10
+    assert solver.deck.summary.node_ids == frozenset(range(1, count_nodes(COARSE) + 1))
     file = BytesIO()
     write_deck(file, COARSE)
     assert file.getvalue().decode() == deck.read_text()
@@ -245,7 +245,7 @@ def test_frequencies_settle_from_above_with_refinement(tmp_path: Path) -> None:
     for size in (39.0, 24.0):
         folder = tmp_path / f"{size:g}"
         folder.mkdir()
-        found.append(solved(Mesh(size), folder, (1,)).modes.frequencies_hz[:3])
+        found.append(solved(LauncherMesh(size), folder, (1,)).modes.frequencies_hz[:3])
     fall = 1.0 - found[1] / found[0]
     # A mechanism, or a hinge where a joint should be, would fall further and on and on; from here
     # to 300,000 degrees of freedom it is a few per cent again (docs/launcher.md).

@@ -1,0 +1,42 @@
+"""A case in a folder of one's own: its campaigns, test data and decks, to be run as they are.
+
+    python -m modetune.configs.cases garteur FOLDER
+
+and so fixture, launcher, six_mass. Decks are written, not kept: for campaigns of this repository to
+run in place, FOLDER is the case's own (configs/garteur).
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from modetune.configs.fixture import fixture
+from modetune.configs.garteur import aircraft, shell
+from modetune.configs.launcher import launcher
+
+#: What writes the decks of each case into a folder.
+DECKS: dict[str, tuple[Callable[[Path], None], ...]] = {
+    "garteur": (aircraft.write_decks, shell.write_decks),
+    "fixture": (fixture.write_decks,),
+    "launcher": (launcher.write_decks,),
+    "six_mass": (),  # its models are campaign data: they stand beside the campaign
+}
+
+
+def write_case(case: str, folder: Path) -> None:
+    """Copy a case's campaigns and test data to a folder, and write its decks there."""
+    source = Path(__file__).parent / case
+    folder.mkdir(parents=True, exist_ok=True)
+    if folder.resolve() != source.resolve():
+        for file in sorted(source.iterdir()):
+            if file.suffix in (".yaml", ".csv"):
+                shutil.copyfile(file, folder / file.name)
+    for write_decks in DECKS[case]:
+        write_decks(folder)
+
+
+if __name__ == "__main__":
+    write_case(sys.argv[1], Path(sys.argv[2]))
