@@ -35,7 +35,7 @@ docs: $(VENV)/.ready-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 $(VENV)/.ready: pyproject.toml tools/setup.sh
-	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) .
+	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) '.[all]'
 	touch $@
 
 $(VENV)/.ready-dev: pyproject.toml tools/setup.sh tools/mystran.sh tools/display.sh

@@ -133,7 +133,7 @@ def build(dockerfile: Path, work: Path, host_files: list[Path]) -> Stage:
             if any((root / folder).is_mount() for folder in ("proc", "sys", "dev")):
                 raise SystemExit(f"{root} still has the kernel's folders mounted; unmount them")
             shutil.rmtree(root, ignore_errors=True)
-            base = base_root(work, RELEASES[image], host_files)
+            base = base_root(work, RELEASES[image.partition("@")[0]], host_files)
             root.parent.mkdir(parents=True, exist_ok=True)
             subprocess.run(["cp", "--archive", str(base), str(root)], check=True)  # devices too
             stage = stages[label] = Stage(root)

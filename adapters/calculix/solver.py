@@ -10,6 +10,7 @@ import threading
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,6 @@ from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
 from modetune.adapters.calculix.incidence import Incidence, read_incidence
 from modetune.adapters.calculix.job import job_text
-from modetune.adapters.calculix.matrices import read_matrices
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.results import (
@@ -176,6 +176,8 @@ class CalculixProgram:
     def render(self, deck: EditedCalculix, analysis: Analysis) -> Rendered:
         text = job_text(deck.model, deck.changed, analysis)
         modal = isinstance(analysis, ModalAnalysis)
+        if not modal:
+            import_module("polars")  # reads the matrices: if it is missing, told before the run
         if self.with_frd and modal:
             text = with_frd(text)
         data = text.encode("utf-8", "surrogateescape")
@@ -226,6 +228,8 @@ class CalculixProgram:
             point_mass = deck.model.point_mass(deck.changed)
             result = read_modal(folder / f"{JOB}.dat", analysis, point_mass)
             return replace(result, modes=in_frames(result.modes, deck.frames or {}))
+        from modetune.adapters.calculix.matrices import read_matrices  # polars takes a moment
+
         return read_matrices(folder, JOB)
 
 

@@ -68,6 +68,12 @@ COMMANDS = (
     schema,
     version,
 )
+#: The extra of `modetune[...]` that brings a package; a cluster's tell themselves.
+EXTRAS = {
+    **dict.fromkeys(("polars", "pypardiso"), "calculix"),
+    **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
+    **dict.fromkeys(("SALib", "sklearn", "emcee", "pandas"), "studies"),
+}
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
@@ -102,7 +108,14 @@ def main() -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(0) from None
-    except Exception:  # the last resort: a bug of ours, kept for a report, not thrown at the user
+    except Exception as error:  # the last resort: a bug of ours, kept for a report
+        missing = error.name if isinstance(error, ModuleNotFoundError) and error.name else ""
+        if extra := EXTRAS.get(missing.partition(".")[0]):
+            _fail(
+                f"this requires the package {missing.partition('.')[0]}, which is not installed: "
+                f"pip install 'modetune[{extra}]', or modetune[all] for everything",
+                2,
+            )
         with tempfile.NamedTemporaryFile(
             "w", prefix="modetune-", suffix=".log", delete=False
         ) as log:
