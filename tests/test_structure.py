@@ -30,7 +30,7 @@ MAY_IMPORT = {
     "flows": {"flows", "configs", "adapters", "core"},
 }
 #: What core may import besides the standard library.
-CORE_LIBRARIES = {"modetune", "numpy", "scipy", "h5py", "pypardiso"}
+CORE_LIBRARIES = {"modetune", "numpy", "scipy", "h5py", "pypardiso", "filelock"}
 
 
 def module_name(path: Path) -> str:

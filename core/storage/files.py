@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
 
 from modetune.core.errors import StorageUnavailable
 
@@ -18,16 +16,6 @@ from modetune.core.errors import StorageUnavailable
 REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR)
 #: What it says of a disk or a share that does not work, and of a file larger than it takes.
 BROKEN = (errno.EIO, errno.ESTALE, errno.EFBIG)
-
-
-def locked(handle: IO[str]) -> bool:
-    """Take the lock of an open file for this handle alone, unless another has it."""
-    with storage_errors(Path(handle.name)):
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-    return True
 
 
 @contextmanager

@@ -3,7 +3,7 @@
     STORE/ab/abcdef....3.h5   a result, and before it in plain text what was asked, by whom it was
                               computed, and a note; 3 is the number of the format
     STORE/damaged/            entries whose checksum did not hold, set aside
-    STORE/locks/KEY           one lock a job under way; the kernel frees it when its holder dies
+    STORE/locks/KEY           one lock a job under way, freed when its holder dies
 
 A file is written aside, flushed to disk and renamed, so an entry is whole or absent. Many
 processes and machines may share the folder. Nothing is believed that its checksum denies
@@ -25,7 +25,8 @@ from pathlib import Path
 
 from modetune.core.errors import StorageUnavailable, StoreDamaged
 from modetune.core.storage.codec import read_value, write_value
-from modetune.core.storage.files import locked, storage_errors, writing
+from modetune.core.storage.files import storage_errors, writing
+from modetune.core.storage.locks import FileLock
 from modetune.core.storage.seal import content, holds, read_head, sealed
 from modetune.core.updating.results import (
     MatrixResult,
@@ -178,10 +179,7 @@ class Store:
         path = self.folder / "locks" / key
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle = path.open("w")
-        with handle:
-            while not locked(handle):
-                waiting()
+        with FileLock(path).held(waiting):
             yield
 
     def _set_aside(self, path: Path, inode: int) -> None:

@@ -1,7 +1,7 @@
 """Named limits that hold over all campaigns of a machine: cores, and licences by name.
 
 A limit is a folder of slot files below MODETUNE_HOME; who holds the lock of a slot holds the slot.
-The kernel frees the locks of a process that dies, so no slot is ever lost. Slots of one limit are
+The locks of a process that dies are free at once, so no slot is ever lost. Slots of one limit are
 taken one at a time by whoever holds the limit's gate, so two that need several never block each
 other.
 """
@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from modetune.core.storage.files import locked, storage_errors
+from modetune.core.storage.files import storage_errors
+from modetune.core.storage.locks import FileLock
 
 #: The limit on processor cores; every other name is a licence's.
 CORES = "cores"
@@ -87,10 +88,8 @@ class MachineLimits:
 
 def _lock(path: Path, held: ExitStack) -> bool:
     """Lock a file for as long as the stack lives, unless another has it."""
-    with storage_errors(path):
-        handle = path.open("w")
-    if locked(handle):
-        held.enter_context(handle)
+    lock = FileLock(path)
+    if lock.take():
+        held.enter_context(lock)
         return True
-    handle.close()
     return False

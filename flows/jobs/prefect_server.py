@@ -2,9 +2,9 @@
 
 `PREFECT_API_URL` set: that server is used as it is, with the user's own login. Otherwise one server
 on loopback, started in the background by the first command that needs it and found again by the
-next through `server.json`. It ends by itself when no command has used it for a while: each user
-holds a shared lock that the kernel frees when it dies. Its keeper also tells it of runs that died
-without a word. Nothing here imports Prefect.
+next through `server.json`. It ends by itself when no command has used it for a while: each command
+holds the lock of a file in `users/`, which is free when it dies. Its keeper also tells it of runs
+that died without a word. Nothing here imports Prefect.
 
 Loopback is open to every account of a machine, so the shared server asks for a login: a random
 secret in a file that its owner alone can read, in a folder of the same kind. It reaches processes
@@ -14,7 +14,6 @@ user. Folders are named for host and user: a home may be shared by several machi
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -27,14 +26,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Literal
+from typing import Literal
 from urllib.parse import urlsplit
 
 from modetune.adapters import supervisor
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.files import locked, storage_errors
+from modetune.core.storage.files import storage_errors
+from modetune.core.storage.locks import FileLock
 from modetune.flows.jobs.heartbeats import BEAT_S, SilentRuns
 from modetune.flows.jobs.prefect_api import PATIENCE_S, PROBE_S, Answer, PrefectApi, ServerRefused
 
@@ -101,12 +102,12 @@ class Address:
 class SharedServer:
     """The use of a server by this process, until `close` or the end of the process.
 
-    login: of the shared server; None for the user's own.
+    use: the lock that tells of it; None for the user's own server. login: of the shared server.
     """
 
     home: Path
     address: Address
-    users: IO[str] | None
+    use: FileLock | None
     login: str | None = None
 
     def wait(self) -> Answer:
@@ -147,12 +148,13 @@ class SharedServer:
     @property
     def shared(self) -> bool:
         """Whether it is modetune's own and not one the user named."""
-        return self.users is not None
+        return self.use is not None
 
     def close(self) -> None:
         """End the use; the server lives on for others, and for a while."""
-        if self.users is not None:
-            self.users.close()
+        if self.use is not None:
+            self.use.remove()
+            self.use.release()
 
 
 def use_server() -> SharedServer:
@@ -167,15 +169,13 @@ def use_server() -> SharedServer:
     remedy = f"name another place with {HOME_VARIABLE}, or use --no-prefect"
     with storage_errors(home / "server.json", remedy):
         make_private(home)
-        users = (home / "users.lock").open("w")
-        fcntl.flock(users, fcntl.LOCK_SH)
-        with (home / "server.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with _gate(home):
+            use = _new_use(home)
             login = read_login(home)
             address = read_address(home)
             if address is None or not is_keeper(address.pid):
                 address = _start(home)
-    return SharedServer(home, address, users, login)
+    return SharedServer(home, address, use, login)
 
 
 def make_private(folder: Path) -> None:
@@ -240,14 +240,37 @@ def stop_server(home: Path) -> Stopped:
     address = read_address(home)
     if address is None or not is_keeper(address.pid):
         return "none"
-    with (home / "users.lock").open("w") as users:
-        if not locked(users):
+    with _gate(home):
+        if _in_use(home):
             return "in use"
     os.kill(address.pid, signal.SIGTERM)
     deadline = time.monotonic() + 10.0
     while is_keeper(address.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
     return "stopped"
+
+
+def _gate(home: Path) -> AbstractContextManager[None]:
+    """Nobody else starts, ends or begins to use the server for as long as this is held."""
+    return FileLock(home / "server.lock").held(lambda: time.sleep(0.05))
+
+
+def _new_use(home: Path) -> FileLock:
+    folder = home / "users"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    use = FileLock(folder / f"{os.getpid()}-{secrets.token_hex(4)}.lock")
+    use.take()
+    return use
+
+
+def _in_use(home: Path) -> bool:
+    """Whether a living process uses the server; what dead ones left is removed."""
+    for path in (home / "users").glob("*.lock"):
+        with FileLock(path) as use:
+            if not use.take():
+                return True
+            use.remove()
+    return False
 
 
 def is_keeper(pid: int) -> bool:
@@ -335,9 +358,8 @@ def _wait_for_idleness(home: Path, url: str, server: subprocess.Popen[bytes]) ->
                     watch.look(api)
             except ServerRefused:
                 watch = SilentRuns()  # a server that did not answer heard nobody meanwhile
-        with (home / "server.lock").open("w") as lock, (home / "users.lock").open("w") as users:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # nobody may come to use it in between
-            if not locked(users):
+        with _gate(home):
+            if _in_use(home):
                 used = time.monotonic()
             elif time.monotonic() - used > limit:
                 _end(home, server)

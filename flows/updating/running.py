@@ -10,7 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from modetune.core.errors import CampaignRunning
-from modetune.core.storage.files import check_writable, locked, storage_errors
+from modetune.core.storage.files import check_writable, storage_errors
+from modetune.core.storage.locks import FileLock
 from modetune.core.storage.record_file import write_record
 from modetune.flows.campaign.campaign import Campaign, cores
 from modetune.flows.campaign.schema import STORE_REMEDY
@@ -45,7 +46,6 @@ def job_engine(campaign: Campaign) -> JobEngine:
             no_result=run.retries.no_result,
             licence_pause_s=run.licence_pause_s,
             licence_wait_s=run.licence_wait_s,
-            disk_bytes=round(1e9 * run.disk_gb),
         ),
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,
@@ -75,8 +75,8 @@ def update_campaign(
     campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     check_writable(folder, "name another place for run folders with --runs")
-    with (folder / ".lock").open("w") as lock:
-        if not locked(lock):
+    with FileLock(folder / ".lock") as lock:
+        if not lock.take():
             raise CampaignRunning(
                 f"another run of this campaign is under way in {folder}; wait for it, or name "
                 "another place for run folders with --runs"

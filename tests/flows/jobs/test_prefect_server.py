@@ -22,6 +22,7 @@ from typing import Any
 import pytest
 
 from modetune.core.errors import StorageUnavailable
+from modetune.core.storage.locks import FileLock
 from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.prefect_api import PrefectApi, is_loopback
 from tests.flows.conftest import SERVER_USER
@@ -289,8 +290,8 @@ def test_the_login_is_not_sent_to_another_users_process(tmp_path: Path) -> None:
         assert listening.stdout is not None
         url = f"http://127.0.0.1:{int(listening.stdout.readline())}/api"
         assert not process.is_ours(url)
-        with (tmp_path / "users.lock").open("w") as users:
-            server = process.SharedServer(tmp_path, process.Address(url, os.getpid()), users)
+        with FileLock(tmp_path / "use.lock") as use:
+            server = process.SharedServer(tmp_path, process.Address(url, os.getpid()), use)
             assert server.answer() == "does not answer"
         listening.kill()
 

@@ -1,0 +1,105 @@
+"""Locks of files: one holder at a time, over threads, processes and machines, freed when it dies.
+
+Where the file system has `flock`, the kernel keeps the lock and frees it with its holder. Where it
+refuses (NFS without a lock daemon, Lustre mounted without), a file FILE.lease says who holds it:
+host, process, and when that was started. Its holder touches it now and then; it is taken over when
+the process is seen to be gone, or, from another machine, when nobody has touched it for a minute.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING
+
+from modetune.core.storage.files import storage_errors
+
+if TYPE_CHECKING:
+    from filelock import SoftFileLease
+
+#: What the system says where a file system has no flock.
+WITHOUT_FLOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+#: How long another machine waits for a sign of life; the holder gives three in that time.
+LEASE_S = 60.0
+
+
+class FileLock:
+    """The lock that belongs to a path, for one holder: not shared between threads."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._handle: IO[str] | None = None
+        self._lease: SoftFileLease | None = None
+
+    def take(self) -> bool:
+        """Take the lock unless another has it; its folder is there. Raises StorageUnavailable."""
+        with storage_errors(self.path):
+            handle = self.path.open("w")
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                handle.close()
+                if isinstance(error, BlockingIOError):
+                    return False
+                if error.errno not in WITHOUT_FLOCK:
+                    raise
+                return self._take_lease()
+            if (
+                os.fstat(handle.fileno()).st_nlink == 0
+            ):  # removed since it was opened: another's now
+                handle.close()
+                return False
+        self._handle = handle
+        return True
+
+    def remove(self) -> None:
+        """Remove the file of a lock that this one holds; others make a new one."""
+        with storage_errors(self.path):
+            self.path.unlink(missing_ok=True)
+
+    def release(self) -> None:
+        """Let the next one have it."""
+        if self._handle is not None:
+            self._handle.close()
+        if self._lease is not None:
+            self._lease.release()
+
+    @contextmanager
+    def held(self, waiting: Callable[[], None]) -> Iterator[None]:
+        """Hold the lock; `waiting` is called over and over while another does: it sleeps a little,
+        or raises. Raises StorageUnavailable."""
+        while not self.take():
+            waiting()
+        with self:
+            yield
+
+    def __enter__(self) -> FileLock:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        self.release()
+
+    def _take_lease(self) -> bool:
+        from filelock import SoftFileLease, Timeout
+
+        if self._lease is None:  # one for all tries: it notices that nobody touches the file
+            self._lease = SoftFileLease(
+                f"{self.path}.lease", lease_duration=LEASE_S, thread_local=False
+            )
+        for _ in range(2):  # the first try may do no more than clear a dead holder's file away
+            try:
+                self._lease.acquire(blocking=False)
+            except Timeout:
+                continue
+            return True
+        return False
