@@ -34,6 +34,7 @@ from benchmarks.problem import CASES, Problem, set_up
 
 from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.pencil import shift_below
 from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.updating.matrix_samples import differences
@@ -42,7 +43,6 @@ from modetune.core.updating.parameter_matrices import (
     Powers,
     parameter_matrices,
 )
-from modetune.flows.updating.stored_modes import SHIFT
 
 #: Ways from the deck's moduli to the hidden ones, in steps as updating takes them.
 STEPS = (0.6, 0.9, 1.0)
@@ -89,7 +89,7 @@ def measure(problem: Problem) -> Solution:
         base, job = model.matrices(start)
         solver, started = ModeSolver(count=False), time.monotonic()
         # A campaign knows about where the first elastic mode is: from its test.
-        shift = SHIFT * (2.0 * np.pi * float(modes.frequencies_hz[0])) ** 2
+        shift = shift_below((2.0 * np.pi * float(modes.frequencies_hz[0])) ** 2)
         first = solver.solve(base.upper_stiffness, base.upper_mass, model.n_modes, shift)
         solve_s = time.monotonic() - started
         later_s = later(model, base, solver, first)

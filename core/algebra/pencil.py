@@ -21,6 +21,7 @@ shift just far enough below zero to be told from rounding, by two steps from ran
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -43,6 +44,8 @@ STRAINED = 10.0
 BLOCK = 10
 #: Eigenvalues are known to this share of the largest one, rigid ones for example.
 ROUNDING = 1e-15
+#: The shift below the spectrum, in first elastic eigenvalues.
+SHIFT = -0.1
 _LOST = 1e-2  # of a known solution, relative: beyond this the matrix has no inverse to speak of
 
 
@@ -149,6 +152,14 @@ class Pencil:
         self.n_with_mass = int(self._inner_mass.shape[0])
 
 
+def shift_below(eigenvalue: float) -> float:
+    """A shift below the spectrum, about a tenth of a first elastic eigenvalue, (rad/s)^2.
+
+    The same for all that are nearly alike, so that modes do not hang on digits of where it is from.
+    """
+    return SHIFT * 2.0 ** round(math.log2(abs(eigenvalue) or 1.0))
+
+
 def estimate_shift(pencil: Pencil) -> float:
     """A shift below the spectrum, a tenth of about the first elastic eigenvalue, (rad/s)^2.
 
@@ -164,7 +175,7 @@ def estimate_shift(pencil: Pencil) -> float:
     eigenvalues = 1.0 / np.maximum(pairs.inverted, 1e-300) + least
     elastic = eigenvalues[eigenvalues > -STRAINED * least]  # parts may move rigidly by themselves
     first = float(elastic[0] if elastic.size else abs(eigenvalues[-1]))
-    return min(-0.1 * first, least)
+    return min(SHIFT * first, least)
 
 
 def largest_pairs(

@@ -73,10 +73,7 @@ class JobOutcome:
             engine.solve(self.job)
             entry = engine.store.get(self.key)
             if entry is None:
-                raise StoreDamaged(
-                    f"{engine.store.path(self.key)} was written anew and is damaged again; look "
-                    f"at the disk that holds {engine.store.folder}"
-                )
+                raise damaged_again(engine.store, self.key)
         assert isinstance(entry.result, kind)
         return entry.result
 
@@ -225,27 +222,29 @@ class JobEngine:
         """
         text = canonical_json(asked)
         key = content_key(text)
-        entry = self.store.get(key)
-        if entry is not None and isinstance(entry.result, kind):
-            return entry.result
+        found = self._stored(key, kind)
+        if found is not None:
+            return found
         if not self.may_run:
             raise NotComputed(f"the store has no {key[:12]}, and nothing may be computed here")
         with self.store.lock(key, self._wait_for_another):
-            entry = self.store.get(key)  # another campaign may have been faster
-            if entry is not None and isinstance(entry.result, kind):
-                return entry.result
-            started = time.monotonic()
-            result = compute()
-            self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), text)
-        return result
+            found = self._stored(key, kind)  # another campaign may have been faster
+            if found is None:
+                self._compute(key, text, compute)
+                # As everybody else will read it: arrays in another order have other last digits.
+                found = self._stored(key, kind)
+        if found is None:
+            raise damaged_again(self.store, key)
+        return found
 
-    def with_threads(self, threads: int) -> JobEngine:
-        """The same engine with so many threads a job."""
-        limits = tuple(
-            replace(limit, taken=min(threads, limit.slots)) if limit.name == CORES else limit
-            for limit in self.limits
-        )
-        return replace(self, threads=threads, limits=limits)
+    def _compute(self, key: str, asked: str, compute: Callable[[], Result]) -> None:
+        started = time.monotonic()
+        result = compute()
+        self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), asked)
+
+    def _stored(self, key: str, kind: type[R]) -> R | None:
+        entry = self.store.get(key)
+        return entry.result if entry is not None and isinstance(entry.result, kind) else None
 
     @contextmanager
     def all_cores(self) -> Iterator[None]:
@@ -349,3 +348,11 @@ class JobEngine:
                 part.rename(base / key)
             else:
                 shutil.rmtree(part, ignore_errors=True)
+
+
+def damaged_again(store: Store, key: str) -> StoreDamaged:
+    """The error to raise where an entry cannot be read that was just written."""
+    return StoreDamaged(
+        f"{store.path(key)} was written anew and is damaged again; look at the disk that holds "
+        f"{store.folder}"
+    )

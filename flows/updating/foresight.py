@@ -22,7 +22,6 @@ from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step
 from modetune.core.updating.results import ModalResult
-from modetune.flows.campaign.campaign import cores
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Work
 from modetune.flows.updating.asked import CaseState
@@ -176,11 +175,7 @@ class ReducedForesight:
     ) -> CaseEvaluation:
         job = Job(state.campaign.parameters.values(part.theta), analysis)
         name = state.case.solver.program.name
-        engine = state.engine
-        if self.campaign.run.here:  # it goes alone, on all the cores that jobs beside would have
-            shared = self.campaign.parallel * self.campaign.threads
-            engine = engine.with_threads(min(shared, cores()))
-        work = Work(f"modal by {name}", (job,), engine)
+        work = Work(f"modal by {name}", (job,), state.engine)
         ((outcome,),) = self.evaluator.carry_out(title, [work], state)
         modal = outcome.result(ModalResult)
         return compare(

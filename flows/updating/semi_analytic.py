@@ -19,6 +19,7 @@ from scipy import sparse
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.matrices import MatrixResult, symmetric
+from modetune.core.algebra.pencil import shift_below
 from modetune.core.correlation.repeated import repeated_modes, rotation_onto
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats, Integers
@@ -34,7 +35,7 @@ EIGENVALUE_TOLERANCE = 1e-4
 #: Derivatives from two pairs of matrices, one twice as wide, that differ more are not believed.
 PAIR_TOLERANCE = 0.01
 #: Raised by hand when the same matrices give other derivatives.
-DERIVATIVES_VERSION = 2
+DERIVATIVES_VERSION = 3
 
 
 class UnlikeMatrices(ModesError):
@@ -61,6 +62,7 @@ class SemiAnalytic:
             "matrices": source.key(point.theta, columns),
             "modal": engine.key(Job(source.parameters.values(point.theta), self.modal)),
             "columns": list(columns),
+            "n_modes": point.modal.modes.n_modes,
             "pairs": point.pairing.computed.tolist(),
             "shapes": self.with_shapes,
             "turned": _turned(point),
@@ -102,7 +104,7 @@ class SemiAnalytic:
                 stiffness,
                 mass,
                 point.modal.modes.n_modes,
-                shift=-0.1 * float(elastic.eigenvalues[0]),
+                shift=shift_below(float(elastic.eigenvalues[0])),
             )
         except ModelError as error:
             raise UnlikeMatrices(

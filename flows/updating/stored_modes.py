@@ -1,22 +1,32 @@
 """Modes of a campaign's model from its stored matrices, solved in this process.
 
-What a set cost is in the store like a solver's result; shapes of all unknowns, which reduced models
-are made of, and the newest of their bases, which the next solution starts from, stay in memory.
+What a set cost is in the store like a solver's result. A search for modes that begins with those
+of another set takes half as long as one from nothing, and ends on other last digits. So a key names
+what its search began with, and has the same digits whoever finds them, and whenever:
+
+    the first set            random vectors
+    others                   the modes of the first one
+    once there is a basis    what the newest reduced model, made of the modes at a set, has there
+
+Shapes of all unknowns and the newest basis stay in memory. Where a campaign goes on that was killed
+what its next search begins with is found once more, set by set.
 """
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.eigen import ModeSolver, SolvedModes
+from modetune.core.algebra.pencil import shift_below
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers, count_rigid_modes, mode_set
 from modetune.core.storage.keys import Json, canonical_json, content_key
+from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
 from modetune.core.updating.results import ModalResult
@@ -29,30 +39,115 @@ from modetune.flows.updating.semi_analytic import UnlikeMatrices
 logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are solved, or reduced, to other numbers.
-MODES_VERSION = 2
-REDUCED_VERSION = 2
-#: The shift below the spectrum, in first elastic eigenvalues.
-SHIFT = -0.1
+MODES_VERSION = 3
+REDUCED_VERSION = 3
 #: Unobservable nodes that a message names.
 NAMED = 5
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Set:
+    """So many modes at values (n_parameters,) as decks hold them; start: what they begin with."""
+
+    key: str
+    values: Floats
+    n_modes: int
+    start: _Set | _Around | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Around:
+    """A reduced model of the modes at a set; modes: those whose derivatives it holds."""
+
+    key: str
+    of: _Set
+    modes: Integers
+    observer: sparse.csr_array
+
+
 @dataclass(frozen=True, slots=True)
 class _Basis:
-    """A reduced model with its basis (n, r); around: its key."""
+    """A reduced model and its basis (n, r)."""
 
-    around: str
+    of: _Around
     reduced: ReducedModel
     vectors: Floats
 
-    def shapes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
+    def shapes(self, values: Floats, n_modes: int) -> tuple[Floats, Floats]:
         """Eigenvalues (n_modes,) and shapes of all unknowns (n, n_modes). Raises ModesError."""
-        eigenvalues, combined = self.reduced.combinations(theta, n_modes)
+        eigenvalues, combined = self.reduced.combinations(values, n_modes)
         return eigenvalues, self.vectors @ combined
 
 
+class _Solutions:
+    """Solutions in memory, and found again where they have left it: the newest of each kind."""
+
+    def __init__(self, matrices: ParameterMatrices, engine: JobEngine, shift: float) -> None:
+        self.matrices = matrices
+        self.engine = engine
+        self.shift = shift
+        # The solver's own modes at the end tell whether any was missed: no need to count them.
+        self._solver = ModeSolver(count=False)
+        self._newest: tuple[_Set, SolvedModes] | None = None
+        self._first: tuple[_Set, SolvedModes] | None = None
+        self._basis: _Basis | None = None
+
+    def modes(self, item: _Set) -> SolvedModes:
+        """The modes of a set with shapes of all unknowns."""
+        if self._newest is not None and self._newest[0] is item:
+            return self._newest[1]
+        shift, start = self._beginning(item)
+        self._newest = None
+        with self.engine.all_cores():
+            here = self.matrices.at(item.values)
+            solved = self._solver.solve(
+                here.upper_stiffness, here.upper_mass, item.n_modes, shift, start
+            )
+        self._newest = item, solved
+        return solved
+
+    def basis(self, around: _Around) -> _Basis:
+        """A reduced model with its basis."""
+        if self._basis is None or self._basis.of is not around:
+            solved = self.modes(around.of)
+            with self.engine.all_cores():
+                made = reduce(
+                    self.matrices,
+                    around.of.values,
+                    solved.eigenvalues,
+                    solved.shapes,
+                    self._solver.inverse,
+                    around.modes,
+                    around.observer,
+                )
+            self._basis = _Basis(around, *made)
+        return self._basis
+
+    def _beginning(self, item: _Set) -> tuple[float, Floats | None]:
+        """The shift of a search, (rad/s)^2, and the shapes that it begins with."""
+        if item.start is None:
+            return self.shift, None
+        if isinstance(item.start, _Set):
+            if self._first is None or self._first[0] is not item.start:
+                self._first = item.start, self.modes(item.start)
+            eigenvalues, shapes = self._first[1].eigenvalues, self._first[1].shapes
+        else:
+            self._first = None
+            try:
+                eigenvalues, shapes = self.basis(item.start).shapes(item.values, item.n_modes)
+            except ModesError as error:
+                logger.debug("no start from a reduced model: %s", error)
+                return self.shift, None
+        elastic = eigenvalues[count_rigid_modes(eigenvalues) :]
+        return shift_below(float(elastic[0])) if elastic.size else self.shift, shapes
+
+
 class MatrixModes:
-    """Modes and reduced models of one campaign's model by its stored matrices."""
+    """Modes and reduced models of one campaign's model by its stored matrices.
+
+    What they are found from follows from the order in which they are asked for, and not from what
+    the store has of them.
+    """
 
     def __init__(self, campaign: Campaign, engine: JobEngine, source: MatrixSource) -> None:
         self.campaign = campaign
@@ -61,91 +156,87 @@ class MatrixModes:
         columns = range(len(source.parameters))
         self.affine = source.last_matrices(campaign.start, columns)
         self._matrices_key = source.key(campaign.start, columns)
-        # The solver's own modes at the end tell whether any was missed: no need to count them.
-        self._solver = ModeSolver(count=False)
-        self._newest: tuple[Floats, SolvedModes] | None = None
-        self._basis: _Basis | None = None
-        self._around = ""
-        first = float(np.min(campaign.case.measured.modes.frequencies_hz))
-        self._shift = SHIFT * (2.0 * np.pi * first) ** 2  # the model's own, once it is known
+        first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
+        self._shift = shift_below(first**2)
+        self._solutions = _Solutions(self.affine, engine, self._shift)
+        self._sets: dict[tuple[float, ...], _Set] = {}
+        self._first: dict[int, _Set] = {}
+        self._reduced: dict[str, _Around] = {}
+        self._around: _Around | None = None
 
     def modal(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """The key and the modes of a set at the analysis' nodes. Raises UnlikeMatrices where
         their motion does not follow from the matrices' unknowns."""
-        asked = self._asked("modes", MODES_VERSION, theta, analysis)
-        found = self.engine.derived(asked, lambda: self._modal(theta, analysis), ModalResult)
+        item = self._set(theta, analysis.n_modes)
+
+        def compute() -> ModalResult:
+            solved = self._solutions.modes(item)
+            return self._seen(solved.eigenvalues, solved.shapes, analysis)
+
+        asked: Json = {"modes at": item.key, "nodes": list(analysis.nodes)}
+        found = self.engine.derived(asked, compute, ModalResult)
         return content_key(canonical_json(asked)), found
 
     def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """As `modal`, by the newest reduced model. Raises ModesError where it has no such modes."""
-        asked = {
-            "around": self._around,
-            "of": self._asked("foreseen", REDUCED_VERSION, theta, analysis),
+        around = self._around
+        if around is None or around is not self._newest:  # it would have to be made once more
+            return self.modal(theta, analysis)
+        values = self.source.written(theta)
+
+        def compute() -> ModalResult:
+            found = self._solutions.basis(around).shapes(values, analysis.n_modes)
+            return self._seen(*found, analysis)
+
+        asked: Json = {
+            "foreseen": around.key,
+            "theta": values.tolist(),
+            "n_modes": analysis.n_modes,
+            "nodes": list(analysis.nodes),
         }
-        found = self.engine.derived(asked, lambda: self._foreseen(theta, analysis), ModalResult)
+        found = self.engine.derived(asked, compute, ModalResult)
         return content_key(canonical_json(asked)), found
 
     def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:
         """The reduced model around an evaluation point, for its pairs, at the campaign's nodes."""
-        here = replace(analysis, nodes=self.campaign.case.nodes)
+        item, nodes = self._set(point.theta, analysis.n_modes), self.campaign.case.nodes
         modes = point.pairing.computed + point.modal.n_rigid
-        asked = {
+        asked: Json = {
+            "reduced": REDUCED_VERSION,
+            "around": item.key,
             "pairs": modes.tolist(),
-            "of": self._asked("reduced", REDUCED_VERSION, point.theta, here),
+            "nodes": list(nodes),
         }
-        self._around = content_key(canonical_json(asked))
+        key = content_key(canonical_json(asked))
+        if key not in self._reduced:
+            self._reduced[key] = _Around(key, item, modes, self._observer(*_named(nodes)))
+        around = self._around = self._reduced[key]
         return self.engine.derived(
-            asked, lambda: self._reduced(point.theta, modes, here), ReducedModel
+            asked, lambda: self._solutions.basis(around).reduced, ReducedModel
         )
 
-    def _asked(self, what: str, version: int, theta: Floats, analysis: ModalAnalysis) -> Json:
-        return {
-            what: version,
-            "matrices": self._matrices_key,
-            "theta": self.source.written(theta).tolist(),
-            "n_modes": analysis.n_modes,
-            "nodes": list(analysis.nodes),
-        }
+    @property
+    def _newest(self) -> _Around | None:
+        """The reduced model that was asked for last for the first time."""
+        return next(reversed(self._reduced.values()), None)
 
-    def _solved(self, theta: Floats, n_modes: int) -> SolvedModes:
-        """Modes at a set with shapes of all unknowns, from memory if it is the newest one."""
-        if self._newest is not None:
-            at, solved = self._newest
-            if np.array_equal(at, theta) and solved.eigenvalues.size >= n_modes:
-                return solved
-        with self.engine.all_cores():
-            matrices = self.affine.at(self.source.written(theta))
-            solved = self._solver.solve(
-                matrices.upper_stiffness,
-                matrices.upper_mass,
-                n_modes,
-                self._shift,
-                self._start(theta, n_modes),
-            )
-        rigid = count_rigid_modes(solved.eigenvalues)
-        if rigid < solved.eigenvalues.size:
-            self._shift = SHIFT * float(solved.eigenvalues[rigid])
-        self._newest = theta.copy(), solved
-        return solved
-
-    def _start(self, theta: Floats, n_modes: int) -> Floats | None:
-        """Shapes near those of a set: the newest reduced model's there, else the newest ones."""
-        if self._basis is not None:
-            try:
-                return self._basis.shapes(theta, n_modes)[1]
-            except ModesError as error:
-                logger.debug("no start from a reduced model: %s", error)
-        return None if self._newest is None else self._newest[1].shapes
-
-    def _modal(self, theta: Floats, analysis: ModalAnalysis) -> ModalResult:
-        solved = self._solved(theta, analysis.n_modes)
-        return self._seen(solved.eigenvalues, solved.shapes, analysis)
-
-    def _foreseen(self, theta: Floats, analysis: ModalAnalysis) -> ModalResult:
-        if self._basis is None or self._basis.around != self._around:
-            return self._modal(theta, analysis)  # an earlier run died before this was stored
-        found = self._basis.shapes(self.source.written(theta), analysis.n_modes)
-        return self._seen(*found, analysis)
+    def _set(self, theta: Floats, n_modes: int) -> _Set:
+        """A set, with what its modes are found from."""
+        values = self.source.written(theta)
+        mark = (*values.tolist(), n_modes)
+        if mark not in self._sets:
+            start = self._newest or self._first.get(n_modes)
+            asked: Json = {
+                "modes": MODES_VERSION,
+                "matrices": self._matrices_key,
+                "theta": values.tolist(),
+                "n_modes": n_modes,
+                "from": self._shift if start is None else start.key,
+            }
+            key = content_key(canonical_json(asked))
+            self._sets[mark] = _Set(key, values, n_modes, start)
+            self._first.setdefault(n_modes, self._sets[mark])
+        return self._sets[mark]
 
     def _seen(self, eigenvalues: Floats, shapes: Floats, analysis: ModalAnalysis) -> ModalResult:
         """The modes at an analysis' nodes, of shapes of all unknowns."""
@@ -166,22 +257,6 @@ class MatrixModes:
             total_strain_energy=0.5 * eigenvalues,
             mass=np.nan,
         )
-
-    def _reduced(self, theta: Floats, modes: Integers, here: ModalAnalysis) -> ReducedModel:
-        solved = self._solved(theta, here.n_modes)
-        nodes, components = _named(here.nodes)
-        with self.engine.all_cores():
-            model, basis = reduce(
-                self.affine,
-                self.source.written(theta),
-                solved.eigenvalues,
-                solved.shapes,
-                self._solver.inverse,
-                modes,
-                self._observer(nodes, components),
-            )
-        self._basis = _Basis(self._around, model, basis)
-        return model
 
     def _observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
         """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""

@@ -60,13 +60,14 @@ class Case:
         return {item[0]: value for item, value in zip(self.parameters, self.truth, strict=True)}
 
 
-def row_of_materials() -> str:
-    """Nine C3D8I bricks in a row, three of each of three materials; held at one end."""
-    text = bar("C3D8I", bricks=9).replace("NAME=A\n", "NAME=A1\n")
+def row_of_materials(bricks: int = 9) -> str:
+    """C3D8I bricks in a row, a third of each of three materials; held at one end."""
+    text = bar("C3D8I", bricks=bricks).replace("NAME=A\n", "NAME=A1\n")
     text = text.replace("*SOLID SECTION, ELSET=V, MATERIAL=A\n", "")
+    third = bricks // 3
     for place in (1, 2, 3):
         text += NAMED.format(f"A{place}") if place > 1 else ""
-        text += f"*ELSET, ELSET=V{place}, GENERATE\n{3 * place - 2}, {3 * place}\n"
+        text += f"*ELSET, ELSET=V{place}, GENERATE\n{(place - 1) * third + 1}, {place * third}\n"
         text += f"*SOLID SECTION, ELSET=V{place}, MATERIAL=A{place}\n"
     return text
 

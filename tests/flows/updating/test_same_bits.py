@@ -1,0 +1,151 @@
+"""By stored matrices: killed and run again, a campaign ends on the bits of one undisturbed."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
+from modetune.core.errors import ModetuneError
+from modetune.core.storage.store import Entry, Store
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.running import job_engine, update_campaign
+from tests.flows.records import differences
+from tests.flows.updating.test_by_matrices import MODULI, STORED, Case, row_of_materials, written
+
+pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+
+SILENT = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
+#: 45 bricks: enough unknowns that their modes are searched for, and not found all at once.
+LONG = Case(row_of_materials(45), MODULI, (1.25, 0.8, 1.15), tuple(range(5, 185, 3)))
+
+#: Steps so short that there are several.
+SHORT = "update.step_limit=0.1"
+
+
+class Killed(BaseException):
+    """As good as SIGKILL to whatever is in memory."""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(LONG, tmp_path_factory.mktemp("long") / "case")
+
+
+@pytest.fixture(autouse=True)
+def own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+
+
+def run(file: Path, place: Path) -> Path:
+    """Run the campaign with a store in `place`; its record."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MODETUNE_STORE", str(place / "store"))
+        campaign = load_campaign(file, [STORED, SHORT])
+    update_campaign(campaign, place / "run", SILENT)
+    return place / "run" / "campaign.h5"
+
+
+def watch_puts(monkeypatch: pytest.MonkeyPatch, after: Callable[[Store, Entry], None]) -> None:
+    real = Store.put
+
+    def put(self: Store, entry: Entry, *given: Any) -> None:
+        real(self, entry, *given)
+        after(self, entry)
+
+    monkeypatch.setattr(Store, "put", put)
+
+
+def test_killed_after_an_entry_and_run_again_it_ends_on_the_same_bits(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written_by: list[str] = []
+    with monkeypatch.context() as patch:
+        watch_puts(patch, lambda store, entry: written_by.append(entry.solver))
+        whole = run(file, tmp_path / "whole")
+    assert written_by.count("modetune") >= 6  # matrices; modes and reduced models of some sets
+    for count in range(3, len(written_by), 3):  # from the matrices on
+        place = tmp_path / str(count)
+        seen: list[str] = []
+
+        def stop(store: Store, entry: Entry, count: int = count, seen: Any = seen) -> None:
+            seen.append(entry.solver)
+            if len(seen) == count:
+                raise Killed
+
+        with monkeypatch.context() as patch:
+            watch_puts(patch, stop)
+            with pytest.raises(Killed):
+                run(file, place)
+        with monkeypatch.context() as patch:
+            watch_puts(patch, lambda store, entry, seen=seen: seen.append(entry.solver))  # type: ignore[misc]
+            again = run(file, place)
+        assert differences(whole, again) == []
+        assert sorted(seen) == sorted(written_by)  # nothing was computed twice
+
+
+@pytest.fixture
+def ways(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """How each search for modes went, in order."""
+    found: list[str] = []
+    real = ModeSolver.solve
+
+    def solve(self: ModeSolver, *given: Any) -> SolvedModes:
+        solved = real(self, *given)
+        found.append(solved.way)
+        return solved
+
+    monkeypatch.setattr(ModeSolver, "solve", solve)
+    return found
+
+
+def test_each_search_but_the_first_begins_with_modes_that_are_known(
+    file: Path, tmp_path: Path, ways: list[str]
+) -> None:
+    run(file, tmp_path)
+    assert len(ways) > 2
+    assert ways == ["random"] + ["start"] * (len(ways) - 1)
+
+
+def at_points(file: Path, place: Path) -> list[Evaluation | ModetuneError]:
+    """Evaluations of sets beside each other, as studies ask for them; the store is in `place`."""
+    campaign = load_campaign(file, [f"store={place / 'store'}", STORED])
+    engine = job_engine(campaign)
+    thetas = np.random.default_rng(1).uniform(0.8, 1.2, (5, 3))
+    return evaluator_of(campaign, engine, ThreadExecution(engine, 1)).points("points", thetas)
+
+
+def test_points_of_a_study_that_was_killed_have_the_same_bits(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ways: list[str]
+) -> None:
+    whole = at_points(file, tmp_path / "whole")
+    assert ways == ["random"] + ["start"] * 4
+    left = 3 + 2  # two matrix jobs, what is made of them, two points
+
+    def stop(store: Store, entry: Entry) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise Killed
+
+    with monkeypatch.context() as patch:
+        watch_puts(patch, stop)
+        with pytest.raises(Killed):
+            at_points(file, tmp_path / "killed")
+    again = at_points(file, tmp_path / "killed")
+    assert ways[5:] == ["random", "start", "random", "start", "start", "start"]  # the first again
+    for one, other in zip(whole, again, strict=True):
+        assert isinstance(one, Evaluation)
+        assert isinstance(other, Evaluation)
+        assert one.key == other.key
+        np.testing.assert_array_equal(one.residual.values, other.residual.values)
+        np.testing.assert_array_equal(one.seen.mode_shapes, other.seen.mode_shapes)
