@@ -42,6 +42,8 @@ SEEN = 0.5
 MEMBER = 0.3
 #: Smallest eigenvalue of a matrix of cosines that is more than rounding.
 ROUNDING = 1e-14
+#: Room below which a parameter stands on its bound.
+STUCK = 1e-9
 #: Subsets of three are looked at up to so many parameters (161,700 of them), and pairs always.
 MOST_FOR_TRIPLES = 100
 #: Subsets that are kept, those with the largest index.
@@ -169,19 +171,31 @@ def identifiability(
 
 
 def remaining_step(
-    sensitivity: Floats, residual: Floats, weights: Floats, deviations: Floats
+    sensitivity: Floats,
+    residual: Floats,
+    weights: Floats,
+    deviations: Floats,
+    lower: Floats,
+    upper: Floats,
 ) -> Floats:
     """How far the least misfit still lies from where the parameters stand, (n_parameters,), linear.
 
-    residual: (n_residuals,), measured minus computed, at the parameters' values; all else as for
-    `identifiability`. Combinations that the test cannot see stay where they are.
+    residual: (n_residuals,), measured minus computed, at the parameters' values; lower, upper:
+    (n_parameters,), bounds of the change; all else as for `identifiability`. Combinations that the
+    test cannot see stay where they are, and so do parameters that a bound holds.
     """
     scaled = scaled_sensitivity(sensitivity, weights, deviations)
-    used = weights > 0.0
-    left, values, right = np.linalg.svd(scaled, full_matrices=False)
-    known = values**2 / (values**2 + 1.0) >= SEEN
-    along = left.T[known] @ (np.sqrt(weights[used]) * residual[used]) / values[known]
-    return np.asarray(deviations * (right[known].T @ along))
+    target = np.sqrt(weights[weights > 0.0]) * residual[weights > 0.0]
+    free = np.ones(deviations.size, dtype=np.bool_)
+    while True:
+        left, values, right = np.linalg.svd(scaled[:, free], full_matrices=False)
+        known = values**2 / (values**2 + 1.0) >= SEEN
+        step = np.zeros(deviations.size)
+        step[free] = deviations[free] * (right[known].T @ (left.T[known] @ target / values[known]))
+        stuck = free & ((step < 0.0) & (lower >= -STUCK) | (step > 0.0) & (upper <= STUCK))
+        if not stuck.any():
+            return np.asarray(np.clip(step, np.minimum(lower, 0.0), np.maximum(upper, 0.0)))
+        free &= ~stuck
 
 
 def _unseen(scaled: Floats, space: Floats, relative: Floats) -> tuple[UnseenCombination, ...]:

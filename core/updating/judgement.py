@@ -7,7 +7,7 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.updating.identifiability import Identifiability, UnseenCombination
-from modetune.core.updating.trust import ParameterTrust, Trust
+from modetune.core.updating.trust import NEGLIGIBLE, THERE, ParameterTrust, Trust
 
 #: Shares of the test below which a parameter is unseen, known by the prior mainly, mixed up.
 UNSEEN_SHARE, HALF, SURE = 0.1, 0.5, 0.9
@@ -15,10 +15,6 @@ UNSEEN_SHARE, HALF, SURE = 0.1, 0.5, 0.9
 FAR = 3.0
 #: Collinearity index at which subsets count as alike.
 ALIKE = 20.0
-#: A standard error below this share of the deck's value is not worth a word.
-NEGLIGIBLE = 0.01
-#: Standard errors by which the least misfit may be further on without a word.
-SHORT = 2.0
 #: So many names are told one by one.
 LISTED = 6
 #: Two changes whose amounts differ by less are called equal.
@@ -124,6 +120,7 @@ def trust_sentences(trust: Trust) -> tuple[str, ...]:
     """The verdict in words, then what stands behind it."""
     return (
         _verdict_sentence(trust),
+        ending_sentence(trust),
         *trust.unseen,
         *_spread_sentences(trust),
         *trust.concerns,
@@ -145,26 +142,30 @@ def combination_sentences(names: tuple[str, ...], found: Identifiability) -> tup
     return tuple(said)
 
 
-def short_sentences(
-    names: tuple[str, ...], remaining: Floats, standard_errors: Floats
-) -> tuple[str, ...]:
-    """That updating ended before the least misfit, where that matters.
+def ending_sentence(trust: Trust) -> str:
+    """Whether updating ended at the least misfit, or where e1 is met, and how far these are apart.
 
     Standard errors tell how the least misfit scatters; e1 may end updating well before it.
-    remaining, standard_errors: (n_parameters,).
     """
-    known = np.isfinite(standard_errors) & (np.abs(remaining) > NEGLIGIBLE)
-    far = np.where(known, np.abs(remaining) / np.where(known, standard_errors, 1.0), 0.0)
-    if not (far > SHORT).any():
-        return ()
+    if trust.ended == "least misfit":
+        return "Updating ended at the least misfit."
+    short = trust.short
+    order = [place for place in np.argsort(-short).tolist() if short[place] > THERE]
     moves = ", ".join(
-        f"{names[place]} by {_percent(float(remaining[place]))}, {far[place]:.1f} standard errors"
-        for place in np.flatnonzero(far > SHORT).tolist()
+        f"{trust.parameters[place].name} by {_percent(float(trust.remaining[place]))}, "
+        f"{min(short[place], 1e3):.1f} standard errors"
+        for place in order[:LISTED]
     )
+    more = f", and {len(order) - LISTED} more" if len(order) > LISTED else ""
+    why = (
+        "Updating ended as soon as e1 was met, which is good enough, not the least misfit: that"
+        if trust.ended == "good enough"
+        else "Updating ended before the least misfit: that"
+    )
+    ask = "; for the least misfit itself ask for a smaller e1" if trust.agrees else ""
     return (
-        f"Updating ended as soon as e1 was met; the least misfit lies further on ({moves}). The "
-        "standard errors are those of the least misfit: for them to hold here, ask for a smaller "
-        "e1.",
+        f"{why} lies further on ({moves}{more}). The standard errors beside the values include "
+        f"this way{ask}."
     )
 
 
@@ -216,13 +217,18 @@ def _verdict_sentence(trust: Trust) -> str:
         )
     if doubtful:
         reasons.append(f"{len(doubtful)} of {n} parameters in doubt ({_listed(doubtful)})")
+    if trust.freedom <= 0:
+        reasons.append(
+            "no degree of freedom is left, as many parameters as independent measured values can "
+            "match any test"
+        )
     if trust.unseen and not doubtful:
         reasons.append("some of them can hardly be told apart")
     if not trust.agrees:
         reasons.append("e1 is not met")
     if trust.spread is not None and trust.spread.rivals:
         reasons.append("other starts fit as well with other values")
-    if trust.concerns:
+    if trust.concerns or trust.too_short:
         reasons.append("see below")
     why = "; ".join(reasons) or "none in doubt"
     count = f"{told:.1f} of {n} parameters" if n > 1 else f"{told:.0%} of the parameter"
@@ -242,7 +248,21 @@ def _spread_sentences(trust: Trust) -> list[str]:
     as_well = (
         f", {len(spread.rivals)} of which fit as well" if spread.rivals else ", which fit worse"
     )
-    return [f"{ended}, in {places} places: {same} at the answer, the others elsewhere{as_well}."]
+    told = f"{ended}, in {places} places: {same} at the answer, the others elsewhere{as_well}."
+    names = [item.name for item in trust.parameters]
+    answer = _values(names, [item.updated for item in trust.parameters])
+    others = [
+        _values(names, spread.updated[int(np.flatnonzero(spread.minima == place)[0])].tolist())
+        for place in spread.rivals
+    ]
+    return [
+        told,
+        *(f"Another set fits as well: {values}; the answer is {answer}." for values in others),
+    ]
+
+
+def _values(names: list[str], values: list[float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in zip(names, values, strict=True))
 
 
 def _percent(share: float) -> str:

@@ -95,6 +95,23 @@ def reduce(
     return model, widened
 
 
+def unreduced(affine: ParameterMatrices, shift: float, observer: sparse.csr_array) -> ReducedModel:
+    """A small model as it is, every unknown a vector of its own: exact for all parameter values.
+
+    shift: (rad/s)^2, below zero; observer: (n_rows, n).
+    """
+    every = np.eye(observer.shape[1])
+    return ReducedModel(
+        reference=affine.reference,
+        shift=shift,
+        base_stiffness=projected(affine.base.upper_stiffness, every),
+        base_mass=projected(affine.base.upper_mass, every),
+        stiffness=_reduced_parts(affine.base.upper_stiffness, affine.stiffness, every),
+        mass=_reduced_parts(affine.base.upper_mass, affine.mass, every),
+        rows=observer.toarray(),
+    )
+
+
 def _basis(modes: KnownModes, answers: Answers, room: int) -> Floats:
     """The known modes and what answers have outside them, (n, r) in C order, the strongest first.
 

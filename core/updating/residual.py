@@ -64,6 +64,13 @@ class Residual:
         """The weighted sum of squares that updating brings down (thesis (40))."""
         return float(self.values @ (self.weights * self.values))
 
+    @property
+    def n_independent(self) -> int:
+        """Values that count: of each shape one less than its entries, which scaling takes."""
+        used = self.weights > 0.0
+        shapes = np.array_split(used[self.n_frequencies :], max(self.n_frequencies, 1))
+        return int(used.sum()) - sum(bool(shape.any()) for shape in shapes)
+
 
 def residual(
     measured: ModeSet, computed: ModeSet, pairing: Pairing, weighting: Weighting

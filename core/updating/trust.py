@@ -18,11 +18,17 @@ A matched frequency proves little, so each parameter is asked questions, and eac
 All but alike and uncertain put a parameter in doubt.
 
 The verdict. Not to be trusted: more than half of the parameters are in doubt, other starts fit as
-well with other values of parameters that nothing else puts in doubt, or what is left is more than
-three times what measurement noise explains, since standard errors mean nothing then. With
-reservations: any parameter in doubt or alike, a combination of parameters that the test cannot see,
-e1 not met, or a concern: what was held out got worse, an error that no parameter can remove, the
-least misfit lies further on. Else trusted.
+well with other values of parameters that nothing else puts in doubt, no degree of freedom is left
+(as many parameters as measured values can match any test) and no other start was tried, or what is
+left is more than three times what measurement noise explains, since standard errors mean nothing
+then. With reservations: any parameter in doubt or alike, a combination of parameters that the test
+cannot see, no degree of freedom left where other starts end at the same values, e1 not met, the
+least misfit more than two standard errors further on, or a concern: what was held out got worse, an
+error that no parameter can remove. Else trusted.
+
+Where updating ended. e1 ends it where the model is good enough, which may be well before the least
+misfit. The standard errors that are told hold at the values that are told: with C the covariance of
+the least misfit and d the way that is left to it, they are those of C + d d^T.
 """
 
 from __future__ import annotations
@@ -37,11 +43,19 @@ from modetune.core.updating.estimation import LCurve
 from modetune.core.updating.identifiability import Identifiability
 
 Verdict = Literal["trusted", "trusted with reservations", "not to be trusted"]
+#: Where updating ended: at the least misfit, before it where e1 is met, or where it is not.
+Ended = Literal["least misfit", "good enough", "under way"]
 
 #: Flags that put no parameter in doubt.
 NO_DOUBT = {"uncertain", "alike"}
 #: What is left, over what noise explains, beyond which standard errors mean nothing.
 MEANINGLESS = 3.0
+#: Standard errors of the least misfit within which updating ended there.
+THERE = 0.3
+#: ... and beyond which values are not called trusted, if they move by more than NEGLIGIBLE.
+SHORT = 2.0
+#: A change below this share of the deck's value is not worth a word.
+NEGLIGIBLE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +119,9 @@ class StartSpread:
 class Trust:
     """How far the parameters of an updating can be trusted.
 
-    agrees: whether e1 is met; unseen: a sentence a combination that the test does not tell;
+    agrees: whether e1 is met; remaining: (n_parameters,), how far the least misfit lies further
+    on, linear; freedom: degrees of freedom, the measured values that are left to judge by;
+    unseen: a sentence a combination that the test does not tell;
     curve: the L-curve of the last step, None where there was none; regularisation: the factor that
     this step used; age: iterations since the sensitivity behind all this was computed; spread: of
     several starts; concerns: sentences of others; notes: sentences that doubt nothing;
@@ -116,6 +132,8 @@ class Trust:
     parameters: tuple[ParameterTrust, ...]
     identifiability: Identifiability
     agrees: bool
+    remaining: Floats
+    freedom: int
     unseen: tuple[str, ...]
     curve: LCurve | None = None
     regularisation: float = float("nan")
@@ -131,18 +149,45 @@ class Trust:
         return self.times_noise > MEANINGLESS
 
     @property
+    def short(self) -> Floats:
+        """The way to the least misfit in standard errors of that, (n_parameters,)."""
+        errors = np.array([item.standard_error for item in self.parameters])
+        known = np.isfinite(errors) & (self.remaining != 0.0)
+        scatter = np.sqrt(np.maximum(np.where(known, errors, 1.0) ** 2 - self.remaining**2, 0.0))
+        tiny = np.finfo(np.float64).tiny
+        return np.where(known, np.abs(self.remaining) / np.maximum(scatter, tiny), 0.0)
+
+    @property
+    def ended(self) -> Ended:
+        """Where updating ended."""
+        if (self.short <= THERE).all():
+            return "least misfit"
+        return "good enough" if self.agrees else "under way"
+
+    @property
+    def too_short(self) -> bool:
+        """Whether the least misfit lies so far on that it matters."""
+        return bool(((self.short > SHORT) & (np.abs(self.remaining) > NEGLIGIBLE)).any())
+
+    @property
+    def unchecked(self) -> bool:
+        """Whether nothing but the fit itself speaks for it, and any test can be fitted."""
+        return self.freedom <= 0 and (self.spread is None or self.spread.n_ended < 2)
+
+    @property
     def flagged(self) -> tuple[ParameterTrust, ...]:
         return tuple(item for item in self.parameters if item.flags)
 
     @property
     def verdict(self) -> Verdict:
         doubtful = [item for item in self.parameters if item.doubtful]
-        if self.meaningless or 2 * len(doubtful) > len(self.parameters):
+        if self.meaningless or self.unchecked or 2 * len(doubtful) > len(self.parameters):
             return "not to be trusted"
         if any(set(item.flags) - NO_DOUBT == {"starts"} for item in doubtful):
             return "not to be trusted"
         rivals = self.spread is not None and bool(self.spread.rivals)
-        if doubtful or rivals or self.unseen or not self.agrees or self.concerns:
+        unsure = self.unseen or self.concerns or self.too_short or self.freedom <= 0
+        if doubtful or rivals or unsure or not self.agrees:
             return "trusted with reservations"
         return "trusted"
 

@@ -18,6 +18,8 @@ STATUS = {
     "stationary": ("was brought as near to its test as these parameters can", "fair"),
     "running": ("is still being updated", "fair"),
 }
+#: ... and which end that is where e1 is met.
+LEAST, ENOUGH = ", at the least misfit", " well enough (e1), short of the least misfit"
 #: ... where it is in some, or in no respect nearer to its test than before.
 IN_PART = ("came nearer to its test in part only", "fair")
 NO_NEARER = ("did not come nearer to its test", "outside")
@@ -67,7 +69,10 @@ def _ending(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[str, str]:
             return NO_NEARER
         if any(change < 0.0 for change in nearer):
             return IN_PART
-    return STATUS.get(record.status, (f"ended as {record.status}", "fair"))
+    ending, mood = STATUS.get(record.status, (f"ended as {record.status}", "fair"))
+    if record.status == "converged" and record.trust is not None:
+        ending += LEAST if record.trust.ended == "least misfit" else ENOUGH
+    return ending, mood
 
 
 def _changes(rows: Sequence[ModeRow]) -> tuple[float, float, float]:

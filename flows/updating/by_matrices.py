@@ -19,7 +19,7 @@ import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModetuneError
-from modetune.core.modes import Floats, mode_set
+from modetune.core.modes import Floats, Integers, mode_set
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
@@ -112,22 +112,8 @@ class ByReduced:
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
-        known = self.around.modal
-        eigenvalues, shapes = self.reduced.modes(theta, known.modes.n_modes)
-        modal = ModalResult(
-            eigenvalues=eigenvalues,
-            modes=mode_set(
-                np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
-                shapes,
-                known.modes.nodes,
-                known.modes.components,
-                normalisation="mass",
-            ),
-            groups=(),
-            strain_energies=np.zeros((0, eigenvalues.size)),
-            total_strain_energy=0.5 * eigenvalues,
-            mass=np.nan,
-        )
+        known = self.around.modal.modes
+        modal = reduced_modal(self.reduced, theta, known.n_modes, known.nodes, known.components)
         return self.around.key, modal
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
@@ -141,6 +127,30 @@ class ByReduced:
 
     def instead(self, error: ModetuneError) -> ModeFinder:
         raise error
+
+
+def reduced_modal(
+    reduced: ReducedModel, theta: Floats, n_modes: int, nodes: Integers, components: Integers
+) -> ModalResult:
+    """The lowest modes of a reduced model at its rows, whose degrees of freedom these are.
+
+    Raises ModesError where it has no such modes.
+    """
+    eigenvalues, shapes = reduced.modes(theta, n_modes)
+    return ModalResult(
+        eigenvalues=eigenvalues,
+        modes=mode_set(
+            np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
+            shapes,
+            nodes,
+            components,
+            normalisation="mass",
+        ),
+        groups=(),
+        strain_energies=np.zeros((0, eigenvalues.size)),
+        total_strain_energy=0.5 * eigenvalues,
+        mass=np.nan,
+    )
 
 
 def reduced_columns(reduced: ReducedModel, point: Point) -> Columns:

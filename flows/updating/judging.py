@@ -10,12 +10,11 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord, IterationRecord
-from modetune.core.updating.estimation import LCurve, StepProblem, l_curve
-from modetune.core.updating.identifiability import identifiability, remaining_step
+from modetune.core.updating.estimation import RANK_TOLERANCE, LCurve, StepProblem, l_curve
+from modetune.core.updating.identifiability import identifiability
 from modetune.core.updating.judgement import (
     combination_sentences,
     judge_parameters,
-    short_sentences,
     trust_sentences,
 )
 from modetune.core.updating.trust import StartSpread, Trust, with_concerns
@@ -33,11 +32,13 @@ def campaign_trust(
     iterations: Sequence[IterationRecord],
     matrix: Matrix | None,
     standard_errors: Floats,
+    remaining: Floats,
     agrees: bool,
 ) -> Trust | None:
     """What the newest sensitivity and the test say of the parameters; None without a sensitivity.
 
-    standard_errors: (n_parameters,); agrees: whether e1 is met.
+    standard_errors, remaining: (n_parameters,), at the answer, and its way to the least misfit;
+    agrees: whether e1 is met.
     """
     if matrix is None:
         return None
@@ -63,12 +64,25 @@ def campaign_trust(
         ),
         identifiability=found,
         agrees=agrees,
+        remaining=remaining,
+        freedom=_freedom(campaign, last, matrix),
         unseen=combination_sentences(parameters.names, found),
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,
-        concerns=_short(campaign, last, matrix, standard_errors) if agrees else (),
     )
+
+
+def _freedom(campaign: Campaign, last: IterationRecord, matrix: Matrix) -> int:
+    """Measured values that are left to judge the fit by; a pull to the initial values adds some."""
+    values, theta = last.residual.n_independent, last.parameters
+    if campaign.update.step == "pulled_to_initial":
+        return values
+    held = set(campaign.parameters.at_bounds(theta))
+    free = [place for place, name in enumerate(campaign.parameters.names) if name not in held]
+    weighted = np.sqrt(last.residual.weights)[:, None] * matrix.values[:, free]
+    singular = np.linalg.svd(weighted, compute_uv=False)
+    return values - int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))
 
 
 def checked(record: CampaignRecord) -> CampaignRecord:
@@ -93,20 +107,6 @@ def _worse(record: CampaignRecord) -> tuple[str, ...]:
         f"{len(names)} of {held.numbers.size} held-out modes got worse by updating "
         f"({', '.join(names)}): the parameters may have been bent to fit the others.",
     )
-
-
-def _short(
-    campaign: Campaign, last: IterationRecord, matrix: Matrix, standard_errors: Floats
-) -> tuple[str, ...]:
-    if campaign.update.step == "pulled_to_initial":
-        return ()  # its answer is not the least misfit, and its standard errors know that
-    remaining = remaining_step(
-        matrix.values,
-        last.residual.values,
-        last.residual.weights,
-        campaign.parameters.standard_deviations,
-    )
-    return short_sentences(campaign.parameters.names, remaining, standard_errors)
 
 
 def _curve(campaign: Campaign, iterations: Sequence[IterationRecord]) -> LCurve | None:
@@ -144,6 +144,8 @@ def trust_summary(trust: Trust | None) -> Json:
     return json_object(
         trust,
         "verdict regularisation",
+        ended_at=trust.ended,
+        degrees_of_freedom=trust.freedom,
         sentences=trust_sentences(trust),
         condition=found.condition,
         singular_values=found.singular_values,
@@ -161,9 +163,11 @@ def trust_summary(trust: Trust | None) -> Json:
         sensitivity_age=trust.age,
         parameters=[
             json_object(
-                item, "name test_share standard_error on_bound collinear_with flags sentence"
+                item,
+                "name test_share standard_error on_bound collinear_with flags sentence",
+                to_least_misfit=way,
             )
-            for item in trust.parameters
+            for item, way in zip(trust.parameters, trust.remaining.tolist(), strict=True)
         ],
         **({} if trust.spread is None else {"starts": _told_starts(trust.spread)}),
     )

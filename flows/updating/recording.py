@@ -16,6 +16,7 @@ from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.updating.estimation import parameter_covariance
+from modetune.core.updating.identifiability import remaining_step
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import verdict_summary
 from modetune.flows.report.rows import held_out_rows, mode_rows, parameter_rows
@@ -39,7 +40,7 @@ def campaign_record(
 ) -> CampaignRecord:
     """The record of a campaign as it stands; standard errors are by its newest matrix."""
     accepted, only = [item for item in iterations if item.accepted], campaign.only
-    errors, correlation = _trust(campaign, accepted[-1], matrix)
+    errors, correlation, remaining = _scatter(campaign, accepted[-1], matrix)
     return CampaignRecord(
         name=campaign.name,
         campaign_text=campaign.text,
@@ -75,7 +76,7 @@ def campaign_record(
         deck_digest="" if status == "running" else _deck_digest(campaign),
         trust=None
         if status == "running"
-        else campaign_trust(campaign, iterations, matrix, errors, status == "converged"),
+        else campaign_trust(campaign, iterations, matrix, errors, remaining, status == "converged"),
     )
 
 
@@ -95,24 +96,43 @@ def _deck_digest(campaign: Campaign) -> str:
     return "; ".join(dict.fromkeys(told))
 
 
-def _trust(
+def _scatter(
     campaign: Campaign, last: IterationRecord, matrix: Matrix | None
-) -> tuple[Floats, Floats]:
-    """Standard errors (n,) and correlation (n, n) of the parameters from measurement variances."""
-    n = len(campaign.parameters)
+) -> tuple[Floats, Floats, Floats]:
+    """Standard errors (n,) and correlation (n, n) of the parameters as they stand, and their way to
+    the least misfit (n,).
+
+    Measurement variances leave the least misfit with a covariance C; the parameters, which stand d
+    before it, are off the truth by C + d d^T.
+    """
+    n, parameters = len(campaign.parameters), campaign.parameters
     if matrix is None:
-        return np.full(n, np.nan), np.full((n, n), np.nan)
-    prior, weights = None, last.residual.weights
+        return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan)
+    found, theta, prior = last.residual, last.parameters, None
+    weights, sensitivity, residual = found.weights, matrix.values, found.values
     if campaign.update.step in ("pseudo_inverse", "minimum_norm"):
-        weights = (weights > 0.0).astype(np.float64)
+        weights = (weights > 0.0) / np.mean(found.variances[weights > 0.0])
+    stacked = weights
     if campaign.update.step == "pulled_to_initial":
         factor = last.regularisation if np.isfinite(last.regularisation) else 1.0
-        prior = factor * campaign.parameters.standard_deviations**-2
-    covariance = parameter_covariance(matrix.values, last.residual.variances, weights, prior)
+        prior = factor * parameters.standard_deviations**-2
+        sensitivity = np.vstack([sensitivity, np.eye(n)])
+        residual = np.concatenate([residual, parameters.initial - theta])
+        stacked = np.concatenate([weights, prior])
+    remaining = remaining_step(
+        sensitivity,
+        residual,
+        stacked,
+        parameters.standard_deviations,
+        parameters.lower - theta,
+        parameters.upper - theta,
+    )
+    covariance = parameter_covariance(matrix.values, found.variances, weights, prior)
+    covariance = covariance + np.outer(remaining, remaining)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(errors, errors)
-    return errors, correlation
+    return errors, correlation, remaining
 
 
 def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
@@ -120,6 +140,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
     return json_object(
         record,
         "status reason",
+        ended_at=record.trust and record.trust.ended,
         iterations=record.iterations[-1].number,
         solver_runs=record.runs,
         parameters=parameter_rows(record),

@@ -51,7 +51,7 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (3, "1207252cb84f")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (4, "31b355803a51")),
         (SCREENING.kind, SCREENING.format, (2, "e83fafee7642")),
         (POSTERIOR.kind, POSTERIOR.format, (2, "dc7474e4c855")),
         (store.KINDS["modal"], store.FORMAT, (3, "b628987e920e")),

@@ -106,10 +106,24 @@ def test_the_remaining_step_is_least_squares_where_the_test_sees() -> None:
     noise = np.random.default_rng(4)
     s, z, w = noise.normal(size=(6, 3)), noise.normal(size=6), noise.uniform(50.0, 200.0, 6)
     expected = np.linalg.solve(s.T @ (w[:, None] * s), s.T @ (w * z))
-    np.testing.assert_allclose(remaining_step(s, z, w, np.full(3, 0.5)), expected, rtol=1e-9)
+    far = np.full(3, 1e3)
+    found = remaining_step(s, z, w, np.full(3, 0.5), -far, far)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
     # A parameter that hardly moves anything is not asked to move far.
     s[:, 2] *= 1e-6
-    assert remaining_step(s, z, w, np.full(3, 0.5))[2] == pytest.approx(0.0, abs=1e-3)
+    assert remaining_step(s, z, w, np.full(3, 0.5), -far, far)[2] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_remaining_step_leaves_a_parameter_that_its_bound_holds() -> None:
+    noise = np.random.default_rng(5)
+    s, z, w = noise.normal(size=(6, 2)), noise.normal(size=6), np.full(6, 100.0)
+    far = np.full(2, 1e3)
+    sign = np.sign(remaining_step(s, z, w, np.ones(2), -far, far)[0])
+    lower, upper = (-far, far * [0.0, 1.0]) if sign > 0.0 else (-far * [0.0, 1.0], far)
+    found = remaining_step(s, z, w, np.ones(2), lower, upper)
+    # The other one goes where it is best alone.
+    assert found[0] == 0.0
+    assert found[1] == pytest.approx(s[:, 1] @ z / (s[:, 1] @ s[:, 1]))
 
 
 def test_without_a_prior_what_is_determined_at_all_is_the_tests() -> None:

@@ -17,7 +17,6 @@ from modetune.core.updating.identifiability import identifiability
 from modetune.core.updating.judgement import (
     combination_sentences,
     judge_parameters,
-    short_sentences,
     trust_sentences,
 )
 from modetune.core.updating.trust import StartSpread, Trust, with_concerns, with_spread
@@ -29,6 +28,8 @@ def trust(
     errors: list[float] | None = None,
     missing: tuple[int, ...] = (),
     agrees: bool = True,
+    remaining: list[float] | None = None,
+    freedom: int = 3,
 ) -> Trust:
     """Of parameters a, b, ... with deviations 0.2 and bounds 0.5 to 2, measured to deviation 1."""
     n = sensitivity.shape[1]
@@ -40,7 +41,9 @@ def trust(
     found = identifiability(sensitivity, np.ones(len(sensitivity)), np.full(n, 0.2), values)
     standard = np.array(errors) if errors else np.full(n, 0.001)
     judged = judge_parameters(parameters, values, np.ones(n), standard, found, missing)
-    return Trust(judged, found, agrees, combination_sentences(parameters.names, found))
+    left = np.array(remaining) if remaining else np.zeros(n)
+    unseen = combination_sentences(parameters.names, found)
+    return Trust(judged, found, agrees, left, freedom, unseen)
 
 
 def flags(found: Trust) -> list[tuple[str, ...]]:
@@ -50,7 +53,7 @@ def flags(found: Trust) -> list[tuple[str, ...]]:
 def spread(n: int, rivals: tuple[int, ...], differ: tuple[str, ...]) -> StartSpread:
     return StartSpread(
         np.ones((3, n)),
-        np.ones((3, n)),
+        np.array([np.full(n, value) for value in (1.0, 2.0, np.nan)]),
         np.array([1.0, 1.0, np.nan]),
         ("converged", "converged", "failed: lost"),
         np.array([0, 1 if rivals else 0, -1]),
@@ -72,6 +75,7 @@ def test_nothing_is_flagged_where_everything_is_told() -> None:
     assert trust_sentences(found) == (
         "The parameters are trusted: none in doubt. The test tells 4.0 of 4 parameters, the prior "
         "the rest.",
+        "Updating ended at the least misfit.",
     )
     assert found.parameters[0].sentence == "a is told by the test (100%), to ±0.1 %."
 
@@ -190,30 +194,56 @@ def test_what_no_noise_explains_takes_the_trust_away() -> None:
 
 
 def test_an_answer_short_of_the_least_misfit_is_a_reservation_and_names_all() -> None:
-    names = ("a", "b", "c")
-    errors = np.array([0.01, 0.001, np.inf])
-    (said,) = short_sentences(names, np.array([0.025, 0.005, 0.3]), errors)
-    # a by 2.5 of its errors; b by five, but below one percent; nothing is known of c's.
-    assert "(a by +2.5 %, 2.5 standard errors)" in said
-    (both,) = short_sentences(names, np.array([0.025, -0.02, 0.3]), errors)
-    assert "(a by +2.5 %, 2.5 standard errors, b by -2 %, 20.0 standard errors)" in both
-    assert short_sentences(names, np.array([0.015, 0.005, 0.3]), errors) == ()
-    found = with_concerns(trust(WELL_POSED, [1.1] * 4), said)
+    # Errors of the least misfit 0.01 and 0.001; what is told holds for the values as they stand.
+    way = [0.025, -0.02, 0.0, 0.0]
+    errors = [float(np.hypot(0.01, 0.025)), float(np.hypot(0.001, 0.02)), np.inf, 0.001]
+    found = trust(WELL_POSED, [1.1] * 4, errors, remaining=way)
+    assert found.ended == "good enough"
+    assert found.too_short
     assert found.verdict == "trusted with reservations"
-    assert trust_sentences(found)[-1] == said
+    said = trust_sentences(found)[1]
+    assert said.startswith("Updating ended as soon as e1 was met, which is good enough, not the")
+    assert "(b by -2 %, 20.0 standard errors, a by +2.5 %, 2.5 standard errors)" in said
+    # By 1.5 of its errors, or by five but less than one percent: told, and no reservation.
+    for short, scatter in (([0.015, 0.0, 0.0, 0.0], 0.01), ([0.005, 0.0, 0.0, 0.0], 0.001)):
+        errors = [float(np.hypot(scatter, short[0])), *[0.001] * 3]
+        near = trust(WELL_POSED, [1.1] * 4, errors, remaining=short)
+        assert near.ended == "good enough"
+        assert near.verdict == "trusted"
+    unmet = trust(WELL_POSED, [1.1] * 4, errors, agrees=False, remaining=short)
+    assert unmet.ended == "under way"
+
+
+def test_a_way_that_is_small_beside_the_error_is_the_least_misfit() -> None:
+    found = trust(WELL_POSED, [1.1] * 4, [0.01, 0.01, 0.01, np.inf], remaining=[0.0028] * 4)
+    assert found.ended == "least misfit"
+    # 0.003 of sqrt(0.01^2 - 0.003^2) is 0.31.
+    assert trust(WELL_POSED, [1.1] * 4, [0.01] * 4, remaining=[0.003] * 4).ended == "good enough"
+
+
+def test_nothing_is_trusted_by_itself_where_no_degree_of_freedom_is_left() -> None:
+    found = trust(WELL_POSED, [1.1] * 4, freedom=0)
+    assert found.verdict == "not to be trusted"
+    assert "no degree of freedom is left" in trust_sentences(found)[0]
+    # Other starts that end at the same values speak for it, those with a rival against.
+    assert with_spread(found, spread(4, (), ())).verdict == "trusted with reservations"
+    assert with_spread(found, spread(4, (1,), ("b",))).verdict == "not to be trusted"
 
 
 def test_other_starts_that_fit_as_well_take_the_trust_away() -> None:
     found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (1,), ("b",)))
     assert flags(found) == [(), ("starts",), (), ()]
     assert found.verdict == "not to be trusted"
-    assert "2 of 3 starts ended, in 2 places: 1 at the answer" in trust_sentences(found)[1]
+    assert "2 of 3 starts ended, in 2 places: 1 at the answer" in trust_sentences(found)[2]
+    assert trust_sentences(found)[3] == (
+        "Another set fits as well: a 2, b 2, c 2, d 2; the answer is a 1.1, b 1.1, c 1.1, d 1.1."
+    )
 
 
 def test_other_starts_that_end_at_the_same_values_confirm_the_answer() -> None:
     found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (), ()))
     assert found.verdict == "trusted"
-    assert trust_sentences(found)[1] == "2 of 3 starts ended at the same values."
+    assert trust_sentences(found)[2] == "2 of 3 starts ended at the same values."
 
 
 def test_what_was_flagged_already_is_no_news_from_other_starts() -> None:

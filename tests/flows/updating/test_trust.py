@@ -62,14 +62,27 @@ def test_an_update_that_e1_ends_early_says_where_its_standard_errors_hold(
     update = UpdateSection(
         step="regularised", regularisation=1000.0, e2=0.0, e1=E1Section(frequency=0.02, mac=0.0)
     )
-    found = trust_of(run(bench, watcher, bench.campaign(TRUTH, update=update)))
+    early = run(bench, watcher, bench.campaign(TRUTH, update=update))
+    found = trust_of(early)
     assert found.agrees
-    (concern,) = found.concerns
+    assert found.ended == "good enough"
     assert found.verdict == "trusted with reservations"
-    assert concern.startswith("Updating ended as soon as e1 was met; the least misfit lies")
+    said = trust_sentences(found)[1]
+    assert said.startswith("Updating ended as soon as e1 was met, which is good enough, not the")
     exact = UpdateSection(step="regularised", e2=0.0, e1=E1Section(frequency=1e-5, mac=0.0))
     told = update_campaign(bench.campaign(TRUTH, update=exact), bench.folder / "exact", watcher)
-    assert trust_of(told).concerns == ()
+    assert trust_of(told).ended == "least misfit"
+    # The way to the least misfit is in the standard errors of the values that stop before it.
+    way, errors = told.record.updated - early.record.updated, early.record.standard_errors
+    assert (np.abs(way) <= 1.96 * errors).all()
+    assert (np.abs(way) > 3.0 * told.record.standard_errors).any()
+    scatter = np.sqrt(errors**2 - found.remaining**2)
+    np.testing.assert_allclose(scatter, told.record.standard_errors, rtol=0.5)
+    summed: Any = summary(early.record, early.folder)
+    assert summed["ended_at"] == "good enough"
+    assert summed["trust"]["ended_at"] == "good enough"
+    assert "well enough (e1), short of the least misfit" in page(early.record)
+    assert "agrees with its test, at the least misfit" in page(told.record)
 
 
 @pytest.mark.parametrize("truth", [TRUTH, {**TRUTH, "k5": 1.5}])
@@ -176,6 +189,7 @@ def test_the_summary_has_every_number_as_json(bench: Any, watcher: Any) -> None:
             "collinear_with",
             "flags",
             "sentence",
+            "to_least_misfit",
         }
     assert 0.0 <= trust["parameters"][0]["test_share"] <= 1.0
 

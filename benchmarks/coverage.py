@@ -1,0 +1,329 @@
+"""Updates many twins whose truth is known, and counts what their verdicts say.
+
+    python -m benchmarks.coverage [--twins 200] [--exact 500] [--structures six_mass chain_18]
+
+Noisy twins: parameters are drawn as uncertain as the campaign says they are, frequencies and shapes
+as uncertain as it says they were measured, and all else is left at its default. A line a structure
+tells the share of 95 % intervals (1.96 standard errors beside the printed value) that hold the
+truth, of each parameter the least and the most and over all the mean, how many updates ended
+where they began, and how many were accused of a model-form error, which the structures do not have.
+
+Exact twins: how many came to the truth, were called trusted elsewhere, and were accused. Structures
+with modes at one frequency are among them.
+
+Every model is matrices, solved in this process without a store: a twin takes a few hundredths of a
+second. The aircraft is the coarse one of configs/garteur, reduced to the unknowns of its sensors
+(SEREP, O'Callahan 1989), which takes CalculiX a few seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks.zoo.structures import FAMILIES, Generator, Structure, spring
+from scipy import linalg, stats
+
+import modetune
+from modetune.configs.cases import write_case
+from modetune.configs.measuring import noisy, signed
+from modetune.configs.six_mass import system
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.correlation.repeated import repeated_modes
+from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.updating.observation import observe
+from modetune.core.updating.reduced_basis import reduce, unreduced
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.report.form_verdict import record_verdict
+from modetune.flows.updating.asked import CaseState
+from modetune.flows.updating.by_matrices import ByReduced, reduced_modal
+from modetune.flows.updating.evaluation import compare
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.updating import Unwatched, Updating
+
+#: Standard errors beside the value that hold the truth in 95 of 100 cases.
+INTERVAL = 1.96
+#: Of the true values of twins, relative to the deck; half of the default deviation.
+SCATTER = 0.1
+#: An exact twin's parameters are found where they are within this of the truth.
+FOUND = 1e-3
+
+
+def storeys(n: int) -> dict[str, Any]:
+    """A frame from the ground up, alike in all storeys, the spring of each a part."""
+    parts = {f"k{place + 1}": {"stiffness": spring(n, place - 1, place, 1e3)} for place in range(n)}
+    stiffness = sum((part["stiffness"] for part in parts.values()), np.zeros((n, n)))
+    return {"stiffness": stiffness, "mass": np.eye(n), "parts": parts}
+
+
+def structure(family: str, model: dict[str, Any], sought: Sequence[str], n_modes: int) -> Structure:
+    parameters = [{"name": name, "quantity": "matrix_factor", "part": name} for name in sought]
+    nodes = range(1, len(model["mass"]) + 1)
+    return Structure(family, model, tuple(parameters), tuple(nodes), n_modes, "matrices")
+
+
+def six_mass(_: Generator) -> Structure:
+    """The six masses of configs/six_mass, three of its springs."""
+    order = ["ground", *system.MASSES]
+    parts = {
+        name: {"stiffness": spring(6, *(order.index(end) - 1 for end in system.BETWEEN[name]), k)}
+        for name, (k, _) in system.SPRINGS.items()
+    }
+    stiffness = sum((part["stiffness"] for part in parts.values()), np.zeros((6, 6)))
+    mass = np.diag([value for value, _ in system.MASSES.values()])
+    model = {"stiffness": stiffness, "mass": mass, "parts": parts}
+    return structure("six_mass", model, ["k1", "k4", "k9"], 6)
+
+
+def chain_18(_: Generator) -> Structure:
+    """A frame of 18 storeys, all of its springs."""
+    model = storeys(18)
+    return structure("chain_18", model, list(model["parts"]), 4)
+
+
+def aircraft(_: Generator) -> Structure:
+    """The coarse aircraft, free: its five moduli."""
+    with tempfile.TemporaryDirectory(prefix="coverage-") as name:
+        folder = Path(name)
+        write_case("garteur", folder)
+        campaign = load_campaign(folder / "twin.yaml", [f"store={folder / 'store'}"])
+        engine = job_engine(campaign)
+        source = MatrixSource(engine, campaign.parameters, 0.01)
+        every = range(len(campaign.parameters))
+        for job in source.jobs(campaign.start, every):
+            engine.solve(job)
+        affine = source.matrices(campaign.start, every)
+    here, solver = affine.at(campaign.start), ModeSolver()
+    solved = solver.solve(here.upper_stiffness, here.upper_mass, 24, -1e3)
+    observer = observe(here.nodes, here.components, here.nodes, here.components).matrix
+    reduced, basis = reduce(
+        affine,
+        campaign.start,
+        solved.eigenvalues,
+        solved.shapes,
+        solver.inverse,
+        np.arange(6, 14),
+        observer,
+    )
+    _, order = linalg.qr(basis.T, mode="r", pivoting=True)
+    rows = np.sort(order[: basis.shape[1]])
+    back = np.linalg.inv(basis[rows])
+
+    def seen(matrix: Floats) -> Floats:
+        turned = back.T @ matrix @ back
+        return np.asarray(0.5 * (turned + turned.T))
+
+    stiffness, mass = (seen(matrix) for matrix in reduced.at(campaign.start))
+    names = campaign.parameters.names
+    parts = {names[part.column]: {"stiffness": seen(part.values[0])} for part in reduced.stiffness}
+    dofs = [
+        f"{node}.{COMPONENTS[axis - 1]}"
+        for node, axis in zip(here.nodes[rows], here.components[rows], strict=True)
+    ]
+    model = {"stiffness": stiffness, "mass": mass, "parts": parts, "dofs": dofs}
+    return structure("aircraft", model, list(parts), 8)
+
+
+#: What noisy twins are made of, and whether shapes count beside frequencies.
+NOISY: dict[str, tuple[Callable[[Generator], Structure], bool]] = {
+    "six_mass": (six_mass, False),
+    "chain_18": (chain_18, True),
+    "aircraft": (aircraft, False),
+}
+#: What exact twins are made of, each of a structure of its own.
+EXACT = ("chain", "mechanism", "polar_masses", "assembly")
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """How the update of a twin ended; held: (n_parameters,), whether the interval has the truth."""
+
+    held: tuple[bool, ...]
+    found: bool
+    trusted: bool
+    accused: bool
+    iterations: int
+
+
+class Model:
+    """A structure ready for its twins: a campaign of it, and its matrices for all values."""
+
+    def __init__(self, made: Structure, shapes: bool, settings: dict[str, Any], folder: Path):
+        dofs = _dofs(made)
+        loaded = modetune.load(
+            {
+                "name": made.family,
+                "model": made.deck,
+                "test": {
+                    "frequencies_hz": np.arange(1.0, made.n_modes + 1.0),
+                    "mode_shapes": np.ones((len(dofs), made.n_modes)),
+                    "dofs": dofs,
+                },
+                "parameters": list(made.parameters),
+                "residuals": {"shape_weight": 1.0} if shapes else {},
+                "update": settings,
+                "report": {"page": False},
+                "run": {"parallel": 1, "threads": 1},
+                "store": str(folder / "store"),
+            },
+            folder=folder,
+        )
+        self.campaign, self.engine = loaded, job_engine(loaded)
+        source = MatrixSource(self.engine, loaded.parameters, 0.01)
+        affine = source.matrices(loaded.start, range(len(loaded.parameters)))
+        nodes = np.repeat(np.array(sorted(loaded.case.nodes), dtype=np.int64), 3)
+        self.nodes, self.components = nodes, np.tile(np.arange(1, 4), nodes.size // 3)
+        here = affine.base
+        observer = observe(here.nodes, here.components, self.nodes, self.components).matrix
+        largest = np.abs(here.upper_stiffness.diagonal()).max() / here.upper_mass.diagonal().min()
+        self.reduced = unreduced(affine, -1e-6 * float(largest), observer)
+        self.n_modes = min(loaded.case.n_modes, here.nodes.size)
+        self.dofs = np.flatnonzero(observer @ np.ones(here.nodes.size))
+
+    def modal(self, theta: Floats) -> ModalResult:
+        return reduced_modal(self.reduced, theta, self.n_modes, self.nodes, self.components)
+
+    def measured(self, truth: Floats, rng: Generator) -> ModeSet:
+        """What an exact test of the true structure gives, modes of one frequency at any angle."""
+        found = self.modal(truth).elastic.rows(self.dofs)
+        found = found.select(range(len(self.campaign.test.numbers)))
+        shapes = found.mode_shapes.copy()
+        for members in repeated_modes(found.eigenvalues):
+            if members.size > 1:
+                turn = stats.ortho_group.rvs(members.size, random_state=rng)
+                shapes[:, members] = shapes[:, members] @ turn
+        return replace(found, mode_shapes=shapes)
+
+    def update(self, test: ModeSet) -> CampaignRecord:
+        """The record of an update with this test."""
+        loaded = self.campaign
+        measured = MeasuredModes(loaded.test.numbers, test)
+        case = replace(loaded.case, test=measured)
+        own = replace(loaded, cases=(case,))
+        name = case.solver.program.name
+        modal = self.modal(own.start)
+        around = compare(case, own.weighting, own.start, "", modal, None, name)
+        state = CaseState(
+            case,
+            own,
+            np.arange(len(own.parameters)),
+            self.engine,
+            ByReduced(self.reduced, around, name),
+            campaign_analysis(own),
+        )
+        execution = ThreadExecution(self.engine, 1)
+        evaluator = Evaluator(own, [state], execution, self.engine.ledger)
+        return Updating(own, evaluator, Unwatched(), lambda record: None).run()
+
+
+def _dofs(made: Structure) -> list[str]:
+    assert isinstance(made.deck, dict)
+    return made.deck.get("dofs") or [f"{n + 1}.x" for n in range(len(made.deck["mass"]))]
+
+
+def update_twin(model: Model, seed: int, noise: bool) -> Twin:
+    """One twin of a structure, updated from the deck's values."""
+    campaign, rng = model.campaign, np.random.default_rng([seed, int(noise)])
+    n, weighting = len(campaign.parameters), campaign.weighting
+    truth = np.clip(1.0 + SCATTER * rng.standard_normal(n), 0.7, 1.4)
+    test = model.measured(truth, rng)
+    if noise:
+        test = noisy(test, weighting.frequency_deviation, weighting.shape_deviation, seed)
+    record = model.update(signed(test))
+    verdict, apart = record_verdict(record), np.abs(record.updated - truth)
+    return Twin(
+        held=tuple((apart <= INTERVAL * record.standard_errors).tolist()),
+        found=bool((apart <= FOUND).all()),
+        trusted=record.trust is not None and record.trust.verdict == "trusted",
+        accused=verdict is not None and verdict.form.suspected,
+        iterations=record.iterations[-1].number,
+    )
+
+
+def noisy_twins(name: str, n: int, seed: int, settings: dict[str, Any]) -> list[Twin]:
+    made, shapes = NOISY[name]
+    with tempfile.TemporaryDirectory(prefix="coverage-") as folder:
+        model = Model(made(np.random.default_rng(seed)), shapes, settings, Path(folder))
+        return [update_twin(model, seed + place, noise=True) for place in range(n)]
+
+
+def exact_twins(family: str, n: int, seed: int, settings: dict[str, Any]) -> list[Twin]:
+    twins = []
+    for place in range(n):
+        rng = np.random.default_rng([seed + place, *family.encode()])
+        with tempfile.TemporaryDirectory(prefix="coverage-") as folder:
+            model = Model(FAMILIES[family](rng), True, settings, Path(folder))
+            twins.append(update_twin(model, seed + place, noise=False))
+    return twins
+
+
+def coverage_line(name: str, twins: Sequence[Twin]) -> str:
+    held = 100.0 * np.mean([twin.held for twin in twins], axis=0)
+    return (
+        f"{name:14}{len(twins):6d}{held.min():9.1f}{held.max():8.1f}{held.mean():8.1f}"
+        f"{_share([twin.iterations == 0 for twin in twins]):14.1f}"
+        f"{_share([twin.accused for twin in twins]):10.1f}"
+        f"{_share([twin.trusted for twin in twins]):10.1f}"
+        f"{np.mean([twin.iterations for twin in twins]):12.1f}"
+    )
+
+
+def exact_line(name: str, twins: Sequence[Twin]) -> str:
+    return (
+        f"{name:14}{len(twins):6d}{_share([twin.found for twin in twins]):12.1f}"
+        f"{_share([twin.trusted and not twin.found for twin in twins]):17.1f}"
+        f"{_share([twin.accused for twin in twins]):10.1f}"
+        f"{np.mean([twin.iterations for twin in twins]):12.1f}"
+    )
+
+
+def _share(said: Sequence[bool]) -> float:
+    return 100.0 * float(np.mean(said))
+
+
+HEADS = (
+    f"{'noisy twins':14}{'':6}{'least %':>9}{'most %':>8}{'mean %':>8}{'ended at 0 %':>14}"
+    f"{'accused %':>10}{'trusted %':>10}{'iterations':>12}",
+    f"{'exact twins':14}{'':6}{'at truth %':>12}{'wrong trusted %':>17}{'accused %':>10}"
+    f"{'iterations':>12}",
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--twins", type=int, default=200, help="noisy twins of each structure")
+    parser.add_argument("--exact", type=int, default=500, help="exact twins in all")
+    parser.add_argument("--structures", nargs="*", choices=[*NOISY], default=[*NOISY])
+    parser.add_argument("--starts", type=int, help="updates from so many starts; else the default")
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    logging.disable(logging.WARNING)
+    settings = {} if asked.starts is None else {"starts": asked.starts}
+    for number, (names, line, run, each) in enumerate(
+        (
+            (asked.structures, coverage_line, noisy_twins, asked.twins),
+            (EXACT, exact_line, exact_twins, asked.exact // len(EXACT)),
+        )
+    ):
+        if each:
+            sys.stdout.write(f"{HEADS[number]}\n")
+            for name in names:
+                sys.stdout.write(f"{line(name, run(name, each, asked.seed, settings))}\n")
+                sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
