@@ -18,6 +18,9 @@ Normalisation = Literal["mass", "max", "unknown"]
 #: Relative distance of eigenvalues that seven printed digits, which solvers give, cannot tell: such
 #: modes are repeated.
 REPEATED = 5e-7
+#: Relative distance of frequencies below which modes turn within their common space: a change of
+#: one of them by 0.4 % of its stiffness, which any step makes, mixes their shapes wholly.
+CLOSE = 0.002
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -135,6 +138,18 @@ def common_dofs(first: ModeSet, second: ModeSet) -> tuple[Integers, Integers]:
     pairs = [(row, place[dof]) for row, dof in enumerate(names_first) if dof in place]
     rows = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     return rows[:, 0], rows[:, 1]
+
+
+def close_sets(frequencies_hz: Floats, width: float) -> list[Integers]:
+    """Positions of each set of close modes, ascending; a mode that is close to none is alone.
+
+    width: relative distance of neighbours in frequency up to which they are close. Sets are in the
+    order of frequency.
+    """
+    order = np.argsort(frequencies_hz, kind="stable")
+    ascending = frequencies_hz[order]
+    apart = np.diff(ascending) > width * np.abs(ascending[1:])
+    return [np.sort(item) for item in np.split(order, np.flatnonzero(apart) + 1)]
 
 
 def count_rigid_modes(eigenvalues: Floats) -> int:

@@ -7,8 +7,11 @@ tracked: without measured shapes each pair stays with the computed mode whose sh
 one paired before, whatever its place in the order has become.
 
 Close modes turn within their common space at the least change of the model, so a single MAC says
-little there: a measured shape that lies in the space of a cluster of close computed modes counts
-as found even if no single member of the cluster resembles it.
+little there. A measured shape is assigned to a cluster of close computed modes by the angle between
+it and their space, and counts as found there even if no single member resembles it; which member
+it is paired with the MAC decides. Measured modes that the test cannot split (their frequencies are
+closer than they were measured) may have turned too: the MAC of their partners is that of both
+spaces, and close partners are taken in the order of frequency.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from scipy.optimize import linear_sum_assignment
 
 from modetune.core.correlation.correlation import Shapes, mac, subspace_mac
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
+from modetune.core.modes import CLOSE, Floats, Integers, ModeSet, close_sets, common_dofs
 
 #: Below this MAC a pair is not a pair (the usual limit for "uncorrelated" is 0.2 to 0.4).
 LOST_MAC = 0.3
@@ -31,6 +34,13 @@ AT_REST = 1e-7
 CLUSTER = 0.015
 #: How much a relative frequency difference of 100 % weighs against a MAC of 1 as tie-break.
 FREQUENCY_TIE_BREAK = 0.05
+#: Singular values of members' shapes at the sensors below this share of the largest: the sensors
+#: see fewer directions than there are members.
+UNSEEN = 1e-3
+#: How much a member's own MAC counts beside the angle to the space of its cluster.
+OWN_SHARE = 0.1
+#: Relative distance of measured frequencies that a test can split, unless a campaign tells.
+RESOLUTION = 0.002
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +48,8 @@ class Pairing:
     """One-to-one pairs of measured and computed modes.
 
     measured, computed: (n_pairs,), positions in the two mode sets.
-    mac: (n_pairs,), MAC of each pair at the common sensors, NaN where no shape was measured.
+    mac: (n_pairs,), MAC of each pair at the common sensors, NaN where no shape was measured; of
+    modes that the test cannot split, of their space with that of the measured shapes.
     subspace_mac: (n_pairs,), the same against the whole cluster of close computed modes.
     reasons: why each pair is one.
     """
@@ -59,11 +70,17 @@ class LostMode(ModesError):
     """A measured mode has no counterpart among the computed ones: compute more of them."""
 
 
-def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_MAC) -> Pairing:
+def pair_by_shape(
+    measured: ModeSet,
+    computed: ModeSet,
+    lost_mac: float = LOST_MAC,
+    resolution: float = RESOLUTION,
+) -> Pairing:
     """Pair every measured mode with one computed mode by MAC at the common sensors.
 
-    Raises LostMode where fewer modes were computed than measured, or where a measured shape is
-    found neither in its partner nor in the cluster around it; ModesError without common sensors.
+    resolution: relative distance of frequencies that the test can split. Raises LostMode where
+    fewer modes were computed than measured, or where a measured shape is found neither in its
+    partner nor in the cluster around it; ModesError without common sensors.
     """
     _enough(measured, computed)
     rows_m, rows_c = common_dofs(measured, computed)
@@ -72,14 +89,26 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
     shapes_m = measured.mode_shapes[rows_m]
     shapes_c = without_rounding(computed.mode_shapes[rows_c])
     table = mac_or_zero(shapes_m, shapes_c)
+    likeness = _likeness(table, shapes_m, shapes_c, computed.frequencies_hz)
     apart = np.abs(computed.frequencies_hz[None, :] / measured.frequencies_hz[:, None] - 1.0)
-    cost = -(table - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
-    rows, columns = linear_sum_assignment(cost)
+    cost = -(likeness - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
+    columns = linear_sum_assignment(cost)[1]
+    macs = table[np.arange(columns.size), columns]
+    turned: dict[int, float] = {}
+    for unsplit in close_sets(measured.frequencies_hz, resolution):
+        if unsplit.size < 2:
+            continue
+        columns[unsplit] = _in_order(measured, computed, unsplit, columns[unsplit])
+        for members in close_sets(computed.frequencies_hz[columns[unsplit]], CLOSE):
+            rows = unsplit[members]
+            value = cluster_mac(shapes_c[:, columns[rows]], shapes_m[:, unsplit])
+            turned |= dict.fromkeys(rows.tolist(), value)
+    macs[list(turned)] = list(turned.values())
     spaces, reasons = [], []
-    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
-        value = float(table[row, column])
+    for row, column in enumerate(columns.tolist()):
+        value = float(macs[row])
         cluster = close_modes(computed.frequencies_hz, column)
-        space = _space_or_zero(shapes_m[:, row], shapes_c[:, cluster])
+        space = turned.get(row, _space_or_zero(shapes_m[:, row], shapes_c[:, cluster]))
         if max(value, space) < lost_mac:
             raise LostMode(
                 f"the measured mode at {measured.frequencies_hz[row]:.4g} Hz is not among "
@@ -89,13 +118,34 @@ def pair_by_shape(measured: ModeSet, computed: ModeSet, lost_mac: float = LOST_M
             )
         spaces.append(space)
         reasons.append(_reason(value, space, row, column, table, cluster))
-    return Pairing(
-        rows.astype(np.int64),
-        columns.astype(np.int64),
-        table[rows, columns],
-        np.array(spaces),
-        tuple(reasons),
-    )
+    positions = np.arange(columns.size, dtype=np.int64)
+    return Pairing(positions, columns.astype(np.int64), macs, np.array(spaces), tuple(reasons))
+
+
+def _likeness(table: Floats, shapes_m: Shapes, shapes_c: Shapes, frequencies_hz: Floats) -> Floats:
+    """MAC of measured shapes with the clusters of computed modes, (n_measured, n_computed).
+
+    Of a mode alone it is the MAC (table). A space of as many modes as there are sensors resembles
+    everything, so it tells nothing.
+    """
+    likeness = table.copy()
+    for column in range(frequencies_hz.size):
+        cluster = close_modes(frequencies_hz, column)
+        if 1 < cluster.size < shapes_c.shape[0]:
+            space = [_space_or_zero(shape, shapes_c[:, cluster]) for shape in shapes_m.T]
+            likeness[:, column] += (1.0 - OWN_SHARE) * (np.array(space) - table[:, column])
+    return likeness
+
+
+def _in_order(measured: ModeSet, computed: ModeSet, rows: Integers, columns: Integers) -> Integers:
+    """Partners (n,) of measured modes that are not split, close ones in the order of frequency."""
+    placed = columns.copy()
+    ranks = np.argsort(measured.frequencies_hz[rows], kind="stable")
+    for members in close_sets(computed.frequencies_hz[columns], CLOSE):
+        own = ranks[np.isin(ranks, members)]
+        by_frequency = np.argsort(computed.frequencies_hz[columns[members]], kind="stable")
+        placed[own] = columns[members][by_frequency]
+    return placed
 
 
 def pair_by_order(measured: ModeSet, computed: ModeSet, others_hz: ArrayLike = ()) -> Pairing:
@@ -167,6 +217,20 @@ def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
 def _space_or_zero(shape: Shapes, basis: Shapes) -> float:
     moving = basis[:, basis.any(axis=0)]
     return subspace_mac(shape, moving) if moving.shape[1] and shape.any() else 0.0
+
+
+def cluster_mac(shapes: Shapes, basis: Shapes) -> float:
+    """Share of the shapes of a cluster that lies in the space of others, in [0, 1].
+
+    shapes: (n_dof, n), mass-normalised, basis: (n_dof, k). Of one shape each it is the MAC; turning
+    the members of either does not change it. 0 where one of them rests.
+    """
+    moving = basis[:, basis.any(axis=0)]
+    if not moving.shape[1] or not shapes.any():
+        return 0.0
+    left, sizes, _ = np.linalg.svd(moving / np.linalg.norm(moving, axis=0), full_matrices=False)
+    inside = left[:, sizes > UNSEEN * sizes[0]].conj().T @ shapes
+    return float(min(np.sum(np.abs(inside) ** 2) / np.sum(np.abs(shapes) ** 2), 1.0))
 
 
 def without_rounding(shapes: Shapes) -> Shapes:

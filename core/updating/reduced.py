@@ -18,8 +18,9 @@ reduced space use all of its modes:
     d phi_i = sum_k x_k x_k^T (lambda_i dM - dK) phi_i / (1 - mu_k / mu_i)
               - 1/2 phi_i phi_i^T dM phi_i
 
-with x_k^T (K_r - s M_r) x_k = 1, the terms of modes of the same eigenvalue left out, as in
-`core/updating/sensitivity`. How the basis comes to be: `core/updating/reduced_basis`.
+with x_k^T (K_r - s M_r) x_k = 1, the terms of modes of the same cluster left out, as they move
+nothing that is compared (`core/correlation/clusters`). How the basis comes to be:
+`core/updating/reduced_basis`.
 """
 
 from __future__ import annotations
@@ -31,9 +32,12 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, eigh
 
 from modetune.core.errors import ModesError
-from modetune.core.modes import REPEATED, Floats, Integers
+from modetune.core.modes import CLOSE, Floats, Integers, close_sets
 from modetune.core.updating.parameter_matrices import powers_moved, powers_slopes
 from modetune.core.updating.sensitivity import ModeDerivatives
+
+#: Eigenvalues of the flexibility below this share of the largest are of vectors without mass.
+LEAST_MASS = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +107,7 @@ class ReducedModel:
     def combinations(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
         """As `modes`, the shapes by what they have of each vector of the basis, (r, n_modes)."""
         inverted, vectors = self._solved(theta)
-        with_mass = int(np.sum(inverted > 1e-12 * inverted[0]))
+        with_mass = int(np.sum(inverted > LEAST_MASS * inverted[0]))
         if n_modes > with_mass:
             raise ModesError(
                 f"{n_modes} modes were asked of a reduced model that has {with_mass}; "
@@ -119,19 +123,23 @@ class ReducedModel:
 
         theta: (n_parameters,); modes: positions of the wanted ones. shapes: (n_rows, n_wanted),
         those of which they shall be the derivatives, as another solver may have turned them the
-        other way round, or a pair of one eigenvalue by any angle; those of `modes` by default.
+        other way round, or close ones by any angle; those of `modes` by default.
         Raises ModesError where the reduced model has no such modes.
         """
         inverted, vectors = self._solved(theta)
         if int(modes.max(initial=-1)) >= self.size:
             raise ModesError(f"the reduced model of {self.size} vectors has no mode {modes.max()}")
-        if shapes is not None:
-            vectors = _turned(inverted, self.shift, vectors, modes, self.rows, shapes)
         d_lam = np.zeros((modes.size, self.reference.size))
         d_phi = np.zeros((self.size, modes.size, self.reference.size))
+        close = _close(inverted, modes, self.shift)
         eigenvalues = self.shift + 1.0 / inverted[modes]
         phi = vectors[:, modes] / np.sqrt(inverted[modes])
-        dividing = _dividing(inverted, modes, self.shift)
+        if shapes is not None:
+            turn = _turn(inverted, self.rows @ vectors, close, shapes)
+            phi = (vectors / np.sqrt(np.abs(inverted))) @ turn
+            eigenvalues = (self.shift + 1.0 / inverted) @ turn**2
+        apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
+        dividing = np.where(close, 0.0, 1.0 / np.where(close, 1.0, apart))
         for column in range(self.reference.size):
             value = float(theta[column])
             stiffness, mass = (
@@ -160,41 +168,28 @@ class ReducedModel:
         return inverted[::-1], vectors[:, ::-1]
 
 
-def _same(inverted: Floats, mode: int, shift: float) -> NDArray[np.bool_]:
-    """Which modes have the eigenvalue of one, itself included."""
-    # |lambda_i - lambda_k| = |mu_k - mu_i| / (mu_i mu_k), without dividing by mu_k = 0.
-    own = float(inverted[mode])
-    width = REPEATED * abs(shift + 1.0 / own)
-    return np.asarray(np.abs(inverted - own) <= width * own * np.abs(inverted))
-
-
-def _dividing(inverted: Floats, modes: Integers, shift: float) -> Floats:
-    """1 / (1 - mu_k / mu_i), (r, n_wanted); 0 for modes of the same eigenvalue."""
-    found = np.zeros((inverted.size, modes.size))
-    for place, mode in enumerate(modes.tolist()):
-        apart = ~_same(inverted, mode, shift)
-        found[apart, place] = 1.0 / (1.0 - inverted[apart] / inverted[mode])
+def _close(inverted: Floats, modes: Integers, shift: float) -> NDArray[np.bool_]:
+    """Which modes are in the cluster of each wanted one, itself included, (r, n_wanted)."""
+    known = inverted > LEAST_MASS * inverted[0]
+    hz = np.sqrt(np.abs(shift + 1.0 / inverted[known]))
+    found = np.zeros((inverted.size, modes.size), dtype=np.bool_)
+    for members in close_sets(hz, CLOSE):
+        found[
+            np.ix_(np.flatnonzero(known)[members], np.isin(modes, np.flatnonzero(known)[members]))
+        ] = True
     return found
 
 
-def _turned(
-    inverted: Floats, shift: float, vectors: Floats, modes: Integers, rows: Floats, shapes: Floats
-) -> Floats:
-    """Vectors turned so that the wanted modes are closest to shapes given for them.
+def _turn(inverted: Floats, seen: Floats, close: NDArray[np.bool_], shapes: Floats) -> Floats:
+    """What brings modes to the shapes given for the wanted ones, (r, n_wanted).
 
-    Alone a mode can be turned the other way round; modes of one eigenvalue by the rotation that
-    fits best, if all of them are given (orthogonal Procrustes: Schoenemann 1966).
+    Alone a mode can be turned the other way round; close ones by the rotation that fits best, of
+    some of them too (orthogonal Procrustes: Schoenemann 1966). seen: (n_rows, r).
     """
-    vectors = vectors.copy()
-    done: set[int] = set()
-    for mode in modes.tolist():
-        alike = np.flatnonzero(_same(inverted, mode, shift))
-        if not np.isin(alike, modes).all():
-            alike = np.array([mode])
-        if mode in done:
-            continue
-        done.update(alike.tolist())
-        wanted = shapes[:, [int(np.flatnonzero(modes == one)[0]) for one in alike]]
-        left, _, right = np.linalg.svd((rows @ vectors[:, alike]).T @ wanted)
-        vectors[:, alike] = vectors[:, alike] @ (left @ right)
-    return vectors
+    turn = np.zeros(close.shape)
+    for members in np.unique(close, axis=1).T:
+        wanted = np.flatnonzero((close.T == members).all(axis=1))
+        basis = seen[:, members] / np.sqrt(inverted[members])
+        left, _, right = np.linalg.svd(basis.T @ shapes[:, wanted], full_matrices=False)
+        turn[np.ix_(members, wanted)] = left @ right
+    return turn

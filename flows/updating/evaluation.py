@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modetune.core.correlation.clusters import rotation_to_test
 from modetune.core.correlation.held_out import (
     HeldOut,
     judge_held_out,
@@ -23,7 +24,6 @@ from modetune.core.correlation.pairing import (
     pair_by_shape,
     pair_by_tracking,
 )
-from modetune.core.correlation.repeated import rotation_to_test
 from modetune.core.modes import Floats, Integers, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.updating.estimation import Step
@@ -138,18 +138,19 @@ def compare(
 
     solved_by: the program that found them. Measured shapes decide where there are some; else the
     pairs of `previous` are tracked, and at first the order of frequencies decides. Where shapes
-    count, repeated modes are turned to lie as the test's.
+    count, close modes that the test splits are turned to lie as the test's.
     """
     test, modal = case.test, result.at(case.nodes)
     seen = case.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
     if test.has_shapes:
-        pairing = pair_by_shape(test.modes, seen)
-        rotation = rotation_to_test(test.modes, seen, pairing)
+        resolution = weighting.frequency_deviation
+        pairing = pair_by_shape(test.modes, seen, resolution=resolution)
+        rotation = rotation_to_test(test.modes, seen, pairing, resolution)
         if rotation is not None and weighting.shape_weight > 0.0:
             result = result.turned(rotation)
             modal = result.at(case.nodes)
             seen = case.sensors.observe(modal.elastic)
-            pairing = pair_by_shape(test.modes, seen)
+            pairing = pair_by_shape(test.modes, seen, resolution=resolution)
     elif previous is None:
         others = () if case.held_out is None else case.held_out.modes.frequencies_hz
         pairing = pair_by_order(test.modes, seen, others)

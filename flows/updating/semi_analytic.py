@@ -20,9 +20,9 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.matrices import MatrixResult, symmetric
 from modetune.core.algebra.pencil import shift_below
-from modetune.core.correlation.repeated import repeated_modes, rotation_onto
+from modetune.core.correlation.clusters import rotation_onto
 from modetune.core.errors import ModelError, ModesError
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import CLOSE, Floats, Integers, close_sets
 from modetune.core.storage.keys import Json
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.sensitivity import ModeDerivatives, fox_kapoor, nelson
@@ -78,7 +78,8 @@ class SemiAnalytic:
         here = model.at(theta)
         stiffness, mass = here.stiffness, here.mass
         eigenvalues, shapes = self._modes(point, stiffness, mass)
-        shapes = _as_compared(here, point, eigenvalues, shapes)
+        eigenvalues, shapes = _as_compared(here, point, eigenvalues, shapes)
+        _refuse_others(point, eigenvalues)
         modes = point.pairing.computed + point.modal.n_rigid
         self._check_pairs(point, columns, model, eigenvalues[modes], shapes[:, modes])
         changes = [_change(model, theta, column) for column in columns]
@@ -89,7 +90,9 @@ class SemiAnalytic:
             )
         elastic = point.modal.elastic
         rows, held = _sensor_rows(here, elastic.nodes, elastic.components)
-        found = nelson(stiffness, mass, eigenvalues, shapes, changes, modes.tolist(), rows)
+        found = nelson(
+            stiffness, mass, eigenvalues, shapes, changes, modes.tolist(), rows, 2.0 * CLOSE
+        )
         full = np.zeros((elastic.n_dof, modes.size, len(changes)))
         full[~held] = found.mode_shapes
         return ModeDerivatives(found.eigenvalues, full)
@@ -98,9 +101,9 @@ class SemiAnalytic:
         self, point: Point, stiffness: sparse.csr_array, mass: sparse.csr_array
     ) -> tuple[Floats, Floats]:
         """Modes of the matrices, as many as the modal run has. Raises UnlikeMatrices."""
-        elastic, paired, n_rigid = point.modal.elastic, point.pairing.computed, point.modal.n_rigid
+        elastic = point.modal.elastic
         try:
-            eigenvalues, shapes = solve_modes(
+            return solve_modes(
                 stiffness,
                 mass,
                 point.modal.modes.n_modes,
@@ -111,16 +114,6 @@ class SemiAnalytic:
                 f"the stored matrices cannot be solved, as happens with very thin shells that are "
                 f"expanded to solids ({error})"
             ) from error
-        apart = np.abs(eigenvalues[paired + n_rigid] / elastic.eigenvalues[paired] - 1.0)
-        # Rigid modes, which should have none, show what the rounding of the matrices' text adds.
-        rounding = np.abs(eigenvalues[:n_rigid]).max(initial=0.0)
-        if (apart > EIGENVALUE_TOLERANCE + rounding / elastic.eigenvalues[paired]).any():
-            raise UnlikeMatrices(
-                f"the stored matrices have other eigenvalues than the modal run (they differ by "
-                f"{apart.max():.2g}): the model has parts that matrices do not hold; use "
-                "finite_difference"
-            )
-        return eigenvalues, shapes
 
     def _check_pairs(
         self,
@@ -150,20 +143,40 @@ class SemiAnalytic:
                 )
 
 
-def _as_compared(here: MatrixResult, point: Point, eigenvalues: Floats, shapes: Floats) -> Floats:
-    """Shapes (n, n_modes) of the matrices, signs and repeated modes as those of the point."""
+def _refuse_others(point: Point, eigenvalues: Floats) -> None:
+    """Raise UnlikeMatrices where eigenvalues (n_modes,) of the matrices are not the point's."""
+    elastic, paired, n_rigid = point.modal.elastic, point.pairing.computed, point.modal.n_rigid
+    apart = np.abs(eigenvalues[paired + n_rigid] / elastic.eigenvalues[paired] - 1.0)
+    # Rigid modes, which should have none, show what the rounding of the matrices' text adds.
+    rounding = np.abs(eigenvalues[:n_rigid]).max(initial=0.0)
+    if (apart > EIGENVALUE_TOLERANCE + rounding / elastic.eigenvalues[paired]).any():
+        raise UnlikeMatrices(
+            f"the stored matrices have other eigenvalues than the modal run (they differ by "
+            f"{apart.max():.2g}): the model has parts that matrices do not hold; use "
+            "finite_difference"
+        )
+
+
+def _as_compared(
+    here: MatrixResult, point: Point, eigenvalues: Floats, shapes: Floats
+) -> tuple[Floats, Floats]:
+    """Eigenvalues (n_modes,) and shapes (n, n_modes) of the matrices, signs and close modes as
+    those of the point."""
     elastic, n_rigid = point.modal.elastic, point.modal.n_rigid
     rows, held = _sensor_rows(here, elastic.nodes, elastic.components)
-    rotation = rotation_onto(
-        shapes[rows][:, n_rigid:], np.real(elastic.mode_shapes[~held]), eigenvalues[n_rigid:]
+    rotation = np.eye(eigenvalues.size)
+    rotation[n_rigid:, n_rigid:] = rotation_onto(
+        shapes[rows][:, n_rigid:],
+        np.real(elastic.mode_shapes[~held]),
+        np.sqrt(np.abs(eigenvalues[n_rigid:])),
     )
-    return np.hstack([shapes[:, :n_rigid], shapes[:, n_rigid:] @ rotation])
+    return eigenvalues @ rotation**2, shapes @ rotation
 
 
 def _turned(point: Point) -> str:
-    """How the test has turned repeated modes, for keys; empty where none is repeated."""
+    """How close modes have been turned on to the test's, for keys; empty where none is close."""
     elastic = point.modal.elastic
-    sets = [item for item in repeated_modes(elastic.eigenvalues) if item.size > 1]
+    sets = [item for item in close_sets(elastic.frequencies_hz, CLOSE) if item.size > 1]
     if not any(np.isin(point.pairing.computed, item).any() for item in sets):
         return ""
     return hashlib.sha256(np.ascontiguousarray(elastic.mode_shapes).tobytes()).hexdigest()

@@ -22,8 +22,8 @@ from typing import Literal
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
+from modetune.core.correlation.clusters import rotation_onto, with_neighbours
 from modetune.core.correlation.pairing import Pairing, pair_by_tracking
-from modetune.core.correlation.repeated import repeated_modes, rotation_onto
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, ParameterSet
@@ -222,18 +222,17 @@ class Sensitivities:
         result = self.engine.solve(Job(values, self.modal)).result(ModalResult)
         base, moved = point.modal.elastic, result.elastic
         paired = point.pairing.computed
-        # With all members of repeated modes, of which the test may have one.
-        sets = [item for item in repeated_modes(base.eigenvalues) if np.isin(item, paired).any()]
-        members = np.concatenate(sets)
+        # With all members of clusters, of which the test may have one.
+        members = with_neighbours(base.frequencies_hz, paired)
         unknown = np.full(members.size, np.nan)
         all_of_them = Pairing(members, members, unknown, unknown, ("",) * members.size)
         again = pair_by_tracking(all_of_them, base, moved)
         before, after = base.select(members), moved.select(again.computed)
         rotation = rotation_onto(
-            np.real(after.mode_shapes), np.real(before.mode_shapes), before.eigenvalues
+            np.real(after.mode_shapes), np.real(before.mode_shapes), before.frequencies_hz
         )
         places = np.searchsorted(members, paired)
-        # Of a repeated mode that the step splits: what the shapes that it had would be.
+        # Of close modes that the step turns: what the shapes that they had would be.
         eigenvalues = after.eigenvalues @ rotation**2
         return eigenvalues[places], (np.real(after.mode_shapes) @ rotation)[:, places]
 

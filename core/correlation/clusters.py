@@ -1,0 +1,120 @@
+"""Clusters: modes so close that only their common space is known, of the model or of the test.
+
+Modes of one eigenvalue have no shapes of their own, and those of close ones turn within their
+space at the least change of the structure. A solver gives some rotation of them, a test another.
+What does not depend on it is compared:
+
+* frequencies. Where the test cannot split them (they are closer than they were measured), in
+  ascending order, which is the mean and the spread of two. Where it can, but the model cannot, the
+  model's shapes Phi are turned on to the test's, Psi = Phi R with R orthogonal (Procrustes,
+  Schoenemann 1966), and the Rayleigh quotients psi^T K psi are compared, the diagonal of the
+  space's eigenvalue matrix, whose derivative is psi^T (K' - lambda M') psi (Ojalvo 1988, Dailey
+  1989);
+* shapes: what the model's have outside of the space of the test's, and derivatives of that. A
+  change within the space counts for nothing.
+
+A mode alone is a cluster of one, and can be turned the other way round only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from modetune.core.correlation.pairing import UNSEEN, Pairing
+from modetune.core.modes import CLOSE, Floats, Integers, ModeSet, close_sets, common_dofs
+
+
+def rotation_onto(shapes: Floats, wanted: Floats, frequencies_hz: Floats) -> Floats:
+    """The rotation R (n_modes, n_modes) with which shapes @ R lie as the wanted ones.
+
+    shapes, wanted: (n_dof, n_modes), mass-normalised modes of one model at the same degrees of
+    freedom, in the same order but for the order within a cluster; frequencies_hz: (n_modes,).
+    Only close modes are mixed.
+    """
+    rotation = np.zeros((frequencies_hz.size, frequencies_hz.size))
+    for members in close_sets(frequencies_hz, CLOSE):
+        inner = shapes[:, members].T @ wanted[:, members]
+        left, _, right = np.linalg.svd(inner)
+        rotation[np.ix_(members, members)] = left @ right
+    return rotation
+
+
+def rotation_to_test(
+    measured: ModeSet, computed: ModeSet, pairing: Pairing, resolution: float
+) -> Floats | None:
+    """The rotation of close computed modes that brings them to the test's shapes.
+
+    resolution: relative distance of frequencies that the test can split. Measured shapes may have
+    any scale, and be of some of the members only; the others are what is left of the space. None
+    where there is nothing to turn: no paired mode is close to another one, the test cannot split
+    them either, or the sensors cannot tell how the members lie.
+    """
+    rows_m, rows_c = common_dofs(measured, computed)
+    alike = _labels(measured.frequencies_hz, resolution)
+    rotation = np.eye(computed.n_modes)
+    turned = False
+    for members in close_sets(computed.frequencies_hz, CLOSE):
+        pairs = np.flatnonzero(np.isin(pairing.computed, members))
+        if members.size < 2 or not pairs.size or not rows_m.size:
+            continue
+        one = np.unique(alike[pairing.measured[pairs]]).size == 1
+        if one and pairs.size == members.size:
+            continue
+        basis = np.real(computed.mode_shapes[rows_c][:, members])
+        wanted = np.real(measured.mode_shapes[rows_m][:, pairing.measured[pairs]])
+        own = _orthonormal(np.linalg.lstsq(basis, wanted, rcond=UNSEEN)[0])
+        if own is None:
+            continue
+        places = np.searchsorted(members, pairing.computed[pairs])
+        others = np.setdiff1d(np.arange(members.size), places)
+        block = np.zeros((members.size, members.size))
+        block[:, places] = own
+        if others.size:
+            block[:, others] = np.linalg.svd(own)[0][:, pairs.size :]
+        rotation[np.ix_(members, members)] = block
+        turned = True
+    return rotation if turned else None
+
+
+def paired_clusters(
+    measured: ModeSet, computed: ModeSet, pairing: Pairing, resolution: float
+) -> list[Integers]:
+    """Positions of the pairs of each cluster: close on the model's side, or not split by the test.
+
+    Each pair is in one cluster, mostly alone; clusters are in the order of their first pairs.
+    """
+    sides = (
+        _labels(measured.frequencies_hz, resolution)[pairing.measured],
+        _labels(computed.frequencies_hz, CLOSE)[pairing.computed],
+    )
+    n_pairs = pairing.measured.size
+    first, second = np.nonzero((sides[0][:, None] == sides[0]) | (sides[1][:, None] == sides[1]))
+    joined = coo_array((np.ones(first.size), (first, second)), shape=(n_pairs, n_pairs))
+    _, labels = connected_components(joined, directed=False)
+    return [np.flatnonzero(labels == label) for label in dict.fromkeys(labels.tolist())]
+
+
+def with_neighbours(frequencies_hz: Floats, modes: Integers) -> Integers:
+    """Positions of these modes of a model and of all that are close to them."""
+    labels = _labels(frequencies_hz, CLOSE)
+    return np.flatnonzero(np.isin(labels, labels[modes]))
+
+
+def _labels(frequencies_hz: Floats, width: float) -> Integers:
+    """The number of the close set that each mode is in, (n_modes,)."""
+    labels = np.empty(frequencies_hz.size, dtype=np.int64)
+    for number, members in enumerate(close_sets(frequencies_hz, width)):
+        labels[members] = number
+    return labels
+
+
+def _orthonormal(columns: Floats) -> Floats | None:
+    """The orthonormal columns closest to these, each first brought to length 1; None where they
+    lie in fewer directions than they are."""
+    lengths = np.linalg.norm(columns, axis=0)
+    if not lengths.all():
+        return None
+    left, values, right = np.linalg.svd(columns / lengths, full_matrices=False)
+    return np.asarray(left @ right) if values[-1] > UNSEEN * values[0] else None
