@@ -36,8 +36,7 @@ from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
 from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.correlation.repeated import repeated_modes
-from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
+from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, ModeSet, close_sets
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.observation import observe
 from modetune.core.updating.reduced_basis import reduce, unreduced
@@ -201,7 +200,7 @@ class Model:
         found = self.modal(truth).elastic.rows(self.dofs)
         found = found.select(range(len(self.campaign.test.numbers)))
         shapes = found.mode_shapes.copy()
-        for members in repeated_modes(found.eigenvalues):
+        for members in close_sets(found.frequencies_hz, 0.5 * REPEATED):
             if members.size > 1:
                 turn = stats.ortho_group.rvs(members.size, random_state=rng)
                 shapes[:, members] = shapes[:, members] @ turn
