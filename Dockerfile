@@ -13,7 +13,8 @@ COPY adapters adapters
 COPY flows flows
 COPY configs configs
 RUN python3 -m venv /opt/modetune \
- && /opt/modetune/bin/pip install --no-cache-dir --require-hashes --requirement requirements.txt \
+ && /opt/modetune/bin/pip install --no-cache-dir \
+    --no-deps --require-hashes --requirement requirements.txt \
  && /opt/modetune/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
 
 FROM debian:12-slim@sha256:88200866dfff7ea7f5cbcb6ec7c8a701889efe6fe859fe64d6990e4b07ea4171

@@ -1,7 +1,8 @@
 """What the cards mean, by pyNastran, with file and line of every card it does not accept.
 
 pyNastran gets the cards as this project's reader found them, one by one, so that the text of a
-deck has one reader and each objection has a line.
+deck has one reader and each objection has a line. Nastran judges its own deck: a card that is not
+accepted is left out of pyNastran's model, and matters to those alone who would use it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from pyNastran.bdf.bdf import BDF
 
+from modetune.adapters.nastran.cards import LOST, NAME
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.number import read_number
 from modetune.core.errors import ModelError
@@ -44,12 +46,24 @@ OF_THE_RUN = frozenset(("PARAM", "EIGR", "EIGRL", "EIGB", "EIGC", "EIGP"))
 INTEGER = re.compile(r"[+-]?\d+")
 #: Cards that hold several properties, and the fields in which their numbers stand.
 SEVERAL = {"PELAS": (1, 5), "PVISC": (1, 5), "PDAMP": (1, 3, 5, 7)}
+#: Cards that fill blank fields of others, by the others' name.
+DEFAULTS = {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
 #: Coordinate systems given by three points.
 BY_POINTS = ("CORD2R", "CORD2C", "CORD2S")
-#: A deck in another language has an objection to each card; the first ones tell what is wrong.
-MOST_PROBLEMS = 20
+#: A message shows the first objections of many.
+SHOWN = 20
+#: Elements whose ends are scalar points without a card of their own, in every Nastran.
+SCALAR = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4", "CDAMP5")
 
 Cards = Mapping[int, tuple[NastranCard, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Objection:
+    """What pyNastran does not accept: the name of the card, and a sentence with file and line."""
+
+    name: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,32 +81,37 @@ class Owners:
     coords: Cards
 
 
-def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[NastranCard, ...]]:
-    """pyNastran's model of a deck, cross-referenced; cards by number; cards it does not know.
+def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
+    """pyNastran's model of a deck, cross-referenced; cards by number; what it does not accept.
 
-    Raises ModelError with the file and line of each card that it does not accept.
+    What an objection is about is not in the model, nor are cards that pyNastran does not know.
+    Raises ModelError where most of the file is no Nastran deck.
     """
     bulk = BDF(debug=None)
     bulk.log.level = "critical"
     owners = _owners(deck, bulk)
-    # Before the cards are given to pyNastran, which would print both of a pair.
-    _refuse(_repeated(deck, owners))
-    problems, unknown = [], []
+    objections = _repeated(deck, owners)
+    defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
+    strange = []
     for card in deck.cards:
-        rejected = len(bulk.reject_cards)
+        if card in objections or card.name in DEFAULTS:
+            continue
         try:
-            _add(bulk, deck, card)
+            if not NAME.fullmatch(card.name):
+                strange.append(card)
+                raise ModelError(f"{deck.where(card)}: {_no_card(card)}")
+            _add(bulk, deck, card, defaults.get(card.name))
         except ModelError as error:
-            problems.append(str(error))
+            objections[card] = str(error)
         except OBJECTIONS as error:
-            if card.name in OF_THE_RUN:
-                unknown.append(card)
-            else:
-                problems.append(f"{deck.where(card)}: {card.name}: {_sentence(error)}")
-        if len(bulk.reject_cards) > rejected:
-            unknown.append(card)
-    _refuse(problems)
-    _refuse(_missing(deck, bulk, owners))
+            if card.name not in OF_THE_RUN:
+                objections[card] = f"{deck.where(card)}: {card.name}: {_sentence(error)}"
+    if 2 * len(strange) > len(deck.cards):
+        refuse(objections[card] for card in strange)
+    found = [Objection(card.name, text) for card, text in objections.items()]
+    _add_scalar_points(bulk)
+    while missing := list(_missing(deck, bulk, owners)):
+        found += missing
     try:
         bulk.cross_reference(
             xref_loads=False,
@@ -102,11 +121,36 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[NastranCard, ...]]
             xref_optimization=False,
         )
     except OBJECTIONS as error:
-        raise ModelError(f"{deck.file}: {_sentence(error)}") from error
-    return bulk, owners, tuple(unknown)
+        found.append(Objection("", f"{deck.file}: {_sentence(error)}"))
+    return bulk, owners, tuple(found)
 
 
-def _add(bulk: Bulk, deck: NastranDeck, card: NastranCard) -> None:
+def refuse(objections: Iterable[str]) -> None:
+    """Raise ModelError with the first objections, if there is any."""
+    found = list(objections)
+    if not found:
+        return
+    more = len(found) - SHOWN
+    tail = [f"and {more} more like these"] if more > 0 else []
+    raise ModelError("\n".join(found[:SHOWN] + tail))
+
+
+def _no_card(card: NastranCard) -> str:
+    if card.name == LOST:
+        return "this line continues no card"
+    return f"{card.name[:40]!r} is not the name of a card"
+
+
+def _add_scalar_points(bulk: Bulk) -> None:
+    """The scalar points that elements name and no card makes."""
+    items = [*bulk.elements.values(), *bulk.masses.values()]
+    named = {node for item in items if item.type in SCALAR for node in item.node_ids if node}
+    points = named - set(bulk.nodes) - set(bulk.spoints) - set(bulk.epoints)
+    if points:
+        bulk.add_spoint(sorted(points))
+
+
+def _add(bulk: Bulk, deck: NastranDeck, card: NastranCard, default: NastranCard | None) -> None:
     if card.name in BY_POINTS:
         _check_axes(deck, card)
     # The lax way differs from the other in that it raises at once and prints nothing.
@@ -114,13 +158,21 @@ def _add(bulk: Bulk, deck: NastranDeck, card: NastranCard) -> None:
         texts = [deck.lines[line].text.partition("$")[0] for line in card.lines]
         bulk.add_card_lax(texts, card.name, is_list=False, has_none=False)
         return
-    texts = [card.name, *(card.text(field) for field in range(1, len(card.fields)))]
+    texts = [card.name, *filled(card, default)]
     bulk.add_card_lax(texts, card.name, is_list=True, has_none=False)
     if card.name == "MAT8":
         # A blank G1Z or G2Z means no transverse shear; pyNastran puts 1e8 there, in any unit.
         material = bulk.materials[int(card.text(1))]
         material.g1z = material.g1z if card.text(6) else 0.0
         material.g2z = material.g2z if card.text(7) else 0.0
+
+
+def filled(card: NastranCard, default: NastranCard | None) -> list[str]:
+    """The data fields of a card; blank ones are the default card's, a GRDSET's for a GRID."""
+    if default is None:
+        return [card.text(field) for field in range(1, len(card.fields))]
+    count = max(len(card.fields), len(default.fields))
+    return [card.text(field) or default.text(field) for field in range(1, count)]
 
 
 def _check_axes(deck: NastranDeck, card: NastranCard) -> None:
@@ -142,15 +194,6 @@ def _sentence(error: Exception) -> str:
     return f"it refers to {text}, which is not there" if text.isdigit() else text
 
 
-def _refuse(problems: Iterable[str]) -> None:
-    found = list(problems)
-    if not found:
-        return
-    more = len(found) - MOST_PROBLEMS
-    tail = [f"and {more} more like these"] if more > 0 else []
-    raise ModelError("\n".join(found[:MOST_PROBLEMS] + tail))
-
-
 def _owners(deck: NastranDeck, bulk: Bulk) -> Owners:
     families: dict[str, dict[int, tuple[NastranCard, ...]]] = {
         family.name: {} for family in fields(Owners)
@@ -167,32 +210,44 @@ def _owners(deck: NastranDeck, bulk: Bulk) -> Owners:
     return Owners(**families)
 
 
-def _repeated(deck: NastranDeck, owners: Owners) -> Iterator[str]:
-    """Numbers given twice to different nodes or elements; equal cards may stand twice."""
+def _repeated(deck: NastranDeck, owners: Owners) -> dict[NastranCard, str]:
+    """Cards that give a number once more to something else; equal cards may stand twice."""
+    found = {}
     for family in (getattr(owners, field.name) for field in fields(Owners)):
         for number, cards in family.items():
             texts = {tuple(field and field.text.upper() for field in card.fields) for card in cards}
             if len(texts) > 1:
                 places = " and ".join(deck.where(card) for card in cards)
-                yield f"{places}: {cards[1].name} {number} is there more than once"
+                text = f"{places}: {cards[1].name} {number} is there more than once"
+                found.update(dict.fromkeys(cards[1:], text))
+    return found
 
 
-def _missing(deck: NastranDeck, bulk: Bulk, owners: Owners) -> Iterator[str]:
-    """Cards that refer to a card which is not there."""
+def _missing(deck: NastranDeck, bulk: Bulk, owners: Owners) -> Iterator[Objection]:
+    """Cards that refer to a card which is not there; they are taken out of the model."""
+    for number, node in list(bulk.nodes.items()):
+        for system in {node.Cp(), node.Cd()} - set(bulk.coords) - {-1}:
+            del bulk.nodes[number]
+            where = _where(deck, owners.nodes, number)
+            yield Objection(
+                "GRID", f"{where}: GRID {number}: coordinate system {system} is not there"
+            )
+            break
     families = (
+        (bulk.properties, owners.properties),
         (bulk.elements, owners.elements),
         (bulk.masses, owners.masses),
-        (bulk.properties, owners.properties),
     )
     for items, cards in families:
-        for number, item in items.items():
+        for number, item in list(items.items()):
             try:
                 item.cross_reference(bulk)
             except OBJECTIONS as error:
-                where = deck.where(cards[number][0]) if number in cards else str(deck.file)
-                yield f"{where}: {item.type} {number}: {_sentence(error)}"
-    for number, node in bulk.nodes.items():
-        for system in {node.Cp(), node.Cd()} - set(bulk.coords) - {-1}:
-            cards_here = owners.nodes.get(number, ())
-            where = deck.where(cards_here[0]) if cards_here else str(deck.file)
-            yield f"{where}: GRID {number}: coordinate system {system} is not there"
+                del items[number]
+                where = _where(deck, cards, number)
+                text = f"{where}: {item.type} {number}: {_sentence(error)}"
+                yield Objection(item.type, text)
+
+
+def _where(deck: NastranDeck, cards: Cards, number: int) -> str:
+    return deck.where(cards[number][0]) if number in cards else str(deck.file)

@@ -2,10 +2,14 @@
 
 A card has a name and numbered fields. A line holds eight of them in columns of 8 (small field),
 four in columns of 16 (large field, a `*` in the first field), or as many between commas (free
-field). A line whose first field is blank or starts with `+` or `*` continues another: the one
-before it, or the one whose last field carries the same tag. Columns 73-80 hold nothing else.
-Where tags disagree or are missing on one side, the line before is continued, since many programs
-write sequence numbers there.
+field: a comma in the first ten columns). A line whose first field is blank or starts with `+` or
+`*` continues another: the one before it, or the one whose last field carries the same tag. Columns
+73-80 hold nothing else. Where tags disagree or are missing on one side, the line before is
+continued, since many programs write sequence numbers there. A line of `=` repeats the card above
+it (`==` the rest of its fields) with increments `*(2)`, and `=(9)` does so nine times more.
+
+What is no card is kept as one, under the name that it has in the deck or `+` for a line that
+continues none, so that a deck has all its lines and who uses it can judge.
 """
 
 from __future__ import annotations
@@ -13,16 +17,26 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from modetune.adapters.deck_files import Line
-from modetune.adapters.nastran.number import format_number
+from modetune.adapters.nastran.number import format_number, read_number
 from modetune.core.errors import ModelError
 
 NAME = re.compile(r"[A-Z][A-Z0-9_]{0,7}")
+#: What stands for the name of a card in a line that repeats one: once more, or so many times.
+AGAIN = re.compile(r"=|=\(?(\d+)\)?")
+#: A field of such a line that adds to the number above.
+INCREMENT = re.compile(r"\*\(?([^()]+)\)?")
+#: The name of a line that continues no card.
+LOST = "+"
+#: A card is repeated at most so often: more is a slip that would fill the memory.
+MOST_COPIES = 1_000_000
 #: Characters free field keeps of a number: eight, or sixteen in a line with a `*`.
 SMALL, LARGE = 8, 16
+#: A comma in these columns makes a line free field; one further on is part of a field.
+FREE = 10
 #: Columns of the fields of a fixed-format line end here; the tag follows.
 TAG = 72
 
@@ -79,32 +93,83 @@ def read_cards(lines: Sequence[Line], positions: Iterable[int]) -> tuple[Nastran
         for position in positions
         if lines[position].text.partition("$")[0].strip()
     ]
-    following = _following(rows, lines)
-    reached, cards = 0, []
-    for start, row in enumerate(rows):
-        if not row.name:
+    following = _following(rows)
+    cards: list[NastranCard] = []
+    used: set[int] = set()
+    increments: dict[int, str] = {}
+    for start in [*sorted(set(range(len(rows))) - set(following.values())), *range(len(rows))]:
+        if start in used:
             continue
-        chain, place = [row], following.get(start)
-        while place is not None:
-            chain.append(rows[place])
-            place = following.get(place)
-        reached += len(chain)
-        cards.append(_card(chain))
-    if reached < len(rows):
-        used = {line for card in cards for line in card.lines}
-        lost = next(row for row in rows if row.line not in used)
-        raise ModelError(f"{lines[lost.line].where}: this line continues no card")
-    return tuple(cards)
+        chain = [start]
+        while (place := following.get(chain[-1])) is not None and place not in used:
+            chain.append(place)
+            used.add(place)
+        used.add(start)
+        again = AGAIN.fullmatch(rows[start].name)
+        if again is None or not cards:
+            cards.append(_card([rows[place] for place in chain]))
+            continue
+        count = int(again.group(1) or 1)
+        if len(cards) + count > MOST_COPIES:
+            raise ModelError(f"{lines[rows[start].line].where}: {count} copies of a card")
+        if again.group(1) is None:
+            increments = _increments(rows[start])
+        for _ in range(count):
+            cards.append(_copy(cards[-1], rows[start], increments, lines))
+    return tuple(sorted(cards, key=lambda card: card.lines[0]))
 
 
 def _card(chain: Sequence[CardRow]) -> NastranCard:
     fields = [chain[0].head, *(field for row in chain for field in row.data)]
+    while fields and fields[-1] is None:
+        fields.pop()
+    return NastranCard(chain[0].name or LOST, tuple(row.line for row in chain), tuple(fields))
+
+
+def _increments(row: CardRow) -> dict[int, str]:
+    """What a line adds to fields of the card above, by their number."""
+    found = ((number, field and INCREMENT.fullmatch(field.text)) for number, field in _data(row))
+    return {number: match.group(1) for number, match in found if match}
+
+
+def _data(row: CardRow) -> list[tuple[int, CardField | None]]:
+    return list(enumerate(row.data, 1))
+
+
+def _copy(
+    above: NastranCard, row: CardRow, increments: Mapping[int, str], lines: Sequence[Line]
+) -> NastranCard:
+    """The card above once more: changed as its line says, or by the last line's increments."""
+    here = CardField(row.line, 0, 0, 0, above.name)
+    fields: list[CardField | None] = [here]
+    written = dict(_data(row)) if row.name == "=" else {}
+    rest = next((number for number, field in written.items() if field and field.text == "=="), 9)
+    for number in range(1, max(len(above.fields), 9)):
+        field = written.get(number)
+        old = above.fields[number] if number < len(above.fields) else None
+        copied = not written or number >= rest or (field is not None and field.text == "=")
+        if number in increments and number < rest:
+            try:
+                text = _sum(old.text if old else "0", increments[number])
+            except ValueError as error:
+                raise ModelError(f"{lines[row.line].where}: {error}") from None
+            fields.append(replace(here, text=text))
+        elif copied:
+            fields.append(old and replace(here, text=old.text))
+        else:
+            fields.append(field)
     while fields[-1] is None:
         fields.pop()
-    return NastranCard(chain[0].name, tuple(row.line for row in chain), tuple(fields))
+    return NastranCard(above.name, (row.line,), tuple(fields))
 
 
-def _following(rows: Sequence[CardRow], lines: Sequence[Line]) -> dict[int, int]:
+def _sum(text: str, increment: str) -> str:
+    if text.lstrip("+-").isdecimal() and increment.lstrip("+-").isdecimal():
+        return str(int(text) + int(increment))
+    return format_number(read_number(text) + read_number(increment), LARGE)
+
+
+def _following(rows: Sequence[CardRow]) -> dict[int, int]:
     """Which row continues which, by index."""
     tags = {row.next_tag: place for place, row in enumerate(rows) if row.next_tag}
     following: dict[int, int] = {}
@@ -114,27 +179,24 @@ def _following(rows: Sequence[CardRow], lines: Sequence[Line]) -> dict[int, int]
         before = place - 1
         if row.tag and (before < 0 or rows[before].next_tag != row.tag):
             before = tags.get(row.tag, before)
-        where = lines[row.line].where
-        if before < 0:
-            raise ModelError(f"{where}: a continuation line before the first card")
-        if before in following:
-            other = lines[rows[following[before]].line].where
-            raise ModelError(f"{where}: continues the same line as {other} (tag +{row.tag})")
-        following[before] = place
+        if before in following:  # a tag that stands twice
+            before = place - 1
+        if before >= 0 and before not in following:
+            following[before] = place
     return following
 
 
 def _row(line: Line, position: int) -> CardRow:
     """Split one line into its fields. Raises ModelError."""
     data = line.text.partition("$")[0].rstrip()
-    free = "," in data
+    free = "," in data[:FREE]
     first, *spans = _free_spans(data) if free else _fixed_spans(data)
     head = data[first[0] : first[1]].strip().upper()
     large = head.startswith("*") or head.endswith("*")
     count, width = (4, LARGE) if large else (8, SMALL)
     texts = [data[start:stop].strip() for start, stop in spans]
-    if any(texts[count + 1 :]):
-        raise ModelError(f"{line.where}: more than {count} data fields in one line")
+    if any(texts[count + 1 :]):  # free field alone can have more, all of them data
+        count = len(texts)
     fields = tuple(
         CardField(position, start, stop, 0 if free else width, text) if text else None
         for (start, stop), text in zip(spans[:count], texts, strict=False)
@@ -142,8 +204,6 @@ def _row(line: Line, position: int) -> CardRow:
     fields += (None,) * (count - len(fields))
     tag = texts[count].upper() if len(texts) > count else ""
     name = "" if head[:1] in ("", "+", "*") else head.rstrip("*").rstrip()
-    if name and not NAME.fullmatch(name):
-        raise ModelError(f"{line.where}: {name[:40]!r} is not the name of a card")
     return CardRow(
         position,
         CardField(position, *first, 0 if free else SMALL, head) if name else None,
@@ -181,6 +241,20 @@ def _fixed_spans(data: str) -> list[tuple[int, int]]:
     return list(pairwise(stops))
 
 
+def large_field(name: str, fields: Sequence[str]) -> str:
+    """A card in large field: four data fields of 16 columns a line."""
+    texts = [
+        text if len(text) <= LARGE else format_number(read_number(text), LARGE) for text in fields
+    ]
+    rows = [texts[start : start + 4] for start in range(0, len(texts), 4)] or [[]]
+    heads = [f"{name}*", *["*"] * (len(rows) - 1)]
+    lines = [
+        f"{head:<{SMALL}}" + "".join(f"{text:<{LARGE}}" for text in row)
+        for head, row in zip(heads, rows, strict=True)
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
 def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float]) -> dict[int, str]:
     """New texts of the lines in which these fields get new numbers; nothing else changes.
 
@@ -193,6 +267,11 @@ def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float]) -> d
         line = lines[field.line]
         text = changed.get(field.line, line.text)
         old = text[field.start : field.stop]
+        if line.text[field.start : field.stop].strip() != field.text:
+            raise ModelError(
+                f"{line.where}: the number {field.text} of a card that repeats the one above (=) "
+                "cannot be changed by itself; write the card out"
+            )
         try:
             new = (
                 _free(line, field, old, values[field])

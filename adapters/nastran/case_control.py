@@ -28,10 +28,13 @@ REFUSED = {
     "AUXCASE": "auxiliary models",
     "AUXMODEL": "auxiliary models",
 }
+#: The field of a GRID that puts it into a superelement, and cards that make superelements.
+SEID = 8
+PARTS = ("SESET", "SEELT", "SEBULK", "SELOC", "CSUPER", "RELEASE")
 #: Executive statements that change what is computed in ways a job does not carry.
 DMAP = frozenset({"COMPILE", "ALTER", "ENDALTER", "LINK", "MALTER", "RESTART", "RFALTER"})
 #: Files that an ASSIGN may bring in; the others are for output.
-INPUT_FILES = ("INPUTT2", "INPUTT4", "MASTER", "DBALL", "DBSET", "USRSOU", "MATPOOL")
+INPUT_FILES = ("INPUTT2", "INPUTT4", "USRSOU", "MATPOOL")
 #: Executive statements that stay.
 SYSTEM = frozenset({"NASTRAN", "GEOMCHECK"})
 #: Plot requests reach from here to the bulk data.
@@ -149,7 +152,7 @@ def read_case_control(deck: NastranDeck) -> CaseControl:
     if subcases:
         kept += _one(subcases)
     for statement in kept:
-        if statement.name in REFUSED:
+        if statement.name in REFUSED and not _whole(deck, statement):
             problems.append(
                 f"{statement.where}: {statement.name} asks for {REFUSED[statement.name]}, which "
                 "is not supported"
@@ -177,6 +180,14 @@ def read_case_control(deck: NastranDeck) -> CaseControl:
         parameters,
         _number(methods[-1]) if methods else 0,
     )
+
+
+def _whole(deck: NastranDeck, statement: Statement) -> bool:
+    """Whether superelements are asked for where the whole model is the residual structure."""
+    whole = statement.name in ("SEALL", "SEMG") or statement.value in ("0", "ALL")
+    of_parts = any(card.text(SEID) not in ("", "0") for card in deck.named("GRID"))
+    known = statement.name in ("SUPER", "SEALL", "SEMG")
+    return known and whole and not of_parts and not deck.named(*PARTS)
 
 
 def _only_sets(deck: NastranDeck) -> tuple[str, ...]:

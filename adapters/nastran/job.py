@@ -17,11 +17,11 @@ from modetune.adapters.nastran.case_control import (
     read_case_control,
     system_statements,
 )
-from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.nastran.deck import NastranCard, NastranDeck, with_lines
 from modetune.adapters.nastran.design import design_cards, design_commands
 from modetune.adapters.nastran.dialect import Dialect
 from modetune.adapters.nastran.model import NastranModel
-from modetune.adapters.nastran.mystran import adapted_cards, first_shift
+from modetune.adapters.nastran.mystran import first_shift, mystran_cards
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModelError
 
@@ -130,17 +130,15 @@ def _bulk(
     model: NastranModel, changed: Mapping[int, str], dialect: Dialect, given: set[str]
 ) -> list[str]:
     """The user's cards in their order, edited, without comments and parameters given already."""
-    deck, own = model.deck, OWN_PARAMETERS | given
-    adapted = adapted_cards(deck) if dialect.name == "mystran" else {}
-    lines: dict[int, str] = {}
-    for card in deck.cards:
-        if card.name in LEFT_OUT or (card.name == "PARAM" and card.text(1) in own):
-            continue
-        if card.lines[0] in adapted:
-            lines[card.lines[0]] = adapted[card.lines[0]]
-        else:
-            lines.update((position, _text(deck, changed, position)) for position in card.lines)
-    return [text for _, text in sorted(lines.items())]
+    own = OWN_PARAMETERS | given
+
+    def left_out(card: NastranCard) -> bool:
+        return card.name in LEFT_OUT or (card.name == "PARAM" and card.text(1) in own)
+
+    if dialect.name == "mystran":
+        return mystran_cards(with_lines(model.deck, changed) if changed else model.deck, left_out)
+    kept = {line for card in model.deck.cards if not left_out(card) for line in card.lines}
+    return [_text(model.deck, changed, position) for position in sorted(kept)]
 
 
 def _text(deck: NastranDeck, changed: Mapping[int, str], position: int) -> str:

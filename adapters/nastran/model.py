@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from modetune.adapters.nastran.bulk import Bulk, read_bulk
+from modetune.adapters.nastran.bulk import Bulk, Objection, read_bulk, refuse
 from modetune.adapters.nastran.deck import (
     CardField,
     NastranCard,
@@ -18,6 +20,7 @@ from modetune.adapters.nastran.deck import (
     write_edited,
 )
 from modetune.adapters.nastran.geometry import read_geometry
+from modetune.adapters.nastran.harmless import HARMLESS, LEFT_OUT
 from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.places import ValuePlace as ValuePlace
 from modetune.adapters.nastran.places import find_places
@@ -26,6 +29,8 @@ from modetune.adapters.solver import Deck, ModelSummary, Number
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
 from modetune.core.parameters import Parameter, Values
+
+logger = logging.getLogger(__name__)
 
 #: Quantities in which stiffness and mass matrices are linear whatever the card.
 LINEAR = ("density", "mass", "spring_stiffness", "torsion_constant")
@@ -46,10 +51,10 @@ class EditedNastran:
 
 @dataclass(frozen=True)
 class NastranModel(Deck):
-    """A deck, its cards' meaning, the cards pyNastran does not know, and what edits it."""
+    """A deck, its cards' meaning, what pyNastran does not accept of it, and what edits it."""
 
     structure: Structure
-    unknown: tuple[NastranCard, ...]
+    objections: tuple[Objection, ...]
     parameters: tuple[Parameter, ...]
 
     @property
@@ -60,6 +65,17 @@ class NastranModel(Deck):
     def bulk(self) -> Bulk:
         """pyNastran's model of the deck, cross-referenced. It is shared: not to be changed."""
         return self.structure.bulk
+
+    def check(self) -> None:
+        """Raise ModelError for all cards that count for modes and are not understood.
+
+        For jobs on another solver than Nastran; what these leave out is told.
+        """
+        refuse(item.text for item in self.objections if item.name not in HARMLESS)
+        counts = Counter(card.name for card in self.deck.cards if card.name in LEFT_OUT)
+        if counts:
+            said = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
+            logger.warning("%s: left out of jobs on this solver: %s", self.deck.file, said)
 
     @cached_property
     def summary(self) -> ModelSummary:
@@ -107,7 +123,15 @@ class NastranModel(Deck):
 
     def places(self, parameter: Parameter) -> list[ValuePlace]:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
-        return find_places(self.structure, parameter)
+        try:
+            return find_places(self.structure, parameter)
+        except ModelError as error:
+            first = next((item for item in self.objections if item.name not in HARMLESS), None)
+            if first is None:
+                raise
+            raise ModelError(
+                f"{error}\nof the cards that are not understood: {first.text}"
+            ) from None
 
     def numbers(self, parameter: Parameter) -> list[Number]:
         found = []
@@ -237,6 +261,6 @@ class NastranModel(Deck):
 
 
 def understand(deck: NastranDeck, parameters: tuple[Parameter, ...] = ()) -> NastranModel:
-    """What a deck's cards mean. Raises ModelError with file and line of those that mean nothing."""
-    bulk, owners, unknown = read_bulk(deck)
-    return NastranModel(Structure(deck, bulk, owners), unknown, parameters)
+    """What a deck's cards mean. Raises ModelError where it is no Nastran deck."""
+    bulk, owners, objections = read_bulk(deck)
+    return NastranModel(Structure(deck, bulk, owners), objections, parameters)

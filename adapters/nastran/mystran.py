@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
+from modetune.adapters.nastran.bulk import DEFAULTS, filled
+from modetune.adapters.nastran.cards import large_field
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.core.errors import ModelError
@@ -46,28 +48,37 @@ def first_shift(deck: NastranDeck, method: int) -> str:
     return SHIFT
 
 
-def adapted_cards(deck: NastranDeck) -> dict[int, str]:
-    """Cards that MYSTRAN needs in another form: position of the first line to the card's text.
+def mystran_cards(deck: NastranDeck, left_out: Callable[[NastranCard], bool]) -> list[str]:
+    """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
-    Its solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two points
-    a direction). Raises ModelError for all cards it cannot take, with the lines they stand in.
+    Blank fields that a GRDSET or BAROR fills are filled. MYSTRAN's solids have no default for the
+    integration, so a blank IN of PSOLID becomes 2 (two points a direction). Raises ModelError for
+    all cards it cannot take, with the lines they stand in.
     """
-    adapted = {}
+    texts: list[str] = []
     problems: dict[str, list[str]] = {}
-    frames = {card.text(1): card.text(GRID_CD) for card in deck.named("GRID")}
+    defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
+    frames = {
+        card.text(1): filled(card, defaults.get("GRID"))[GRID_CD - 1 : GRID_CD]
+        for card in deck.named("GRID")
+    }
     densities = {
         card.text(1): card.text(field)
         for name, field in DENSITIES.items()
         for card in deck.named(name)
     }
     for card in deck.cards:
+        if card.name in HARMLESS or left_out(card):
+            continue
         reason = _obstacle(card, frames, densities)
         if reason:
             problems.setdefault(reason, []).append(deck.where(card))
-        elif card.name == "PSOLID" and not card.text(INTEGRATION):
-            texts = [card.text(field) for field in range(1, max(len(card.fields), INTEGRATION + 1))]
-            texts[INTEGRATION - 1] = "2"
-            adapted[card.lines[0]] = ",".join(["PSOLID", *texts])
+            continue
+        fields = filled(card, defaults.get(card.name))
+        if card.name == "PSOLID" and not card.text(INTEGRATION):
+            fields += [""] * (INTEGRATION - len(fields))
+            fields[INTEGRATION - 1] = "2"
+        texts.append(large_field(card.name, fields))
     if problems:
         raise ModelError(
             "\n".join(
@@ -76,15 +87,17 @@ def adapted_cards(deck: NastranDeck) -> dict[int, str]:
                 for reason, places in problems.items()
             )
         )
-    return adapted
+    return texts
 
 
-def _obstacle(card: NastranCard, frames: Mapping[str, str], densities: Mapping[str, str]) -> str:
+def _obstacle(
+    card: NastranCard, frames: Mapping[str, list[str]], densities: Mapping[str, str]
+) -> str:
     """Why MYSTRAN cannot take a card, or takes it for another one; empty if it can.
 
     frames: CD of the grid points; densities of materials, both as the deck writes them.
     """
-    if card.name not in COMPARED | HARMLESS:
+    if card.name not in COMPARED:
         return f"MYSTRAN has no {card.name}, or its modes with it were never compared"
     if any(card.text(node) in ("", "0") for node in SPRINGS.get(card.name, ())):
         return (
@@ -99,7 +112,7 @@ def _obstacle(card: NastranCard, frames: Mapping[str, str], densities: Mapping[s
         plies = {card.text(place) for place in range(PLY, len(card.fields), PLIES_APART)} - {""}
         if len({densities.get(ply, "") for ply in plies}) > 1:
             return "MYSTRAN has the mass of a PCOMP with plies of several densities wrong"
-    turned = frames.get(card.text(CONM2_GRID), "") not in ("", "0")
+    turned = frames.get(card.text(CONM2_GRID), []) not in ([], [""], ["0"])
     if card.name == "CONM2" and turned and any(card.text(field) for field in CONM2_BODY):
         return "MYSTRAN turns offset and inertia of a CONM2 where its GRID has a CD frame"
     return ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 import re
 from collections.abc import Iterable
@@ -38,6 +39,8 @@ from modetune.core.errors import (
 from modetune.core.parameters import Parameter, Values
 from modetune.core.storage.keys import Json
 from modetune.core.updating.results import ModalResult, ModeDerivatives, Result
+
+logger = logging.getLogger(__name__)
 
 #: Fatal messages that a machine with more memory or disk would not give.
 RESOURCES = re.compile(
@@ -211,11 +214,20 @@ def nastran_solver(
 
 
 def mystran_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
-    """MYSTRAN for a deck file. Raises ModelError, as nastran_solver and for all cards it lacks."""
+    """MYSTRAN for a deck file. Raises ModelError, and for cards that it cannot take."""
     return _solver(deck, parameters, DIALECTS["mystran"])
 
 
 def _solver(deck: Path, parameters: tuple[Parameter, ...], dialect: Dialect) -> Solver:
     model = understand(read_deck(deck), parameters)
+    if dialect.name == "mystran":
+        model.check()
+    elif model.objections:
+        logger.warning(
+            "%s: %d of its cards are left to Nastran alone, such as %s",
+            deck,
+            len(model.objections),
+            model.objections[0].text,
+        )
     job_text(model, {}, ModalAnalysis(1, ()), dialect)  # what no job can carry is told at once
     return Solver(model, NastranProgram(dialect, dialect.program_name()))

@@ -194,6 +194,7 @@ def thin_shells(model: NastranModel) -> int:
 def translated_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """CalculiX for a Nastran deck file. Raises ModelError where it cannot be translated."""
     model = nastran_model.understand(read_deck(deck), parameters)
+    model.check()
     translated = TranslatedDeck(model)
     translated.edited({})  # so that what cannot be translated is refused here
     thin = thin_shells(model)

@@ -182,13 +182,9 @@ def test_a_large_continuation_gives_four_fields(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
-        ("+,1.\n", 1, "a continuation line before the first card"),
-        ("GRID,1\nMAT 1,2\n", 2, "'MAT 1' is not the name of a card"),
-        ("GRID,1,,1.,2.,3.,,,,,9.\n", 1, "more than 8 data fields"),
-        ("GRID,1\n=,*1,=,=\n", 2, "'=' is not the name of a card"),
-        ("GRID,1,,,,,,,,+A\n,1.\n+A,2.\n", 3, "continues the same line as"),
         ("GRID,1\n+B,2.,,,,,,,,+B\n\0", 3, "not a text file"),
-        ("GRID,1\n%PDF-1.4 \xe2\n", 2, "is not the name of a card"),
+        ("GRID,1\n=,*x\n", 2, "x"),
+        ("GRID,1\n=,*1\n=9999999\n", 3, "9999999 copies of a card"),
         ("SOL 103\nCEND\nMETHOD=1\n", 3, "ends without BEGIN BULK"),
         ("SOL 103\nCEND\nBEGIN SUPER=1\nGRID,1\n", 3, "superelements"),
         ("CEND\nBEGIN BULK\nGRID,1\nBEGIN BULK\n", 4, "superelements"),
@@ -447,3 +443,58 @@ def test_real_decks_are_written_back_byte_for_byte(
     for path in shared_data.glob(case):
         written = write_edited(read_deck(path), {}, tmp_path / path.stem)
         assert written.read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("+,1.\nGRID,1\n", ["+", "GRID"]),  # continues nothing
+        ("GRID,1\nMAT 1,2\n", ["GRID", "MAT 1"]),
+        ("GRID,1\n%PDF-1.4 \xe2\n", ["GRID", "%PDF-1.4"]),
+    ],
+)
+def test_what_is_no_card_stays_under_its_own_name(
+    tmp_path: Path, text: str, names: list[str]
+) -> None:
+    path = tmp_path / "main.bdf"
+    path.write_text(text, encoding="latin-1")
+    assert [card.name for card in read_deck(path).cards] == names
+
+
+def test_a_card_that_is_repeated_with_increments(tmp_path: Path) -> None:
+    path = tmp_path / "main.bdf"
+    path.write_text("GRID,101,2,48.97,-78.87,0.,1\n=,*(1),=,=,*(12.5),==\n=(2)\n=,*1,7,,1.,==\n")
+    cards = read_deck(path).cards
+    assert [[card.text(field) for field in range(1, 7)] for card in cards] == [
+        ["101", "2", "48.97", "-78.87", "0.", "1"],
+        ["102", "2", "48.97", "-66.37", "0.", "1"],
+        ["103", "2", "48.97", "-53.87", "0.", "1"],
+        ["104", "2", "48.97", "-41.37", "0.", "1"],
+        ["105", "7", "", "1.", "0.", "1"],
+    ]
+    assert [card.lines for card in cards] == [(0,), (1,), (2,), (2,), (3,)]
+
+
+def test_a_number_of_a_repeated_card_is_not_changed_by_itself(tmp_path: Path) -> None:
+    path = tmp_path / "main.bdf"
+    path.write_text("PELAS,1,100.\n=,*1,=\n")
+    deck = read_deck(path)
+    field = deck.cards[1].fields[2]
+    assert field is not None
+    with pytest.raises(ModelError, match=r"line 2: the number 100\. .*write the card out"):
+        changed_lines(deck, {field: 110.0})
+
+
+def test_a_comma_makes_free_field_in_the_first_ten_columns_only(tmp_path: Path) -> None:
+    path = tmp_path / "main.bdf"
+    path.write_text("DEQATN  1       F(D1,D2)= D2/D1\nGRID    ,1,,2.\n")
+    equation, grid = read_deck(path).cards
+    assert (equation.name, equation.text(1), equation.text(2)) == ("DEQATN", "1", "F(D1,D2)")
+    assert [grid.text(field) for field in range(1, 4)] == ["1", "", "2."]
+
+
+def test_a_free_line_may_hold_more_than_eight_fields(tmp_path: Path) -> None:
+    path = tmp_path / "main.bdf"
+    path.write_text("CORD2C,1,0, 0.,0.,0., 0.,0.,1., 0.,1.,5.\n")
+    (card,) = read_deck(path).cards
+    assert card.text(11) == "5."

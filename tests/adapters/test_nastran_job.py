@@ -193,7 +193,7 @@ def test_selections_come_from_the_subcase_that_counts(
     [
         ("SUBCASE 1\n METHOD = 10\nSUBCASE 2\n METHOD = 11\n", "line 3: 2 of 2 subcases"),
         ("STATSUB = 1\nMETHOD = 10\n", "line 3: STATSUB asks for modes of a preloaded"),
-        ("SUPER = ALL\n", "line 3: SUPER asks for superelements"),
+        ("SUPER = 2\n", "line 3: SUPER asks for superelements"),
         ("METHOD = ALL\n", "line 3: METHOD requires the number of an EIGRL card"),
     ],
 )
@@ -202,6 +202,29 @@ def test_case_control_that_means_no_single_modal_job_is_refused(
 ) -> None:
     with pytest.raises(ModelError, match=message):
         job(tmp_path, f"SOL 103\nCEND\n{case}BEGIN BULK\n{BULK}")
+
+
+@pytest.mark.parametrize("whole", ["SUPER = ALL\n", "SEALL = ALL\n", "SUPER=0\n"])
+def test_superelements_are_asked_of_a_model_that_has_none(whole: str, tmp_path: Path) -> None:
+    assert "SUPER" not in job(tmp_path, f"SOL 103\nCEND\n{whole}BEGIN BULK\n{BULK}")
+    for parts in ("SESET,1,2\n", "GRID,99,,0.,0.,0.,,,1\n"):
+        with pytest.raises(ModelError, match="asks for superelements"):
+            job(tmp_path, f"SOL 103\nCEND\n{whole}BEGIN BULK\n{BULK}{parts}")
+
+
+def test_a_database_of_its_own_name_is_no_input(tmp_path: Path) -> None:
+    text = job(tmp_path, f"ASSIGN MASTER='x.MASTER'\nSOL 103\nCEND\nBEGIN BULK\n{BULK}")
+    assert "MASTER" not in text
+
+
+def test_mystran_gets_defaults_filled_in_and_nothing_that_it_would_pass_over(
+    tmp_path: Path,
+) -> None:
+    deck = HEAD + "GRDSET,,,,,,,6\nAERO,,1.,1.,1.\nGRID,77,,0.,1.,2.\n" + BULK
+    text = job(tmp_path, deck, dialect=MYSTRAN)
+    assert "AERO" not in text
+    assert "GRDSET" not in text
+    assert f"GRID*   {77:<16}{'':16}{'0.':<16}1.\n*       {'2.':<16}{'':16}6\n" in text
 
 
 def test_a_parameter_of_the_case_control_goes_before_one_of_the_bulk_data(tmp_path: Path) -> None:
@@ -233,10 +256,11 @@ def test_mystran_gets_a_shift_and_two_points_in_its_solids(tmp_path: Path) -> No
     text = job(tmp_path, HEAD + BULK + "PSOLID,5,1\n", dialect=MYSTRAN)
     assert "EIGRL,10,,,2,,,-1000.,MASS" in text
     assert "DISPLACEMENT(PLOT,PRINT) = 1" in text
-    assert "PSOLID,5,1,,2\n" in text
+    assert f"PSOLID* {5:<16}{1:<16}{'':16}2\n" in text
     own = BULK.replace("EIGRL         10               5", "EIGRL,10,,,5,,,-50.")
     assert "EIGRL,10,,,2,,,-50.,MASS" in job(tmp_path, HEAD + own, dialect=MYSTRAN)
-    assert "PSOLID,5,1,,3\n" in job(tmp_path, HEAD + BULK + "PSOLID,5,1,,3\n", dialect=MYSTRAN)
+    given = job(tmp_path, HEAD + BULK + "PSOLID,5,1,,3\n", dialect=MYSTRAN)
+    assert f"PSOLID* {5:<16}{1:<16}{'':16}3\n" in given
 
 
 def test_cards_that_mystran_has_not_are_refused_all_at_once(tmp_path: Path) -> None:

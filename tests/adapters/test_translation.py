@@ -374,7 +374,6 @@ def test_all_refusals_come_at_once_with_cards_and_numbers(tmp_path: Path) -> Non
         "CSHEAR: 1 card (701)",
         "PSHEAR",
         "PARAM,FOOBAR",
-        "ASET1",
         "CMASS2 909",
         "PSHELL 5: 12 I / T^3 = 2, not 1",
         "SPC set 4",
