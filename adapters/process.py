@@ -2,8 +2,8 @@
 
 A job's program runs in its own process group below a small supervisor (`supervisor.py`), which
 holds the reading end of a pipe whose writing end only this process has. Whatever ends this
-process, SIGKILL included, closes the pipe, and the supervisor kills the whole group. Time-out and
-cancelling close the pipe on purpose. No shell is involved anywhere.
+process, SIGKILL included, closes the pipe, and the supervisor kills the program and all of its
+descendants. Time-out and cancelling close the pipe on purpose. No shell is involved anywhere.
 """
 
 from __future__ import annotations
@@ -21,10 +21,13 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Command
 from modetune.core.errors import (
+    NoResult,
     SolverCancelled,
     SolverCrashed,
+    SolverExhausted,
     SolverMissing,
     SolverTimeout,
     StorageUnavailable,
@@ -37,6 +40,11 @@ LOG = "solver.log"
 POLL_MS = 100
 #: Below this a disk counts as full when a job has failed on it, bytes.
 FULL_DISK = 1 << 20
+#: Disk that a job may take where nobody says, bytes: models of a million equations and more spool
+#: some ten GB of matrices and factors.
+JOB_DISK = 100 * 10**9
+#: Files above this are removed from the folder of a job that took too much disk, bytes.
+KEPT_FILE = 16 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +58,21 @@ class Finished:
 
 
 def run_process(
-    command: Command, folder: Path, timeout_s: float, cancelled: threading.Event
+    command: Command,
+    folder: Path,
+    timeout_s: float,
+    cancelled: threading.Event,
+    disk_bytes: int = JOB_DISK,
 ) -> Finished:
-    """Run a program to its end in a folder, its output in `solver.log` there.
+    """Run a program to its end in a folder, head and tail of its output in `solver.log` there.
 
-    Raises SolverMissing, SolverTimeout, SolverCancelled (the group is dead by then), and
-    SolverCrashed where the program was killed by a signal from elsewhere.
+    disk_bytes: what its files and output may take together. Raises SolverMissing, SolverTimeout,
+    SolverCancelled, SolverExhausted (of too much disk; the program and its descendants are dead by
+    then), and SolverCrashed where it was killed by a signal from elsewhere.
     """
     started = time.monotonic()
     where = f"`{' '.join(command.arguments)}` in {folder}"
-    supervisor = _supervisor(command, folder, where)
+    supervisor = _supervisor(command, folder, disk_bytes, where)
     assert supervisor.stdin is not None
     assert supervisor.stdout is not None
     outcome, group = None, 0
@@ -82,13 +95,25 @@ def run_process(
             f"{where} ran longer than {timeout_s:g} s and was killed; raise `run: timeout_s` in "
             f"the campaign or make the model smaller\n{log_tail(folder)}"
         )
-    return _finished(report, where, folder, time.monotonic() - started)
+    finished, taken = _finished(report, where, folder, time.monotonic() - started)
+    if taken:
+        _remove_large(folder)
+        raise SolverExhausted(
+            f"{where} wrote {taken / 1e9:.3g} GB, more than the {disk_bytes / 1e9:.3g} GB that a "
+            "job may take, and was killed; its large files were removed; look at what it writes, "
+            f"or raise `run: disk_gb` in the campaign\n{log_tail(folder)}"
+        )
+    if finished.return_code < 0:
+        raise SolverCrashed(
+            f"{where} was killed by signal {-finished.return_code}\n{log_tail(folder)}"
+        )
+    return finished
 
 
 def log_tail(folder: Path, lines: int = 15) -> str:
     """The end of a job's log, for messages."""
     try:
-        with (folder / LOG).open("rb") as log:
+        with open_regular(folder / LOG) as log:
             log.seek(0, os.SEEK_END)
             log.seek(max(0, log.tell() - 8192))
             text = log.read().decode("utf-8", "replace")
@@ -98,15 +123,32 @@ def log_tail(folder: Path, lines: int = 15) -> str:
     return as_block("\n".join(kept)) if kept else "(the log is empty)"
 
 
+def read_log(folder: Path) -> str:
+    """What a job's program printed. Raises NoResult where its log is gone."""
+    try:
+        with open_regular(folder / LOG) as log:
+            return log.read().decode("utf-8", "replace")
+    except OSError as error:
+        raise NoResult(
+            f"the log {folder / LOG} cannot be read ({error.strerror}): something else has changed "
+            "the job's folder while the solver ran"
+        ) from error
+
+
 def as_block(text: str) -> str:
     """What a program said as one block, for messages."""
     return textwrap.indent(text.strip("\n"), "  | ")
 
 
-def _supervisor(command: Command, folder: Path, where: str) -> subprocess.Popen[bytes]:
+def _supervisor(
+    command: Command, folder: Path, disk_bytes: int, where: str
+) -> subprocess.Popen[bytes]:
     try:
         return subprocess.Popen(
-            [sys.executable, "-I", "-S", str(SUPERVISOR), LOG, *command.arguments],
+            [
+                *(sys.executable, "-I", "-S", str(SUPERVISOR), LOG, str(disk_bytes)),
+                *command.arguments,
+            ],
             cwd=folder,
             env={**os.environ, **dict(command.environment)},
             stdin=subprocess.PIPE,
@@ -130,13 +172,14 @@ def _report(supervisor: subprocess.Popen[bytes], group: int) -> bytes:
     return report
 
 
-def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finished:
+def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> tuple[Finished, int]:
+    """How a program ended, and the bytes of disk it took where those were too many, else 0."""
     if not report:
         raise SolverCrashed(f"{where}: its supervisor was killed\n{log_tail(folder)}")
     try:
         told = json.loads(report)
         said = str(told["error"])
-        cost = (0, 0.0, 0.0, 0)
+        cost, taken = (0, 0.0, 0.0, 0), 0
         if not said:
             cost = (
                 int(told["return_code"]),
@@ -144,6 +187,7 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finishe
                 float(told["cpu_s"]),
                 int(told["peak_memory_bytes"]),
             )
+            taken = int(told["disk_bytes"])
     except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise SolverCrashed(
             f"{where}: its supervisor's report cannot be read: {report[:80]!r}"
@@ -151,18 +195,22 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> Finishe
     finished = Finished(*cost)
     if said == "missing":
         raise SolverMissing(f"{where}: there is no such program; install it or put it on PATH")
-    if (said or finished.return_code != 0) and disk_full(folder):
+    if not taken and (said or finished.return_code != 0) and disk_full(folder):
         raise StorageUnavailable(
             f"{where} failed and the disk is full; free some space and run the same command "
             "again: finished jobs are not repeated"
         )
     if said:
         raise SolverCrashed(f"{where} could not be started: {said}")
-    if finished.return_code < 0:
-        raise SolverCrashed(
-            f"{where} was killed by signal {-finished.return_code}\n{log_tail(folder)}"
-        )
-    return finished
+    return finished, taken
+
+
+def _remove_large(folder: Path) -> None:
+    """Free the disk that a job took too much of."""
+    for path in folder.rglob("*"):
+        with contextlib.suppress(OSError):
+            if path.is_file() and not path.is_symlink() and path.stat().st_size > KEPT_FILE:
+                path.unlink()
 
 
 def _number(line: bytes) -> int:
@@ -171,6 +219,12 @@ def _number(line: bytes) -> int:
 
 
 def disk_full(folder: Path) -> bool:
-    """Whether the disk below a folder has no room left, the likely cause of what failed there."""
-    status = os.statvfs(folder)
+    """Whether the disk below a folder has no room left, the likely cause of what failed there.
+
+    Of a folder that was removed meanwhile nothing is known.
+    """
+    try:
+        status = os.statvfs(folder)
+    except OSError:
+        return False
     return status.f_bavail * status.f_frsize < FULL_DISK

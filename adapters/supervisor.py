@@ -1,10 +1,15 @@
-"""Run one program in its own process group and leave nothing of it behind.
+"""Run one program below this process and leave nothing of it behind.
 
-Started by `process.py` as a script, standard library only: `supervisor.py LOG PROGRAM ARGUMENT...`.
-Standard input is a pipe: when it closes, by intent or by the death of its holder, the whole group
-is killed. The first line on standard output is the group's number (0 where nothing was started),
-the second a JSON object that tells how the program ended. If this supervisor itself is killed, the
-kernel kills the program (PR_SET_PDEATHSIG), and who started it knows the group.
+Started by `process.py` as a script, standard library only: `supervisor.py LOG DISK PROGRAM
+ARGUMENT...`. Standard input is a pipe: when it closes, by intent or by the death of its holder, the
+program is killed. The first line on standard output is the program's process group (0 where nothing
+was started), the second a JSON object that tells how the program ended. If this supervisor itself
+is killed, the kernel kills the program (PR_SET_PDEATHSIG), and who started it knows the group.
+
+Processes whose parent has ended become children of this one (PR_SET_CHILD_SUBREAPER), whatever
+group or session they took, so that at the program's end all of its descendants are found and
+killed. Its output comes through a pipe: the log has the first and the last MiB of it. DISK: the
+bytes that its folder and its output may take together.
 
 Every job waits for this script to start, so it takes only modules that are there at once: with
 `subprocess`, `signal`, `pathlib` and `json` it started in 28 ms, without them in 12.
@@ -15,13 +20,61 @@ from __future__ import annotations
 import _thread
 import ctypes
 import os
+import select
 import sys
+import time
 
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 SIGKILL = 9
 ENOENT, EINVAL = 2, 22
 #: Python ignores these (SIGPIPE, SIGXFSZ); a program starts with the system's own handling.
 IGNORED_BY_PYTHON = (13, 25)
+#: Bytes of output that the log has from its beginning, and from its end.
+HEAD = TAIL = 8 << 20
+#: How often the disk is looked at, and how long killed processes may take to end, seconds.
+LOOK_S, END_S = 1.0, 10.0
+
+
+class Output:
+    """What a program prints: the head written to the log as it comes, the tail at the end."""
+
+    def __init__(self, log: str) -> None:
+        self.size = 0
+        self._log = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        self._tail = bytearray()
+        self._done = _thread.allocate_lock()
+
+    def follow(self, source: int) -> None:
+        """Take in, in a thread of its own, what comes out of a pipe."""
+        self._done.acquire()
+        _thread.start_new_thread(self._take, (source,))
+
+    def close(self) -> None:
+        """Wait until all who hold the pipe have ended, and write the tail."""
+        self._done.acquire(timeout=END_S)
+        left_out = self.size - HEAD - len(self._tail)
+        if left_out > 0:
+            self._write(b"\n[%d bytes of output left out]\n" % left_out)
+        self._write(bytes(self._tail))
+        os.close(self._log)
+
+    def _take(self, source: int) -> None:
+        while data := os.read(source, 1 << 16):
+            room = max(0, HEAD - self.size)
+            self.size += len(data)
+            self._write(data[:room])
+            self._tail += data[room:]
+            if len(self._tail) > 2 * TAIL:
+                del self._tail[:-TAIL]
+        del self._tail[:-TAIL]
+        self._done.release()
+
+    def _write(self, data: bytes) -> None:
+        try:
+            while data:
+                data = data[os.write(self._log, data) :]
+        except OSError:  # no room: the program is told by its own files
+            pass
 
 
 def _say(line: str) -> None:
@@ -29,10 +82,10 @@ def _say(line: str) -> None:
     sys.stdout.flush()
 
 
-def _start(log: str, arguments: list[str]) -> tuple[int, int]:
+def _start(output: int, arguments: list[str]) -> tuple[int, int]:
     """The program's process number, and the error number that kept it from starting, or 0."""
-    output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
     libc, parent = ctypes.CDLL(None), os.getpid()
+    libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
     told, tell = os.pipe()  # closes when the program starts
     program = os.fork()
     if program == 0:
@@ -64,41 +117,94 @@ def _start(log: str, arguments: list[str]) -> tuple[int, int]:
     return program, failure
 
 
-def _wait(program: int) -> tuple[int, float, int]:
-    """Wait for the program's end, or bring it about at the end of standard input.
+def _wait(program: int, output: Output, disk: int) -> tuple[int, float, int, int]:
+    """Wait for the program's end, or bring it about: at the end of standard input, or over DISK.
 
-    Returns its return code (negative: the signal), its processor time in s, and its memory in kB.
+    Returns its return code (negative: the signal), its processor time in s, its memory in kB, and
+    the bytes it had taken where they were too many, else 0.
     """
-    guard, ended = _thread.allocate_lock(), False
+    guard, ended, taken = _thread.allocate_lock(), False, 0
 
     def watch() -> None:
-        while os.read(0, 4096):
-            pass
+        nonlocal taken
+        while not taken:
+            ready, _, _ = select.select([0], [], [], LOOK_S)
+            if ready and not os.read(0, 4096):
+                break
+            used = 0 if ready else output.size + _used(".")
+            taken = used if used > disk else 0
         with guard:
             if not ended:  # afterwards its number may be another's
-                _kill_group(program)
+                _kill(os.killpg, program)
 
     _thread.start_new_thread(watch, ())
     os.waitid(os.P_PID, program, os.WEXITED | os.WNOWAIT)
     with guard:
-        _kill_group(program)  # helpers that the program left running
+        _kill(os.killpg, program)  # helpers that the program left running
         ended = True
     _, status, usage = os.wait4(program, 0)
+    _end_descendants()
     cpu_s = usage.ru_utime + usage.ru_stime
-    return os.waitstatus_to_exitcode(status), cpu_s, usage.ru_maxrss
+    return os.waitstatus_to_exitcode(status), cpu_s, usage.ru_maxrss, taken
 
 
-def _kill_group(group: int) -> None:
+def _end_descendants() -> None:
+    """Kill whatever the program left, in other groups and sessions too, until nothing is left."""
+    until = time.monotonic() + END_S
+    while time.monotonic() < until:  # one in an uninterruptible call ends when that does
+        try:
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+        except ChildProcessError:
+            return
+        for process in _descendants():
+            _kill(os.kill, process)
+        time.sleep(0.001)
+
+
+def _descendants() -> list[int]:
+    """All processes below this one."""
+    children: dict[int, list[int]] = {}
+    for name in filter(str.isdigit, (entry.name for entry in os.scandir("/proc"))):
+        try:
+            with open(f"/proc/{name}/stat", "rb") as stat:  # noqa: PTH123  # pathlib costs time
+                parent = int(stat.read().rpartition(b")")[2].split()[1])
+        except (OSError, ValueError, IndexError):
+            continue  # it has ended
+        children.setdefault(parent, []).append(int(name))
+    found = children.get(os.getpid(), [])
+    for process in found:
+        found.extend(children.get(process, ()))
+    return found
+
+
+def _used(folder: str) -> int:
+    """Bytes of disk that the files of a folder take."""
+    total = 0
     try:
-        os.killpg(group, SIGKILL)
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                total += entry.stat(follow_symlinks=False).st_blocks * 512
+                if entry.is_dir(follow_symlinks=False):
+                    total += _used(entry.path)
+    except OSError:  # removed meanwhile
+        pass
+    return total
+
+
+def _kill(kill, number: int) -> None:  # type: ignore[no-untyped-def]  # `typing` costs time here
+    try:
+        kill(number, SIGKILL)
     except (ProcessLookupError, PermissionError):
         pass
 
 
-def supervise(log: str, arguments: list[str]) -> str:
+def supervise(log: str, disk: int, arguments: list[str]) -> str:
     """Run the program to its end or to the end of standard input; JSON that says how it ended."""
     try:
-        program, failure = _start(log, arguments)
+        output = Output(log)
+        source, target = os.pipe()
+        program, failure = _start(target, arguments)
     except OSError as error:  # the log, or no room for a process
         _say("0")
         return f'{{"error": "{error.strerror}"}}'
@@ -106,13 +212,15 @@ def supervise(log: str, arguments: list[str]) -> str:
     if failure:
         said = "missing" if failure == ENOENT else os.strerror(failure)
         return f'{{"error": "{said}"}}'
-    code, cpu_s, memory = _wait(program)
+    output.follow(source)
+    code, cpu_s, memory, taken = _wait(program, output, disk)
+    output.close()
     return (
         f'{{"error": "", "return_code": {code}, "cpu_s": {cpu_s}, '
-        f'"peak_memory_bytes": {memory * 1024}}}'
+        f'"peak_memory_bytes": {memory * 1024}, "disk_bytes": {taken}}}'
     )
 
 
 if __name__ == "__main__":
-    _say(supervise(sys.argv[1], sys.argv[2:]))
+    _say(supervise(sys.argv[1], int(sys.argv[2]), sys.argv[3:]))
     os._exit(0)  # the watching thread still reads

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from modetune.adapters.matrices.job import run_job
-from modetune.adapters.process import LOG, Finished, run_process
+from modetune.adapters.process import JOB_DISK, LOG, Finished, run_process
 from modetune.adapters.solver import Command
 
 #: Does a job in its folder and gives its return code; nothing where it takes a process.
@@ -40,7 +40,11 @@ PROGRAMS: dict[tuple[str, ...], Program] = {
 
 
 def run_embedded(
-    command: Command, folder: Path, timeout_s: float, cancelled: threading.Event
+    command: Command,
+    folder: Path,
+    timeout_s: float,
+    cancelled: threading.Event,
+    disk_bytes: int = JOB_DISK,
 ) -> Finished:
     """Stands for `run_process` in the job engine."""
     started, busy = time.monotonic(), time.thread_time()
@@ -51,5 +55,5 @@ def run_embedded(
     if program is not None and timeout_s >= SHORT_S and not cancelled.is_set():
         code = program(folder)
     if code is None:
-        return run_process(command, folder, timeout_s, cancelled)
+        return run_process(command, folder, timeout_s, cancelled, disk_bytes)
     return Finished(code, time.monotonic() - started, time.thread_time() - busy, 1 << 24)

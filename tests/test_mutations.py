@@ -305,7 +305,8 @@ KINDS = {
     "store entry": Kind(stored(), read_entry, believed=False),
     "record": Kind(recorded(), read_record, believed=False),
     "supervisor's report": Kind(
-        b'{"error": "", "return_code": 0, "cpu_s": 0.25, "peak_memory_bytes": 1048576}\n',
+        b'{"error": "", "return_code": 0, "cpu_s": 0.25, "peak_memory_bytes": 1048576, '
+        b'"disk_bytes": 0}\n',
         read_report,
     ),
 }

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modetune.adapters.paraview import ELEMENT, NODE, SHAPE
-from modetune.adapters.process import LOG, run_process
+from modetune.adapters.process import read_log, run_process
 from modetune.adapters.solver import Command
 from modetune.core.errors import NoResult
 from modetune.core.modes import Integers
@@ -66,7 +66,7 @@ def convert_frd(frd: Path, n_modes: int, folder: Path) -> Iterator[pyvista.Unstr
     for mode in range(1, n_modes + 1):
         path = folder / f"{mode}.vtu"
         if finished.return_code != 0 or not path.is_file():
-            said = (folder / LOG).read_text(errors="replace").strip().rpartition("\n")[2]
+            said = read_log(folder).strip().rpartition("\n")[2]
             raise NoResult(f"ccx2paraview could not convert {frd} ({said.strip()}): {REMEDY}")
         grid = pyvista.read(path)
         assert isinstance(grid, pyvista.UnstructuredGrid)

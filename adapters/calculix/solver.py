@@ -29,7 +29,7 @@ from modetune.adapters.calculix.results import (
     read_modal,
     read_version,
 )
-from modetune.adapters.process import LOG, as_block, log_tail, run_process
+from modetune.adapters.process import as_block, log_tail, read_log, run_process
 from modetune.adapters.solver import (
     AffectedElements,
     Analysis,
@@ -164,7 +164,7 @@ class CalculixProgram:
         with tempfile.TemporaryDirectory(prefix="modetune-") as folder:
             command = Command((self.program, "-v"))
             run_process(command, Path(folder), 60.0, threading.Event())
-            banner = (Path(folder) / LOG).read_text(errors="replace")
+            banner = read_log(Path(folder))
         version = read_version(banner)
         if not version:
             raise SolverMissing(f"`{self.program} -v` printed no CalculiX version: {banner[:80]!r}")
@@ -209,7 +209,7 @@ class CalculixProgram:
     def read(
         self, deck: EditedCalculix, analysis: Analysis, folder: Path, return_code: int
     ) -> Result:
-        log = (folder / LOG).read_text(errors="replace")
+        log = read_log(folder)
         messages = read_messages(log)
         if messages:
             said = as_block("\n".join(message.text for message in messages))

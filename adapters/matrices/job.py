@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.matrices.model import Factors, MatrixModel
-from modetune.adapters.process import LOG, log_tail
+from modetune.adapters.process import log_tail, read_log
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.errors import ModelError, ModesError, NoResult, SolverCrashed, SolverRejected
@@ -69,7 +69,7 @@ def read_result(
     model: MatrixModel, factors: Factors, analysis: Analysis, folder: Path, return_code: int
 ) -> Result:
     """The result of a finished job. Raises SolverRejected or SolverCrashed where there is none."""
-    lines = (folder / LOG).read_text(errors="replace").splitlines()
+    lines = read_log(folder).splitlines()
     faults = [line.removeprefix(FAULT).strip() for line in lines if line.startswith(FAULT)]
     if faults:
         raise SolverRejected(f"the model {model.name} has no modes (job in {folder}): {faults[0]}")

@@ -119,6 +119,8 @@ class RunSection(Section):
     """A sensitivity column that is unavailable: go on without it this time, or stop."""
     timeout_s: Positive = 3600.0
     """Longest run of one job [s]"""
+    disk_gb: Positive = 100.0
+    """Disk that the files and the output of one job may take [GB]"""
     licence_pause_s: Positive = 30.0
     """First pause of a job that got no licence; it grows by half each time [s]"""
     licence_wait_s: Positive = 86400.0

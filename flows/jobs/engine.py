@@ -16,12 +16,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from modetune.adapters.process import disk_full, run_process
+from modetune.adapters.process import JOB_DISK, disk_full, run_process
 from modetune.adapters.solver import Command, Program, Solver
 from modetune.core.errors import (
     LicenceDenied,
@@ -84,7 +84,7 @@ class Policy:
 
     stopped, timeout, no_result: how often it is tried again when it was killed or broke off, ran
     out of time, or left what is not a result. What the solver rejected, and what was too large for
-    the machine, is never tried again.
+    the machine, is never tried again. disk_bytes: what a job's files and output may take.
     """
 
     timeout_s: float
@@ -93,6 +93,7 @@ class Policy:
     no_result: int
     licence_pause_s: float
     licence_wait_s: float
+    disk_bytes: int = JOB_DISK
 
     def chances(self, error: SolverError) -> int:
         """How often a job that ended so may be tried again."""
@@ -307,7 +308,13 @@ class JobEngine:
             with self.counter.held(self.limits, self._wait_for_slot):
                 started = time.monotonic()
                 try:
-                    finished = run_process(command, folder, self.policy.timeout_s, self.cancelled)
+                    finished = run_process(
+                        command,
+                        folder,
+                        self.policy.timeout_s,
+                        self.cancelled,
+                        self.policy.disk_bytes,
+                    )
                 finally:
                     self.ledger.add(time.monotonic() - started, self.limits)
             try:
@@ -315,7 +322,7 @@ class JobEngine:
                 if self.launcher is not None and code != 0:
                     self.launcher.check(folder, code)
                 return finite(self.solver.read(job.values, job.analysis, folder, code))
-            except ModesError as error:  # shapes that do not fit together, numbers that are none
+            except (ModesError, OSError) as error:  # shapes that do not fit together, files gone
                 raise NoResult(
                     f"{self.program.name} left no result in {folder}: {error}"
                 ) from error
@@ -338,7 +345,8 @@ class JobEngine:
                         "nothing stored before was harmed; free some space and run the same "
                         "command again: finished jobs are not repeated"
                     ) from error
-                part.rename(failed)
+                with suppress(FileNotFoundError):  # removed meanwhile, which may be what failed
+                    part.rename(failed)
                 raise type(error)(str(error).replace(str(part), str(failed))) from error
             except BaseException:
                 shutil.rmtree(part, ignore_errors=True)

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from modetune.adapters.process import LOG, log_tail
+from modetune.adapters.process import log_tail, read_log
 from modetune.adapters.solver import Command
 from modetune.core.errors import (
     SolverCrashed,
@@ -64,11 +64,7 @@ class SlurmLauncher:
 
     def check(self, folder: Path, return_code: int) -> None:
         """Raise the error that Slurm's lines in the log mean; nothing where it has said none."""
-        try:
-            log = (folder / LOG).read_text(errors="replace")
-        except OSError:
-            return
-        lines = [line for line in log.splitlines() if line.startswith(SPEAKERS)]
+        lines = [line for line in read_log(folder).splitlines() if line.startswith(SPEAKERS)]
         for words, error, meaning in SAID:
             line = next((line for line in lines if words in line), None)
             if line is not None:

@@ -46,6 +46,7 @@ def job_engine(campaign: Campaign) -> JobEngine:
             no_result=run.retries.no_result,
             licence_pause_s=run.licence_pause_s,
             licence_wait_s=run.licence_wait_s,
+            disk_bytes=round(1e9 * run.disk_gb),
         ),
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,

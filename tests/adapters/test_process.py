@@ -15,11 +15,14 @@ from pathlib import Path
 import pytest
 
 from modetune.adapters import process
-from modetune.adapters.process import LOG, Finished, log_tail, run_process
+from modetune.adapters.process import LOG, Finished, log_tail, read_log, run_process
 from modetune.adapters.solver import Command
+from modetune.adapters.supervisor import HEAD, TAIL
 from modetune.core.errors import (
+    NoResult,
     SolverCancelled,
     SolverCrashed,
+    SolverExhausted,
     SolverMissing,
     SolverTimeout,
     StorageUnavailable,
@@ -263,3 +266,95 @@ def test_the_tail_of_a_log_is_its_last_lines(tmp_path: Path) -> None:
     assert log_tail(tmp_path) == "(the log is empty)"
     (tmp_path / LOG).write_bytes(b"\xff\n" + b"".join(b"line %d\n\n" % n for n in range(5000)))
     assert log_tail(tmp_path, lines=2) == "  | line 4998\n  | line 4999"
+
+
+# A program whose child takes its own session, has a child of its own there, and ends before it.
+ESCAPED = f"""
+import os, pathlib, sys, time
+if os.fork() == 0:
+    os.setsid()
+    child = os.fork()
+    if child == 0:
+        time.sleep({LONG_S})
+    part = pathlib.Path("pids.part")
+    part.write_text(f"{{os.getpid()}} {{child}} {{os.getsid(0)}}")
+    part.rename("pids")
+    if len(sys.argv) > 1:
+        os._exit(0)
+    time.sleep({LONG_S})
+while not os.path.exists("pids"):
+    time.sleep(0.01)
+"""
+
+
+@pytest.mark.parametrize("words", [(), ("orphaned",)])
+def test_a_child_in_a_session_of_its_own_ends_with_its_program(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    assert run(python(ESCAPED, *words), tmp_path).return_code == 0
+    child, grandchild, session = map(int, (tmp_path / "pids").read_text().split())
+    assert session == child
+    assert gone(child)  # by the time that the run has ended
+    assert gone(grandchild)
+
+
+def test_cancelling_ends_a_child_in_a_session_of_its_own(tmp_path: Path) -> None:
+    class OnceItRuns(threading.Event):
+        def is_set(self) -> bool:
+            wait_for((tmp_path / "pids").exists, "the child's start")
+            return True
+
+    with pytest.raises(SolverCancelled):
+        run_process(
+            python(ESCAPED + f"time.sleep({LONG_S})"), tmp_path, float(LONG_S), OnceItRuns()
+        )
+    assert all(gone(int(pid)) for pid in (tmp_path / "pids").read_text().split()[:2])
+
+
+def test_of_much_output_the_log_has_head_and_tail(tmp_path: Path) -> None:
+    code = (
+        "import sys\nline = b'x' * 1023 + b'\\n'\nsys.stdout.buffer.write(b'first\\n')\n"
+        "for _ in range(40 << 10): sys.stdout.buffer.write(line)\n"
+        "sys.stdout.buffer.write(b'last\\n')"
+    )
+    assert run(python(code), tmp_path).return_code == 0
+    log = (tmp_path / LOG).read_bytes()
+    size = len(b"first\n") + (40 << 20) + len(b"last\n")
+    left_out = size - HEAD - TAIL
+    assert log.startswith(b"first\nxxx")
+    assert log.endswith(b"xxx\nlast\n")
+    assert b"\n[%d bytes of output left out]\n" % left_out in log
+    assert len(log) == HEAD + TAIL + len(f"\n[{left_out} bytes of output left out]\n")
+
+
+def test_output_up_to_head_and_tail_is_whole(tmp_path: Path) -> None:
+    code = f"import os, sys; sys.stdout.buffer.write(b'ab' * {(HEAD + TAIL) // 2})"
+    run(python(code), tmp_path)
+    assert (tmp_path / LOG).read_bytes() == b"ab" * ((HEAD + TAIL) // 2)
+
+
+@pytest.mark.parametrize("code", [
+    "import sys\nwhile True: sys.stdout.write('x' * 65536)",
+    "import os\nos.mkdir('scratch')\nwith open('scratch/big', 'wb') as out:\n"
+    " for _ in range(64): out.write(b'x' * (1 << 20))\n"
+    " out.flush()\n import time; time.sleep(600)",
+])  # fmt: skip
+def test_a_job_that_takes_too_much_disk_is_killed_and_what_it_took_freed(
+    tmp_path: Path, code: str
+) -> None:
+    with pytest.raises(SolverExhausted, match=r"more than the 0\.03 GB .*raise `run: disk_gb`"):
+        run_process(python(code), tmp_path, 60.0, threading.Event(), 30_000_000)
+    assert sum(path.stat().st_size for path in tmp_path.rglob("*")) < 20 << 20
+
+
+def test_a_folder_or_log_that_is_removed_meanwhile_is_told(tmp_path: Path) -> None:
+    folder = tmp_path / "job"
+    folder.mkdir()
+    code = "import os, shutil; shutil.rmtree(os.getcwd()); raise SystemExit(1)"
+    assert run(python(code), folder).return_code == 1
+    assert log_tail(folder) == "(no log)"
+    with pytest.raises(NoResult, match="something else has changed the job's folder"):
+        read_log(folder)
+    os.mkfifo(tmp_path / LOG)
+    with pytest.raises(NoResult, match="it is a pipe or a device"):
+        read_log(tmp_path)

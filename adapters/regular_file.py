@@ -1,0 +1,51 @@
+"""Files as readers get them: regular ones only, and none that the machine's memory cannot hold.
+
+A pipe would be waited for without end, and a device such as /dev/zero read without end. What is
+wrong is an OSError with a sentence (`strerror`), as for a file that is not there.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+#: The share of the machine's memory that one file may take which is read as a whole: what is made
+#: of a deck or a table takes some ten times as much as its text.
+SHARE = 1 / 16
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """A regular file opened for reading. Raises OSError, also where it is something else."""
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # no waiting for a writer
+    kind = os.fstat(handle).st_mode
+    if not stat.S_ISREG(kind):
+        os.close(handle)
+        number = errno.EISDIR if stat.S_ISDIR(kind) else errno.EINVAL
+        said = os.strerror(errno.EISDIR) if stat.S_ISDIR(kind) else "it is a pipe or a device"
+        raise OSError(number, f"{said}, and a regular file is needed", str(path))
+    return os.fdopen(handle, "rb")
+
+
+def read_regular(path: Path, most: int | None = None) -> bytes:
+    """A whole regular file of so many bytes at most, by default a share of the memory.
+
+    Raises OSError.
+    """
+    most = largest() if most is None else most
+    with open_regular(path) as file:
+        data = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else b""
+        if len(data) > most or (not data and os.fstat(file.fileno()).st_size > most):
+            raise OSError(
+                errno.EFBIG,
+                f"it has more than {most / 1e6:.0f} MB, more than can be read here",
+                str(path),
+            )
+    return data
+
+
+def largest(share: float = SHARE) -> int:
+    """Bytes that are a share of the machine's memory."""
+    return int(share * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
