@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -44,6 +46,12 @@ def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+
+
+def machine_user() -> str:
+    """HOST-UID: names what is a machine's and a user's own where several share a folder."""
+    host = re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())
+    return f"{host}-{os.getuid()}"
 
 
 def check_writable(folder: Path, remedy: str) -> None:

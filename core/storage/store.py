@@ -22,6 +22,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import IO
 
 from modetune.core.errors import StorageUnavailable, StoreDamaged
 from modetune.core.storage.codec import read_value, write_value
@@ -144,25 +145,17 @@ class Store:
         """The files of entries whose keys start so; start: at least two digits, or nothing."""
         return self.folder.glob(f"{start[:2] or '[0-9a-f][0-9a-f]'}/{start}*.{FORMAT}.h5")
 
-    def holdings(self, newest: int | None = None) -> Iterator[Holding]:
-        """What stands before the entries, the newest first, or before so many of them.
-
-        No result is read and no checksum taken, so nothing that is computed may rest on it; what
-        cannot be read is passed over: whoever wants that entry finds the damage.
-        """
-        dated = []
-        for path in self.entries():
-            with suppress(OSError):  # gone, or not ours to see
-                dated.append((path.stat().st_mtime, path))
-        for written_s, path in sorted(dated, reverse=True)[:newest]:
-            holding = _holding(path, written_s)
-            if holding is not None:
-                yield holding
-
     def holding(self, key: str) -> Holding | None:
-        """What stands before the entry of this key, or nothing."""
-        path = self.path(key)
-        return _holding(path, path.stat().st_mtime) if path.is_file() else None
+        """What stands before the entry of this key; nothing where that cannot be read.
+
+        No result is read and no checksum taken, so nothing that is computed may rest on it: whoever
+        wants the entry finds the damage.
+        """
+        try:
+            with self.path(key).open("rb") as file:
+                return _holding(file)
+        except OSError:
+            return None
 
     def drop(self, key: str) -> None:
         """Remove the entry of this key, if there is one. Raises StorageUnavailable."""
@@ -207,10 +200,9 @@ def _tell_of_other_formats(folder: Path) -> None:
     )
 
 
-def _holding(path: Path, written_s: float) -> Holding | None:
+def _holding(file: IO[bytes]) -> Holding | None:
     try:
-        with path.open("rb") as file:
-            head = json.loads(read_head(file, TITLE))
+        head = json.loads(read_head(file, TITLE))
         return Holding(
             key=str(head["key"]),
             kind=str(head["kind"]),
@@ -219,9 +211,9 @@ def _holding(path: Path, written_s: float) -> Holding | None:
             solver=str(head["solver"]),
             solver_version=str(head["solver_version"]),
             wall_s=float(head["wall_s"]),
-            written_s=written_s,
+            written_s=os.fstat(file.fileno()).st_mtime,
         )
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
 
 

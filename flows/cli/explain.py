@@ -34,16 +34,21 @@ def explain(
     """Tell what a job is, what became of it, and in what it differs from the nearest result."""
     from modetune.core.errors import CampaignError
     from modetune.core.storage.store import Store
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.updating.lookup import explain_job, explain_unrun, key_start
+    from modetune.flows.updating.lookup import explain_job, key_start
 
     start = key_start(job)
     if not store.exists():
         raise CampaignError(f"{store} is not there; name a store or a campaign file with --store")
-    campaign = load_campaign(store) if store.is_file() else None
+    campaign = None
+    if store.is_file():
+        from modetune.flows.campaign.campaign import load_campaign
+
+        campaign = load_campaign(store)
     place = campaign.store if campaign else Store(store)
     found = explain_job(place, start)
     if found is None and campaign is not None:
+        from modetune.flows.updating.dry_run import explain_unrun
+
         found = explain_unrun(campaign, start)
     if found is None:
         raise CampaignError(

@@ -1,18 +1,17 @@
-"""Why a job is run, or what a stored result is: the nearest stored result, and what differs.
+"""What differs between two jobs, for why a job is run, or what a stored result is.
 
-The nearest result is the one with the fewest differences; among equals the one whose parameter
-values are closest. Differences are told in the campaign's words where both results carry a note
-(`job.py`), else in those of the content keys.
+Differences are told in the campaign's words where both jobs carry a note (`job.py`), else in those
+of the content keys. The nearest stored result is found by `store_index`.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from modetune.core.storage.keys import Json
-from modetune.core.storage.store import Holding, Store
+from modetune.core.storage.store import Holding
 from modetune.flows.jobs.deck_texts import Text, deck_difference
 from modetune.flows.jobs.job import JobNote, read_note
 
@@ -98,33 +97,12 @@ def _parts(content: Json) -> Iterator[tuple[str, str]]:
             yield name, json.dumps(value)
 
 
-def stored_jobs(store: Store, newest: int | None = None) -> list[AskedJob]:
-    """Everything that a store holds, as jobs."""
-    return [asked_of(holding) for holding in store.holdings(newest)]
-
-
-def nearest(job: AskedJob, stored: Iterable[AskedJob], texts: Texts) -> Nearest | None:
-    """The stored result nearest to a job other than its own; nothing in an empty store.
+def differences_with_places(job: AskedJob, other: AskedJob, texts: Texts) -> tuple[str, ...]:
+    """What differs between two jobs, with the places where their decks do.
 
     texts: the deck's lines by the digest of a model, where they are known.
     """
-    found = [
-        (other.solver != job.solver, other.kind != job.kind, differences(job, other), other)
-        for other in stored
-        if other.key != job.key
-    ]
-    if not found:
-        return None
-    *_, told, other = min(
-        found, key=lambda item: (item[0], item[1], len(item[2]), _distance(job, item[3]))
-    )
-    return Nearest(other.key, _with_places(told, job, other, texts))
-
-
-def _with_places(
-    told: tuple[str, ...], job: AskedJob, other: AskedJob, texts: Texts
-) -> tuple[str, ...]:
-    """With the places where the decks differ, where both texts are known."""
+    told = differences(job, other)
     if job.note is None or other.note is None:
         return told
     ours, theirs = texts(job.note.model_digest), texts(other.note.model_digest)
@@ -136,6 +114,14 @@ def _with_places(
 
 def differences(job: AskedJob, other: AskedJob) -> tuple[str, ...]:
     """What differs between two jobs, a phrase each; the first one's side is told first."""
+    told = told_differences(job, other)
+    if not told and job.key != other.key:
+        return ("what the parameters change in the deck, at the same names and values",)
+    return tuple(told)
+
+
+def told_differences(job: AskedJob, other: AskedJob) -> list[str]:
+    """The differences between two jobs that can be told from what is known of them."""
     told = []
     if job.solver != other.solver:
         told.append(f"solver {job.solver}, there {other.solver}")
@@ -153,9 +139,7 @@ def differences(job: AskedJob, other: AskedJob) -> tuple[str, ...]:
             covered = covered or (name == "groups" and job.kind != other.kind)
             if ours.get(name) != theirs.get(name) and not covered:
                 told.append(_part(name, ours.get(name), theirs.get(name)))
-    if not told and job.key != other.key:
-        told.append("what the parameters change in the deck, at the same names and values")
-    return tuple(told)
+    return told
 
 
 def _by_notes(note: JobNote, other: JobNote) -> list[str]:
@@ -196,15 +180,6 @@ def _part(name: str, here: str | None, there: str | None) -> str:
     if max(len(here), len(there)) > SHOWN:
         return f"{word} differs" if name != "groups" else f"{word} differ"
     return f"{word} {here}, there {there}"
-
-
-def _distance(job: AskedJob, other: AskedJob) -> float:
-    """Sum of the parameters' differences; without notes all are as far."""
-    if job.note is None or other.note is None:
-        return float("inf")
-    pairs = dict(job.note.values), dict(other.note.values)
-    names = pairs[0].keys() | pairs[1].keys()
-    return sum(abs(pairs[0].get(name, 1.0) - pairs[1].get(name, 1.0)) for name in names)
 
 
 def describe(job: AskedJob) -> list[tuple[str, str]]:

@@ -34,7 +34,7 @@ from urllib.parse import urlsplit
 
 from modetune.adapters import supervisor
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.files import storage_errors
+from modetune.core.storage.files import machine_user, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.flows.jobs.heartbeats import BEAT_S, SilentRuns
 from modetune.flows.jobs.prefect_api import PATIENCE_S, PROBE_S, Answer, PrefectApi, ServerRefused
@@ -79,8 +79,7 @@ def server_home() -> Path:
 
 def machine_home(base: Path) -> Path:
     """The folder of this machine and user below one that several may share."""
-    host = re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())
-    return base / f"{host}-{os.getuid()}"
+    return base / machine_user()
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,18 +22,15 @@ from modetune.flows.jobs.explain import (
     Nearest,
     Texts,
     asked_by_note,
-    nearest,
-    stored_jobs,
 )
 from modetune.flows.jobs.job import NOMINAL, Job
+from modetune.flows.jobs.nearest import nearest
 from modetune.flows.jobs.work import Done, Work, solve_work
 from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.lookup import Explanation
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.starting import read_earlier, start_of
 from modetune.flows.updating.updating import Updating
-
-#: So many of the newest results are compared with a job in search of the nearest.
-COMPARED = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,23 +141,31 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
             if not replay.planned:  # a damaged entry was set aside: once more, without it
                 continue
         break
-    stored = stored_jobs(engine.store, COMPARED) if replay.planned else []
-    texts = _texts(engine) if stored else None
-    jobs = tuple(
-        replace(item, nearest=nearest(item.asked, stored, texts)) if item.asked and texts else item
-        for item in replay.planned
-    )
+    asked = [item.asked for item in replay.planned if item.asked]
+    found = {
+        job.key: near
+        for job, near in zip(asked, nearest(engine.store, asked, _texts(engine)), strict=True)
+    }
+    jobs = tuple(replace(item, nearest=found.get(item.key)) for item in replay.planned)
     return DryRun(replay.answered, tuple(updating.iterations), jobs, ended)
+
+
+def explain_unrun(campaign: Campaign, start: str) -> Explanation | None:
+    """The job of a campaign whose key starts so and that would be run next, if there is one."""
+    for item in dry_run(campaign, Path("runs") / campaign.name).runs:
+        if item.key.startswith(start):
+            return Explanation(item.key, "not run", item.asked, None, None, None, "", item.nearest)
+    return None
 
 
 def _texts(engine: JobEngine) -> Texts:
     """Texts of decks: this campaign's own, and those that the store keeps, each read once."""
     known: dict[str, Text | None] = {}
-    with suppress(OSError):  # no room for a temporary copy: the explanation is shorter
-        nominal = engine.plans.plan(NOMINAL).rendered
-        known[engine.plans.model_digest()] = deck_text(nominal)
 
     def text(digest: str) -> Text | None:
+        if digest not in known and digest == engine.plans.model_digest():
+            with suppress(OSError):  # no room for a temporary copy: the explanation is shorter
+                known[digest] = deck_text(engine.plans.plan(NOMINAL).rendered)
         if digest not in known:
             known[digest] = kept_text(engine.store, digest)
         return known[digest]

@@ -16,8 +16,9 @@ from modetune.core.storage.keys import Json
 from modetune.core.storage.record import IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.job import Job, JobNote, analysis_kind, read_note
+from modetune.flows.jobs.job import Job, JobNote, analysis_kind
 from modetune.flows.jobs.limits import CORES
+from modetune.flows.jobs.store_index import ask_index
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluator import Evaluator
@@ -142,7 +143,8 @@ def job_prices(engine: JobEngine, digest: str, newest: int = NEWEST) -> dict[str
     digest: of the model, `Plans.model_digest`.
     """
     solver, name = engine.solver.program.name, engine.solver.deck.summary.name
-    noted = [(read_note(item.note), item.wall_s) for item in engine.store.holdings(newest)]
+    found = ask_index(engine.store, lambda index: index.newest(newest))
+    noted = [(item.job.note, item.wall_s) for item in found if item.job]
     ours = [(note, wall_s) for note, wall_s in noted if note and note.solver == solver]
     by_name = _medians([item for item in ours if item[0].model == name])
     return by_name | _medians([item for item in ours if item[0].model_digest == digest])

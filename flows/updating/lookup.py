@@ -11,18 +11,15 @@ from typing import Literal
 from modetune.adapters.process import LOG, log_tail
 from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
-from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.deck_texts import kept_text
 from modetune.flows.jobs.explain import (
     AskedJob,
     Nearest,
     asked_by_note,
     asked_of,
-    nearest,
-    stored_jobs,
 )
 from modetune.flows.jobs.job import NOTE_FILE, read_note
-from modetune.flows.updating.dry_run import dry_run
+from modetune.flows.jobs.nearest import nearest
 
 #: What became of a job; `damaged`: its result was set aside because its checksum did not hold.
 State = Literal["stored", "failed", "under way or broken off", "damaged", "kept", "not run"]
@@ -82,6 +79,7 @@ def explain_job(store: Store, start: str) -> Explanation | None:
     if state == "stored" and holding is None:
         state = "damaged"
     job = asked_of(holding) if holding else _job_of_folder(keys[0], path)
+    near = nearest(store, [job] if job else [], partial(kept_text, store))
     return Explanation(
         key=keys[0],
         state=state,
@@ -90,16 +88,8 @@ def explain_job(store: Store, start: str) -> Explanation | None:
         written_s=path.stat().st_mtime,
         wall_s=holding.wall_s if holding else None,
         log=log_tail(path) if state == "failed" and (path / LOG).is_file() else "",
-        nearest=nearest(job, stored_jobs(store), partial(kept_text, store)) if job else None,
+        nearest=near[0] if near else None,
     )
-
-
-def explain_unrun(campaign: Campaign, start: str) -> Explanation | None:
-    """The job of a campaign whose key starts so and that would be run next, if there is one."""
-    for item in dry_run(campaign, Path("runs") / campaign.name).runs:
-        if item.key.startswith(start):
-            return Explanation(item.key, "not run", item.asked, None, None, None, "", item.nearest)
-    return None
 
 
 def _places(store: Store, start: str) -> list[tuple[State, Path]]:

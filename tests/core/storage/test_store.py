@@ -18,7 +18,7 @@ from modetune.core.modes import mode_set
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.seal import read_head, sealed
-from modetune.core.storage.store import TITLE, Entry, Store
+from modetune.core.storage.store import TITLE, Entry, Holding, Store
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     Powers,
@@ -97,6 +97,12 @@ def derivatives() -> ModeDerivatives:
 
 def put(store: Store, result: Result, key: str = KEY) -> None:
     store.put(Entry(key, result, "calculix", "2.20", 1.5), "{}")
+
+
+def holdings(store: Store) -> list[Holding]:
+    """What stands before all entries."""
+    found = (store.holding(path.name.partition(".")[0]) for path in store.entries())
+    return [holding for holding in found if holding is not None]
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from modetune.core.modes import mode_set
 from modetune.core.storage.seal import BLOCK
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.results import MatrixResult, ModalResult
-from tests.core.storage.test_store import matrices
+from tests.core.storage.test_store import holdings, matrices
 
 KEYS = 200
 PROCESSES = 8
@@ -174,11 +174,11 @@ def test_an_entry_of_another_format_is_left_alone_and_told_of_once(
         assert key_of(1) not in store
         assert store.get(key_of(1)) is None
     assert caplog.text.count("in a format that this version of modetune does not read") == 1
-    assert list(store.holdings()) == []
+    assert holdings(store) == []
     put(store, 1)
     assert store.get(key_of(1)) is not None
     assert other.read_bytes() == b"of another version"
-    assert [holding.key for holding in store.holdings()] == [key_of(1)]
+    assert [holding.key for holding in holdings(store)] == [key_of(1)]
 
 
 def test_what_stands_before_entries_is_read_without_hdf5(
@@ -194,9 +194,9 @@ def test_what_stands_before_entries_is_read_without_hdf5(
     monkeypatch.setattr("h5py.File.__init__", opened)
     for _ in range(300):
         store.path(key_of(1)).write_bytes(vandal(good, random))
-        assert len(list(store.holdings())) <= 1
+        assert len(holdings(store)) <= 1
     store.path(key_of(1)).write_bytes(good)
-    (holding,) = store.holdings()
+    (holding,) = holdings(store)
     assert (holding.key, holding.kind, holding.wall_s) == (key_of(1), "modal", 1.5)
     assert store.holding(key_of(1)) == holding
     assert store.holding(key_of(2)) is None

@@ -13,7 +13,7 @@ from modetune.core.errors import ModelError
 from modetune.core.storage.store import Store
 from modetune.flows.jobs import deck_texts
 from modetune.flows.jobs.deck_texts import deck_difference, deck_text, keep_text, kept_text
-from modetune.flows.jobs.explain import asked_by_note, nearest
+from modetune.flows.jobs.explain import asked_by_note, differences_with_places
 from modetune.flows.jobs.job import NOMINAL, Job, Plans
 from tests.flows.conftest import ChainDeck, ScriptedProgram
 
@@ -98,7 +98,7 @@ def test_a_text_that_cannot_be_kept_harms_nothing(bench: Any) -> None:
     keep_text(Store(bench.folder / "store"), "refused", Rendered({}, refuse))
 
 
-def test_the_nearest_result_of_a_changed_deck_says_where_it_changed(bench: Any) -> None:
+def test_a_result_of_a_changed_deck_says_where_it_changed(bench: Any) -> None:
     texts: dict[str, list[str]] = {}
     jobs = []
     for number, lines in enumerate((DECK, [*DECK[:4], "72000., 0.3", *DECK[5:]])):
@@ -107,11 +107,8 @@ def test_the_nearest_result_of_a_changed_deck_says_where_it_changed(bench: Any) 
         note = Plans(solver).note(Job({"k1": 1.0}, ModalAnalysis(6, (1,))), threads=1)
         texts[note.model_digest] = lines
         jobs.append(asked_by_note(str(number), note))
-    found = nearest(jobs[1], jobs, texts.get)
-    assert found is not None
-    assert found.differences == (
+    other, job = jobs
+    assert differences_with_places(job, other, texts.get) == (
         "the deck's text differs: `72000., 0.3` (below *ELASTIC), there `71000., 0.3`",
     )
-    without = nearest(jobs[1], jobs, lambda digest: None)
-    assert without is not None
-    assert without.differences == ("the deck's text differs",)
+    assert differences_with_places(job, other, lambda digest: None) == ("the deck's text differs",)

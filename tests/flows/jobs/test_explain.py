@@ -17,11 +17,12 @@ from modetune.core.storage.store import Store
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.cli.explain import explain
 from modetune.flows.cli.update import show_dry_run
-from modetune.flows.jobs.explain import asked_of, differences, stored_jobs
+from modetune.flows.jobs.explain import asked_of, differences
 from modetune.flows.jobs.job import Job
-from modetune.flows.updating.dry_run import dry_run
-from modetune.flows.updating.lookup import explain_job, explain_unrun, key_start
+from modetune.flows.updating.dry_run import dry_run, explain_unrun
+from modetune.flows.updating.lookup import explain_job, key_start
 from modetune.flows.updating.running import job_engine, update_campaign
+from tests.core.storage.test_store import holdings
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
 MODAL = ModalAnalysis(6, (1, 2, 3, 4, 5, 6))
@@ -88,7 +89,7 @@ def test_what_is_asked_of_the_model_is_told(bench: Any) -> None:
 
 def test_another_solver_version_and_another_deck_are_told(bench: Any) -> None:
     key = solved(bench, {"k1": 1.1})
-    (job,) = stored_jobs(bench.campaign(TRUTH).store)
+    (job,) = map(asked_of, holdings(bench.campaign(TRUTH).store))
     assert job.note is not None
     note = replace(job.note, model="wing.inp", model_digest="other")
     other = replace(job, key="f" * 64, solver_version="0.9", note=note)
@@ -103,7 +104,7 @@ def test_a_result_without_a_note_is_told_by_what_was_asked(bench: Any) -> None:
     key = solved(bench, {"k1": 1.1})
     solved(bench, {"k1": 1.2})
     store = bench.campaign(TRUTH).store
-    old = [replace(holding, note="") for holding in store.holdings()]
+    old = [replace(holding, note="") for holding in holdings(store)]
     jobs = {holding.key: asked_of(holding) for holding in old}
     (other,) = set(jobs) - {key}
     told = differences(jobs[key], jobs[other])
@@ -144,7 +145,7 @@ def test_an_entry_that_cannot_be_read_is_passed_over(bench: Any) -> None:
     good, bad = solved(bench, {"k1": 1.1}), solved(bench, {"k1": 1.2})
     store = bench.campaign(TRUTH).store
     store.path(bad).write_bytes(b"no HDF5")
-    assert [holding.key for holding in store.holdings()] == [good]
+    assert [holding.key for holding in holdings(store)] == [good]
     found = explain_job(store, bad)
     assert found is not None
     assert found.state == "damaged"

@@ -33,6 +33,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.campaign.site import RetriesSection, RunSection
 from modetune.flows.updating.running import update_campaign
+from tests.core.storage.test_store import holdings
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, Watcher, recased
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -229,7 +230,7 @@ def assert_store_is_sound(folder: Path, script: Script) -> int:
     store = Store(folder / "store")
     assert not (store.folder / "damaged").exists()
     assert not list(store.folder.glob("**/*.part"))
-    honest, keys = ScriptedProgram(folder), [holding.key for holding in store.holdings()]
+    honest, keys = ScriptedProgram(folder), [holding.key for holding in holdings(store)]
     (folder / "solver.log").write_text("END OF JOB")
     for key in keys:
         entry = store.get(key)

@@ -24,6 +24,7 @@ from modetune.flows.updating.forecast import (
     told_forecast,
 )
 from modetune.flows.updating.running import job_engine, update_campaign
+from tests.core.storage.test_store import holdings
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
 DIFFERENCES = SensitivitySection(method="finite_difference")
@@ -38,7 +39,7 @@ def forecasts(bench: Any, watcher: Any, campaign: Any) -> list[Forecast]:
 
 def stored_in(seconds: float, campaign: Any) -> None:
     """Let the store say that each of its results took so long."""
-    for holding in list(campaign.store.holdings()):
+    for holding in holdings(campaign.store):
         entry = campaign.store.get(holding.key)
         campaign.store.put(
             Entry(entry.key, entry.result, entry.solver, entry.solver_version, seconds),
