@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from modetune.adapters.regular_file import largest, read_regular
 from modetune.core.errors import ModelError
 from modetune.core.storage.files import writing
 
@@ -46,6 +47,12 @@ class Include:
     keeps_place: bool
 
 
+#: Includes nest some three deep and decks of whole vehicles have some hundreds of them; more are an
+#: error of some script, as are files that include each other over and over.
+DEEPEST, MOST_INCLUDES = 100, 2_000
+#: What a line of a deck takes in memory, bytes.
+LINE_BYTES = 250
+
 #: New texts of an include's lines: the lines, then the target's and the including file's places in
 #: the updated deck, relative to its main file's folder.
 Renamed = Callable[[Sequence[Line], Path, Path], list[str]]
@@ -54,13 +61,34 @@ Renamed = Callable[[Sequence[Line], Path, Path], list[str]]
 def read_text(path: Path) -> str:
     """The text of a deck file, bytes that are not UTF-8 kept. Raises ModelError."""
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror}") from error
     if b"\0" in data:
         number = data.count(b"\n", 0, data.index(b"\0")) + 1
         raise ModelError(f"{path}, line {number}: not a text file, it holds zero bytes")
     return data.decode("utf-8", "surrogateescape")
+
+
+def check_include(
+    include: Include, above: Sequence[Path], lines: Sequence[Line], includes: Sequence[Include]
+) -> None:
+    """Raise ModelError where another include would go on without end.
+
+    above: the files, resolved, that lead to the include; lines, includes: read so far.
+    """
+    where = include.lines[0].where
+    if include.target.resolve() in above:
+        raise ModelError(f"{where}: {include.target} includes itself")
+    if len(above) > DEEPEST:
+        raise ModelError(f"{where}: files include each other more than {DEEPEST} deep")
+    if len(includes) >= MOST_INCLUDES:
+        raise ModelError(f"{where}: the deck has more than {MOST_INCLUDES} includes")
+    if len(lines) * LINE_BYTES > largest(0.5):
+        raise ModelError(
+            f"{where}: the deck has more than {len(lines)} lines with its includes, more than this "
+            "machine's memory holds"
+        )
 
 
 def write_edited(

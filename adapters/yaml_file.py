@@ -12,12 +12,15 @@ from pathlib import Path
 
 import yaml
 
+from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import CampaignError
 
 #: Where a value stands: the keys and list positions that lead to it.
 Place = tuple[str | int, ...]
 #: Repetitions (`*name`) of repetitions can make a short file endless.
 MOST_VALUES = 200_000
+#: Larger than any campaign or spring-mass system, bytes: PyYAML takes a minute for it.
+MOST_BYTES = 8 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,9 @@ def read_yaml(path: Path, kind: str) -> YamlFile:
     Raises CampaignError with file and line.
     """
     try:
-        text = path.read_bytes().decode("utf-8")  # line ends as they are, to be written back
+        text = read_regular(path, MOST_BYTES).decode(
+            "utf-8"
+        )  # line ends as they are, to be written back
     except OSError as error:
         raise CampaignError(f"{path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -1,315 +1,39 @@
 """Spoilt input of every kind: it is read, or refused in a sentence; never a traceback or a hang.
 
-A mutation flips bits, overwrites, cuts, repeats or swaps pieces of a good file, or puts words in
-that readers stumble over. All is seeded. `benchmarks/mutations.py` does many more.
+`mutations.py` has the kinds and what is done to them, `benchmarks/mutations.py` does many more.
 """
 
 from __future__ import annotations
 
 import logging
-import signal
+import os
 import threading
 import warnings
-from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
-from unittest import mock
 
+import h5py
 import numpy as np
 import pytest
 
-from modetune.adapters import process
-from modetune.adapters.calculix.matrices import read_matrices
-from modetune.adapters.calculix.results import read_messages, read_modal
-from modetune.adapters.calculix.solver import calculix_solver
-from modetune.adapters.nastran.f06 import read_f06
-from modetune.adapters.nastran.op2 import read_op2
-from modetune.adapters.nastran.solver import NastranProgram, nastran_solver
-from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, Solver
-from modetune.adapters.test_files.modes_csv import read_modes_csv
+from modetune.adapters.calculix.deck import read_deck as read_keyword_deck
+from modetune.adapters.matrices.matrix_files import read_matrices, read_matrix
+from modetune.adapters.nastran.deck import read_deck as read_bulk_deck
+from modetune.adapters.regular_file import largest
+from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import CampaignError, ModelError, ModetuneError, NoResult
-from modetune.core.parameters import Parameter
-from modetune.core.storage.record_file import read_record, write_record
-from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
-from tests.adapters.test_calculix_model import DECK as CALCULIX_DECK
-from tests.adapters.test_calculix_results import ANALYSIS
-from tests.adapters.test_nastran_f06 import small
-from tests.adapters.test_nastran_model import DECK as NASTRAN_DECK
-from tests.core.storage.test_record import record
-from tests.core.storage.test_store import KEY, modal
+from tests.mutations import KINDS, NASTRAN, PLATE_DECK, bounded, read_all, read_stiffness
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT / "tests" / "adapters" / "data"
-SIX_MASS = ROOT / "configs" / "six_mass"
-MUTATIONS = 200
-#: Generous: the slowest reader takes some milliseconds.
-LONGEST_S = 20.0
-#: What readers stumble over.
-WORDS = (
-    b"nan", b"inf", b"-1", b"0", b"1e999", b"99999999999999999999", b"\0", b"\xff\xfe", b"\n",
-    b"\r", b",", b",,,,", b":", b"[", b"{", b"}", b"- ", b"&a", b"*a", b"!!x", b"'", b'"', b"#",
-    b"$", b"*", b"**", b"=", b"\t", b" ", b"+", b"1.0-101", b"THRU", b"true", b"null", b"~", b"../",
-    "½".encode(), "٣".encode(), b"\xc2\x85", b"\xe2\x80\xa8", b"1_000", b"0x10", b".",
-)  # fmt: skip
-
-
-#: A plate of two shells on a beam, a spring, a mass and a rigid element.
-PLATE_DECK = """SOL 103
-CEND
-METHOD = 1
-SPC = 1
-BEGIN BULK
-PARAM,POST,-1
-EIGRL,1,,,6
-GRID,1,,0.,0.,0.
-GRID,2,,1.,0.,0.
-GRID,3,,2.,0.,0.
-GRID,4,,0.,1.,0.
-GRID,5,,1.,1.,0.
-GRID,6,,2.,1.,0.
-GRID,7,,3.,1.,0.
-GRID,8,,2.,1.,.5
-CQUAD4,1,1,1,2,5,4
-CQUAD4,2,1,2,3,6,5
-CBAR,3,2,6,7,0.,0.,1.
-PSHELL,1,1,.01,1,,1
-PBAR,2,1,1.E-3,1.E-7,2.E-7,1.5E-7
-MAT1,1,70.E9,,.3,2700.
-CELAS2,4,1.E5,7,3
-CONM2,5,8,,2.
-RBE2,6,6,123456,8
-SPC1,1,123456,1,4
-ENDDATA
-"""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of input: a good one's bytes, what reads it, and what it may not be read as."""
-
-    good: bytes
-    read: Callable[[Path], object]
-    believed: bool = True
-
-
-def mutated(good: bytes, random: np.random.Generator) -> bytes:
-    """A good file with one to four things done to it."""
-    data = bytearray(good)
-    for _ in range(int(random.integers(1, 5))):
-        size = len(data) + 1
-        place, length = int(random.integers(0, size)), int(random.integers(1, 40))
-        other = int(random.integers(0, size))
-        match int(random.integers(0, 9)):
-            case 0:
-                data[place : place + 1] = bytes([int(random.integers(0, 256))])
-            case 1 if place < len(data):
-                data[place] ^= 1 << int(random.integers(0, 8))
-            case 2:
-                del data[place : place + length]
-            case 3:
-                data[place:place] = data[other : other + length]
-            case 4 | 5:
-                data[place:place] = WORDS[int(random.integers(0, len(WORDS)))]
-            case 6:
-                lines = data.split(b"\n")
-                first, second = random.integers(0, len(lines), 2).tolist()
-                lines[first], lines[second] = lines[second], lines[first]
-                data = bytearray(b"\n").join(lines)
-            case 7:
-                lines = data.split(b"\n")
-                del lines[int(random.integers(0, len(lines)))]
-                data = bytearray(b"\n").join(lines)
-            case _ if random.random() < 0.2:
-                del data[place:]
-            case _:
-                data[place : place + length] = data[other : other + length]
-    return bytes(data)
-
-
-class Hang(BaseException):
-    """Raised into a reader that takes too long."""
-
-
-@contextmanager
-def bounded() -> Iterator[None]:
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Hang
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-
-
-def read_all(kind: Kind, path: Path, seed: int, count: int) -> Counter[str]:
-    """Read mutations of a kind; how they ended. Anything but a sentence is raised, with the file
-    kept beside."""
-    ends: Counter[str] = Counter()
-    for number in range(count):
-        data = mutated(kind.good, np.random.default_rng([seed, number]))
-        if data == kind.good:
-            continue
-        path.write_bytes(data)
-        try:
-            with bounded():
-                kind.read(path)
-            ends["read"] += 1
-        except ModetuneError as error:
-            ends[type(error).__name__ if str(error).strip() else "no sentence"] += 1
-        except BaseException as fault:
-            kept = path.with_name(f"fault-{seed}-{number}")
-            kept.write_bytes(data)
-            fault.add_note(f"mutation {number} of seed {seed}, kept as {kept}")
-            raise
-    return ends
-
-
-def use(solver: Solver, parameters: tuple[Parameter, ...], folder: Path) -> None:
-    """What a campaign asks of a solver before anything runs, and the decks of its jobs."""
-    nodes = tuple(sorted(solver.deck.summary.node_ids)[:3])
-    solver.deck.wave_speeds()
-    if solver.deck.problems(parameters):
-        return
-    values = {parameter.name: 1.1 for parameter in parameters}
-    for parameter in parameters:
-        solver.deck.deck_value(parameter)
-        solver.deck.energy_sets(parameter)
-        solver.deck.is_linear(parameter)
-    folder.mkdir(exist_ok=True)
-    for analysis in (ModalAnalysis(4, nodes), MatrixAnalysis()):
-        if isinstance(analysis, ModalAnalysis) or solver.program.capabilities.matrices:
-            solver.render(values, analysis).write(folder)
-    solver.deck.write_updated(values, folder / "updated")
-
-
-def parameter(name: str, quantity: str, by: str, target: str) -> Parameter:
-    return Parameter(name, quantity, by, (target,), 0.5, 2.0, 0.2)  # type: ignore[arg-type]  # words of tests
-
-
-CALCULIX = (
-    parameter("E", "youngs_modulus", "material", "AL"),
-    parameter("t", "thickness", "elset", "PLATE"),
-    parameter("k", "spring_stiffness", "elset", "GROUND"),
-    parameter("m", "mass", "elset", "BALLAST"),
-)
-NASTRAN = (
-    parameter("E", "youngs_modulus", "material", "1"),
-    parameter("rho", "density", "material", "1"),
-)
-
-
-def read_calculix(path: Path) -> None:
-    use(calculix_solver(path, CALCULIX), CALCULIX, path.parent / "jobs")
-
-
-def read_nastran(path: Path) -> None:
-    with mock.patch.object(NastranProgram, "version", return_value="2024.1"):
-        use(nastran_solver(path, NASTRAN, "msc"), NASTRAN, path.parent / "jobs")
-
-
-def read_translated(path: Path) -> None:
-    use(translated_solver(path, NASTRAN), NASTRAN, path.parent / "jobs")
-
-
-def read_campaign(path: Path) -> None:
-    for name in ("six_mass.yaml", "measured.csv"):
-        if not (path.parent / name).exists():
-            (path.parent / name).write_bytes((SIX_MASS / name).read_bytes())
-    campaign = load_campaign(path)
-    use(campaign.case.solver, campaign.parameters.parameters, path.parent / "jobs")
-
-
-def read_spring_mass(path: Path) -> None:
-    for name in ("campaign.yaml", "measured.csv"):
-        if not (path.parent / name).exists():
-            (path.parent / name).write_bytes((SIX_MASS / name).read_bytes())
-    campaign = load_campaign(path.parent / "campaign.yaml", [f"model.deck={path.name}"])
-    use(campaign.case.solver, campaign.parameters.parameters, path.parent / "jobs")
-
-
-def read_stiffness(path: Path) -> None:
-    folder = path.parent / "matrices"
-    folder.mkdir(exist_ok=True)
-    for ending in ("dof", "mas"):
-        (folder / f"clamped.{ending}").write_bytes((DATA / f"clamped.{ending}").read_bytes())
-    (folder / "clamped.sti").write_bytes(path.read_bytes())
-    read_matrices(folder, "clamped")
-
-
-def read_names(path: Path) -> None:
-    folder = path.parent / "matrices"
-    folder.mkdir(exist_ok=True)
-    for ending in ("sti", "mas"):
-        (folder / f"clamped.{ending}").write_bytes((DATA / f"clamped.{ending}").read_bytes())
-    (folder / "clamped.dof").write_bytes(path.read_bytes())
-    read_matrices(folder, "clamped")
-
-
-def read_entry(path: Path) -> None:
-    store = Store(path.parent / "store")
-    place = store.path(KEY)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_bytes(path.read_bytes())
-    if store.get(KEY) is None:
-        raise ModelError("no hit")
-
-
-def read_report(path: Path) -> None:
-    process._finished(path.read_bytes(), "the job", path.parent, 1.0)
-    process._number(path.read_bytes())
-
-
-def stored() -> bytes:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        store = Store(Path(folder))
-        store.put(Entry(KEY, modal(), "calculix", "2.20", 1.5), "{}")
-        return store.path(KEY).read_bytes()
-
-
-def recorded() -> bytes:
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        write_record(Path(folder) / "campaign.h5", record())
-        return (Path(folder) / "campaign.h5").read_bytes()
-
-
-KINDS = {
-    "campaign": Kind((SIX_MASS / "campaign.yaml").read_bytes(), read_campaign),
-    "spring-mass deck": Kind((SIX_MASS / "six_mass.yaml").read_bytes(), read_spring_mass),
-    "test": Kind((SIX_MASS / "measured.csv").read_bytes(), read_modes_csv),
-    "CalculiX deck": Kind(CALCULIX_DECK.encode(), read_calculix),
-    "Nastran deck": Kind(NASTRAN_DECK.encode(), read_nastran),
-    "translated Nastran deck": Kind(PLATE_DECK.encode(), read_translated),
-    "CalculiX modes": Kind(
-        (DATA / "bar.dat").read_bytes(), lambda path: read_modal(path, ANALYSIS, 0.0)
-    ),
-    "CalculiX log": Kind(
-        (DATA / "turned_element.log").read_bytes(),
-        lambda path: read_messages(path.read_text(errors="replace")),
-    ),
-    "CalculiX matrix": Kind((DATA / "clamped.sti").read_bytes(), read_stiffness),
-    "CalculiX equations": Kind((DATA / "clamped.dof").read_bytes(), read_names),
-    "OP2": Kind((DATA / "nastran" / "rods.op2").read_bytes(), read_op2),
-    "F06": Kind(small().encode(), read_f06),
-    "store entry": Kind(stored(), read_entry, believed=False),
-    "record": Kind(recorded(), read_record, believed=False),
-    "supervisor's report": Kind(
-        b'{"error": "", "return_code": 0, "cpu_s": 0.25, "peak_memory_bytes": 1048576, '
-        b'"disk_bytes": 0}\n',
-        read_report,
-    ),
-}
+MUTATIONS = 60
+#: Kinds whose reader is given the path.
+READ_BY_PATH = {
+    "campaign", "test", "CalculiX deck", "Nastran deck", "translated Nastran deck",
+    "CalculiX modes", "OP2", "F06", "Nastran sensitivities", "CalculiX shapes", "unknowns",
+    "site file",
+}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -322,8 +46,9 @@ def quiet() -> Iterator[None]:
 @pytest.mark.parametrize("name", KINDS)
 def test_spoilt_input_is_read_or_refused_in_a_sentence(tmp_path: Path, name: str) -> None:
     kind = KINDS[name]
-    ends = read_all(kind, tmp_path / "input", 1, MUTATIONS)
-    assert sum(ends.values()) > 0.8 * MUTATIONS
+    count = round(kind.share * MUTATIONS)
+    ends = read_all(kind, tmp_path / "input", 1, range(count))
+    assert sum(ends.values()) > 0.8 * count
     assert ends["no sentence"] == 0
     if not kind.believed:
         assert ends["read"] == 0
@@ -377,3 +102,140 @@ def test_a_matrix_line_without_its_row_is_no_result(tmp_path: Path) -> None:
     path.write_bytes(good.replace(good.split(b"\n")[3].strip(), b", 1 2.5", 1))
     with pytest.raises(NoResult):
         read_stiffness(path)
+
+
+@pytest.mark.parametrize("include", ["*INCLUDE, INPUT={}", "INCLUDE '{}'"])
+def test_files_that_include_each_other_twice_are_refused_at_once(
+    tmp_path: Path, include: str
+) -> None:
+    for number in range(26):
+        lines = 2 * f"{include.format(f'f{number + 1}.inc')}\n"
+        (tmp_path / f"f{number}.inc").write_text(lines)
+    (tmp_path / "f26.inc").write_text("\n")
+    read = read_keyword_deck if include.startswith("*") else read_bulk_deck
+    with bounded(), pytest.raises(ModelError, match=r"line \d: .* more than 2000 includes"):
+        read(tmp_path / "f0.inc")
+
+
+@pytest.mark.parametrize("number", ["99999999999999999999", "-9223372036854775809", "2147483648"])
+def test_a_number_beyond_nastrans_integers_is_told_with_its_line(
+    tmp_path: Path, number: str
+) -> None:
+    path = tmp_path / "model.bdf"
+    path.write_text(PLATE_DECK.replace("GRID,8,", f"GRID,{number},"))
+    with pytest.raises(ModelError, match=r"model\.bdf, line 15: GRID: .* larger than 2147483647"):
+        translated_solver(path, NASTRAN)
+
+
+BILLION = 10**9
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"%%MatrixMarket matrix coordinate real symmetric\n{BILLION} {BILLION} 1\n1 1 1.0\n",
+        f"%%MatrixMarket matrix coordinate real general\n3 3 {BILLION}\n1 1 1.0\n",
+        f"%%MatrixMarket matrix array real general\n{BILLION} {BILLION}\n1.0\n",
+    ],
+)
+def test_a_market_file_that_declares_more_than_it_holds_is_refused(
+    tmp_path: Path, text: str
+) -> None:
+    (tmp_path / "K.mtx").write_text(text)
+    with bounded(), pytest.raises(ModelError, match=r"K\.mtx .*declares"):
+        read_matrix(tmp_path, "K.mtx")
+
+
+def test_an_hdf5_file_that_declares_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "K.h5", "w") as file:
+        file.create_dataset("flat", shape=(31623, 31623), dtype="f8")
+        file.create_dataset("chunks", shape=(31623, 31623), dtype="f8", compression="gzip")
+        file["good"] = np.eye(3)
+    with bounded():
+        flat, chunks, good = read_matrices(tmp_path, ["K.h5:flat", "K.h5:chunks", "K.h5:good"])
+    for found in (flat, chunks):
+        assert isinstance(found, ModelError)
+        assert "declares 8000113032 bytes and holds 0" in str(found)
+    assert not isinstance(good, ModelError)
+    np.testing.assert_array_equal(good.toarray(), np.eye(3))
+
+
+def test_an_npz_file_that_declares_more_than_it_holds_is_refused(tmp_path: Path) -> None:
+    head = b"\x93NUMPY\x01\x00"
+    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({BILLION},), }}".ljust(117) + "\n"
+    array = head + len(text).to_bytes(2, "little") + text.encode()
+    with zipfile.ZipFile(tmp_path / "K.npz", "w") as file:
+        file.writestr("data.npy", array)
+    with bounded(), pytest.raises(ModelError, match="declares the shape"):
+        read_matrix(tmp_path, "K.npz")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "matrix coordinate real symmetric\n2 2 3\n1 1 2.0\n2 1 -1.0\n2 2 1.0",
+        "matrix array real general\n2 2\n2.0\n-1.0\n-1.0\n1.0",
+        "matrix array integer symmetric\n% none\n\n2 2\n2\n-1\n1",
+        "MATRIX Coordinate Integer General\n2\t2 4\n1 1 2\n1 2 -1\n2 1 -1\n2 2 1\n\n",
+    ],
+)
+def test_a_market_file_may_end_without_a_line_end(tmp_path: Path, text: str) -> None:
+    (tmp_path / "K.mtx").write_text(f"%%MatrixMarket {text}")
+    expected = [[2.0, -1.0], [-1.0, 1.0]]
+    np.testing.assert_array_equal(read_matrix(tmp_path, "K.mtx").toarray(), expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("matrix array real general\n1 1\n1.0\n2.0\n", "declares 1 lines of 1"),
+        ("matrix coordinate real general\n1 1 1\n1 1 1.0 5\n", "declares 1 lines of 3"),
+        ("matrix coordinate real general\n1 1 1\n2 1 1.0\n", "none of the matrix"),
+        ("matrix coordinate real general\n1 1 1\n1.5 1 1.0\n", "none of the matrix"),
+        ("matrix coordinate complex general\n1 1 1\n1 1 1.0 0.0\n", "complex"),
+        ("vector array real general\n1 1\n1.0\n", "does not start with"),
+    ],
+)
+def test_a_market_file_that_is_not_what_it_declares_is_refused(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "K.mtx").write_text(f"%%MatrixMarket {text}")
+    with pytest.raises(ModelError, match=said):
+        read_matrix(tmp_path, "K.mtx")
+
+
+def test_indices_out_of_range_are_refused(tmp_path: Path) -> None:
+    np.savez(
+        tmp_path / "K.npz",
+        format=np.array(b"csr"), shape=np.array([3, 3]), data=np.ones(3),
+        indices=np.array([0, 10**8, 2]), indptr=np.array([0, 1, 2, 3]),
+    )  # fmt: skip
+    with pytest.raises(ModelError, match="holds no matrix"):
+        read_matrix(tmp_path, "K.npz")
+
+
+@pytest.mark.parametrize("name", sorted(READ_BY_PATH))
+def test_a_pipe_is_refused_and_never_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / "input")
+    with bounded(), pytest.raises(ModetuneError, match="regular file is needed"):
+        KINDS[name].read(tmp_path / "input")
+
+
+@pytest.mark.parametrize("name", ["K.mtx", "K.npz", "K.h5:K", "t.uff", "t.csv", "t.h5", "t.dat"])
+def test_a_pipe_or_a_device_as_a_named_file_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name.partition(":")[0]
+    for device in (False, True):
+        if device:
+            path.symlink_to("/dev/zero")
+        else:
+            os.mkfifo(path)
+        with bounded(), pytest.raises(ModetuneError, match="regular file is needed"):
+            read_matrix(tmp_path, name) if name[0] == "K" else read_measurement([path])
+        path.unlink()
+
+
+def test_a_file_larger_than_memory_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "t.uff").open("wb") as file:
+        file.truncate(largest() + 1)
+    with bounded(), pytest.raises(CampaignError, match="more than can be read here"):
+        read_measurement([tmp_path / "t.uff"])

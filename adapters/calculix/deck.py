@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modetune.adapters import deck_files
-from modetune.adapters.deck_files import Include, Line, read_text
+from modetune.adapters.deck_files import Include, Line, check_include, read_text
 from modetune.core.errors import ModelError
 
 #: ccx reads at most this many characters of a number.
@@ -99,11 +99,9 @@ def _read_file(
             lines.append(line)
             continue
         include = _include(line, main)
-        resolved = include.target.resolve()
-        if resolved in above:
-            raise ModelError(f"{line.where}: {include.target} includes itself")
+        check_include(include, above, lines, includes)
         includes.append(include)
-        _read_file(include.target, main, (*above, resolved), lines, includes)
+        _read_file(include.target, main, (*above, include.target.resolve()), lines, includes)
 
 
 def _include(line: Line, main: Path) -> Include:

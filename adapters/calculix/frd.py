@@ -6,6 +6,7 @@ program of its own (`convert.py`).
 
 from __future__ import annotations
 
+import io
 import sys
 import threading
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ import numpy as np
 
 from modetune.adapters.paraview import ELEMENT, NODE, SHAPE
 from modetune.adapters.process import read_log, run_process
+from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Command
 from modetune.core.errors import NoResult
 from modetune.core.modes import Integers
@@ -93,7 +95,7 @@ def count_frd(frd: Path) -> FrdContents:
     blocks: dict[str, list[int]] = {"2C": [], "3C": []}
     n_modes, rows, inside, line = 0, 0, "", ""
     try:
-        with frd.open(encoding="latin-1") as source:
+        with open_regular(frd) as file, io.TextIOWrapper(file, encoding="latin-1") as source:
             for line in source:
                 word = line[:6].strip()
                 if inside in blocks and line.startswith(" -1"):

@@ -18,6 +18,7 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy import sparse
 
+from modetune.adapters.regular_file import open_regular, read_regular
 from modetune.core.errors import NoResult
 from modetune.core.updating.results import MatrixResult
 
@@ -52,7 +53,7 @@ def read_matrices(folder: Path, job: str) -> MatrixResult:
 
 def _read_names(path: Path) -> pl.DataFrame:
     """Node and component of each equation, from `node.component` lines."""
-    data = path.read_bytes()
+    data = read_regular(path)
     schema = {"node": pl.Int64, "component": pl.Int64}
     names = pl.read_csv(io.BytesIO(data), separator=".", has_header=False, schema=schema)
     if not data.endswith(b"\n") or names.null_count().sum_horizontal().item():
@@ -97,9 +98,10 @@ def _pieces(path: Path, size: int) -> Iterator[bytes]:
     buffer = bytearray(size)
     buffer[: len(HEAD)] = HEAD
     view, start = memoryview(buffer), len(HEAD)
-    with path.open("rb", buffering=0) as file:
-        while count := file.readinto(view[start:]):
-            end = start + count
+    with open_regular(path) as file:
+        while data := file.read(size - start):
+            end = start + len(data)
+            view[start:end] = data
             cut = buffer.rfind(b"\n", 0, end) + 1
             if cut > len(HEAD):
                 yield bytes(view[:cut])

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.calculix.job import ALL
+from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModesError, NoResult
 from modetune.core.modes import Floats, Integers, mode_set
@@ -67,7 +68,7 @@ def read_messages(log: str) -> list[SolverMessage]:
 def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalResult:
     """The modes of a .dat file. Raises NoResult where it is not whole."""
     try:
-        text = dat.read_text()
+        text = read_regular(dat).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise NoResult(f"{dat} cannot be read: {error}") from error
     head, *modes = text.split(MODE_HEADING)

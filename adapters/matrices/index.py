@@ -7,8 +7,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.matrices.matrix_files import read_matrix, split_reference, write_matrix
+from modetune.adapters.matrices.matrix_files import read_matrices, split_reference, write_matrix
 from modetune.adapters.matrices.model import Factors, MatrixModel, MatrixPart
+from modetune.adapters.regular_file import read_regular
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
 from modetune.core.modes import COMPONENTS, Integers
@@ -56,12 +57,13 @@ def _matrices(file: YamlFile, problems: list[str]) -> list[tuple[Place, sparse.c
             )
             continue
         places += [("parts", name, kind) for kind in given]
+    references = [str(file.at(place)) for place in places]
     found = []
-    for place in places:
-        try:
-            found.append((place, read_matrix(file.path.parent, str(file.at(place)))))
-        except ModelError as error:
-            problems.append(f"{file.where(place)}: {error}")
+    for place, matrix in zip(places, read_matrices(file.path.parent, references), strict=True):
+        if isinstance(matrix, ModelError):
+            problems.append(f"{file.where(place)}: {matrix}")
+        else:
+            found.append((place, matrix))
     return found
 
 
@@ -71,7 +73,7 @@ def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Int
         return np.arange(1, size + 1, dtype=np.int64), np.ones(size, dtype=np.int64)
     path = file.path.parent / str(file.data["dofs"])
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_regular(path).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         problems.append(f"{file.where(('dofs',))}: {path} cannot be read: {error}")
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -81,7 +83,7 @@ def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Int
             continue
         node, _, component = line.strip().partition(".")
         axis = COMPONENTS.index(component) + 1 if component in COMPONENTS else component
-        if not node.isdecimal() or str(axis) not in "123456" or axis == "":
+        if not (node.isdecimal() and len(node) < 19) or str(axis) not in "123456" or axis == "":
             problems.append(
                 f"{path}, line {number}: {line.strip()!r} is not an unknown such as 101.x"
             )

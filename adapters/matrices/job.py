@@ -13,7 +13,6 @@ that starts with `*ERROR`.
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -21,8 +20,10 @@ from typing import TextIO
 import numpy as np
 from scipy import sparse
 
+from modetune.adapters.matrices.matrix_files import NO_ARRAYS, check_archive
 from modetune.adapters.matrices.model import Factors, MatrixModel
 from modetune.adapters.process import log_tail, read_log
+from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.errors import ModelError, ModesError, NoResult, SolverCrashed, SolverRejected
@@ -91,9 +92,11 @@ def read_result(
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Floats]:
     """All arrays whole; an entry's checksum stands in the file."""
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return {name: file[name] for name in names}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        with open_regular(path) as stream:
+            check_archive(path)
+            with np.load(stream, allow_pickle=False) as file:
+                return {name: file[name] for name in names}
+    except (OSError, *NO_ARRAYS) as error:
         raise NoResult(f"the result {path} is missing, cut or damaged: {error}") from error
 
 

@@ -44,6 +44,8 @@ BY_LINES = frozenset((
 #: Cards that say how to compute, in every Nastran's own way: no part of the model.
 OF_THE_RUN = frozenset(("PARAM", "EIGR", "EIGRL", "EIGB", "EIGC", "EIGP"))
 INTEGER = re.compile(r"[+-]?\d+")
+#: Nastran's integers have 32 bits.
+LARGEST = 2**31 - 1
 #: Cards that hold several properties, and the fields in which their numbers stand.
 SEVERAL = {"PELAS": (1, 5), "PVISC": (1, 5), "PDAMP": (1, 3, 5, 7)}
 #: Cards that fill blank fields of others, by the others' name.
@@ -100,6 +102,7 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
             if not NAME.fullmatch(card.name):
                 strange.append(card)
                 raise ModelError(f"{deck.where(card)}: {_no_card(card)}")
+            _check_integers(deck, card)
             _add(bulk, deck, card, defaults.get(card.name))
         except ModelError as error:
             objections[card] = str(error)
@@ -208,6 +211,19 @@ def _owners(deck: NastranDeck, bulk: Bulk) -> Owners:
                 number = int(card.text(field))
                 found[number] = (*found.get(number, ()), card)
     return Owners(**families)
+
+
+def _check_integers(deck: NastranDeck, card: NastranCard) -> None:
+    """Refuse an integer that Nastran does not read."""
+    for field in card.fields:
+        text = field.text if field else ""
+        if len(text) < len(str(LARGEST)) or not INTEGER.fullmatch(text):
+            continue
+        if len(text) > 19 or abs(int(text)) > LARGEST:
+            raise ModelError(
+                f"{deck.where(card)}: {card.name}: {text[:30]} is larger than {LARGEST}, the "
+                "largest integer of Nastran"
+            )
 
 
 def _repeated(deck: NastranDeck, owners: Owners) -> dict[NastranCard, str]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.adapters import deck_files
-from modetune.adapters.deck_files import Include, Line, read_text
+from modetune.adapters.deck_files import Include, Line, check_include, read_text
 from modetune.adapters.nastran.cards import CardField as CardField
 from modetune.adapters.nastran.cards import NastranCard as NastranCard
 from modetune.adapters.nastran.cards import changed_texts, read_cards
@@ -24,8 +24,6 @@ from modetune.core.errors import ModelError
 INCLUDE = re.compile(r"\s*INCLUDE(?=[\s,='\"]|$)\s*[,=]?\s*(.*)", re.IGNORECASE)
 CONTROL = re.compile(r"\s*(SOL(?=[\s=,])|CEND\b|BEGIN\b)\s*[=,]?\s*([^$]*)", re.IGNORECASE)
 END = re.compile(r"\s*ENDDATA\b", re.IGNORECASE)
-#: Nastran itself nests includes ten deep at most; a deeper chain is an error of some script.
-DEEPEST = 100
 #: A quoted file name that has not ended after this many lines has lost its quote.
 LONGEST_NAME = 20
 #: Solution sequences by name, those that a model for modes comes with.
@@ -112,13 +110,10 @@ def _read_file(
             lines.append(line)
             continue
         include = _include(line, numbered, main, includes)
-        resolved = include.target.resolve()
-        if resolved in above:
-            raise ModelError(f"{line.where}: {include.target} includes itself")
-        if len(above) > DEEPEST:
-            raise ModelError(f"{line.where}: files include each other more than {DEEPEST} deep")
+        check_include(include, above, lines, includes)
         includes.append(include)
-        if _read_file(include.target, main, (*above, resolved), lines, includes):
+        below = (*above, include.target.resolve())
+        if _read_file(include.target, main, below, lines, includes):
             return True
     return False
 

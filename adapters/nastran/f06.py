@@ -10,6 +10,7 @@ messages: what it left half printed is given as if it were not there, and `ended
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,7 @@ from modetune.adapters.nastran.f06_tables import (
     EnergyTables,
     WeightTable,
 )
+from modetune.adapters.regular_file import open_regular
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats, Integers
 
@@ -82,7 +84,10 @@ def read_f06(path: Path) -> F06:
     scan = _Scan()
     try:
         # Titles may be in any encoding; what is read is ASCII.
-        with path.open(encoding="latin-1", newline="\n") as lines:
+        with (
+            open_regular(path) as file,
+            io.TextIOWrapper(file, encoding="latin-1", newline="\n") as lines,
+        ):
             scan.read(lines)
     except OSError as error:
         raise SolverCrashed(f"{path} cannot be read: {error}") from error

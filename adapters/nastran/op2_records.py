@@ -20,6 +20,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from modetune.adapters.regular_file import open_regular
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats, Integers
 
@@ -67,7 +68,7 @@ def read_tables(path: Path, wanted: Callable[[str], bool]) -> list[Op2Table]:
     machine's byte order.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return _Reader(stream, path.stat().st_size).tables(wanted)
     except (OSError, _NotWholeError) as error:
         raise SolverCrashed(f"{path} cannot be read as an OP2 file: {error}") from error

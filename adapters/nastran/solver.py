@@ -19,6 +19,7 @@ from modetune.adapters.nastran.model import EditedNastran, NastranModel, underst
 from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.results import completed, modal_result, mode_derivatives
 from modetune.adapters.process import LOG, as_block, log_tail
+from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import (
     Analysis,
     Capabilities,
@@ -148,7 +149,7 @@ class NastranProgram:
         for name in (*self.dialect.logs, LOG, self.dialect.print_file):
             path = folder / name
             if path.is_file():
-                with path.open("rb") as file:
+                with open_regular(path) as file:
                     said = licence_denied(file.read(HEAD_BYTES).decode("latin-1"))
                 if said:
                     return said
@@ -195,7 +196,7 @@ def _place(fatal: Iterable[FatalMessage], edited: EditedNastran) -> str:
 
 
 def _read_if_there(path: Path) -> F06 | None:
-    return read_f06(path) if path.is_file() else None
+    return read_f06(path) if path.exists() else None
 
 
 def _squeezed(text: str) -> str:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.storage.files import writing
@@ -119,7 +120,7 @@ def _add_point(
     problems: list[str],
 ) -> None:
     name, values = fields[0], fields[1:]
-    if not (name.isascii() and name.isdecimal()):
+    if not (name.isascii() and name.isdecimal() and len(name) < 19):  # what 64 bits hold
         problems.append(f"{path}, line {line}: `{name}` is neither a node number, line nor face")
         return
     numbers = _numbers(path, line, values, 12 if len(values) > 3 else 3, problems)
@@ -129,7 +130,7 @@ def _add_point(
         first = points[int(name)][0]
         problems.append(f"{path}, line {line}: node {name} stands on line {first} already")
     frame = np.array(numbers[3:] or np.eye(3).ravel()).reshape(3, 3)
-    if np.abs(frame @ frame.T - np.eye(3)).max() > _RIGHT:
+    if np.abs(frame).max() > 2.0 or np.abs(frame @ frame.T - np.eye(3)).max() > _RIGHT:
         problems.append(
             f"{path}, line {line}: the directions of node {name} are not unit vectors at right "
             "angles"
@@ -159,7 +160,7 @@ def _numbers(
 
 def _rows(path: Path) -> list[Row]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_regular(path).decode("utf-8-sig")
     except OSError as error:
         raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

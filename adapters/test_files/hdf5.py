@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from modetune.adapters.regular_file import largest, read_regular
 from modetune.core.errors import CampaignError, ModesError, StoreDamaged
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, Normalisation
@@ -76,7 +77,7 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
 def read_test_hdf5(path: Path) -> Measurement:
     """Read a test. Raises CampaignError where the file is damaged or of another form."""
     try:
-        data = path.read_bytes()
+        data = read_regular(path, largest(0.5))
     except OSError as error:
         raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
     if title_of(data) != FORMAT:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.regular_file import open_regular
 from modetune.adapters.test_files.geometry_csv import is_geometry_csv, read_geometry_csv
 from modetune.adapters.test_files.hdf5 import is_test_hdf5, read_test_hdf5
 from modetune.adapters.test_files.modes_csv import read_modes_csv
@@ -105,7 +106,7 @@ def _form(path: Path) -> str:
         return "hdf5"
     if suffix not in CSV:
         try:
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 start = file.read(4096)
         except OSError as error:
             raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error

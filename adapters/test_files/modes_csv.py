@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.storage.files import writing
@@ -92,7 +93,7 @@ def _shapes(path: Path, line: int, numbers: tuple[int, ...], rows: list[list[flo
 
 def _rows(path: Path) -> list[CsvRow]:
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
         text = data.decode("utf-8-sig")
     except OSError as error:
         raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
@@ -145,7 +146,7 @@ def _dof(name: str) -> tuple[int, int] | None:
 
 
 def _whole(text: str) -> bool:
-    return text.isascii() and text.isdecimal()
+    return text.isascii() and text.isdecimal() and len(text) < 19  # what 64 bits hold
 
 
 def write_modes_csv(

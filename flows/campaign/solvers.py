@@ -6,10 +6,12 @@ Nastran decks through their translation.
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable
 from pathlib import Path
 
+from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Solver
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
@@ -64,7 +66,10 @@ SOLVERS: dict[SolverName, Callable[[ModelSection, Path, tuple[Parameter, ...]], 
 def is_nastran(deck: Path) -> bool:
     """Whether a deck is Nastran's: its first line of content is not a CalculiX keyword."""
     try:
-        with deck.open(encoding="utf-8", errors="replace") as lines:
+        with (
+            open_regular(deck) as file,
+            io.TextIOWrapper(file, encoding="utf-8", errors="replace") as lines,
+        ):
             first = next((line for line in lines if line.strip()), "")
     except OSError as error:
         raise ModelError(f"{deck} cannot be read: {error.strerror}") from error

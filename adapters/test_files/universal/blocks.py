@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import CampaignError
 
 _MARK = re.compile(rb"^ {4}-1[ \t]*\r?(?:\n|\Z)", re.MULTILINE)
@@ -77,7 +78,7 @@ def read_blocks(path: Path) -> tuple[DatasetBlock, ...]:
 def read_file(path: Path) -> bytes:
     """A test file's bytes. Raises CampaignError where it cannot be read or is empty."""
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
     if not data.strip():

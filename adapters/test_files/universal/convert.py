@@ -59,7 +59,10 @@ def systems_of_points(place: DatasetPlace, block: DatasetBlock, read: Any) -> Co
         _whole(np.asarray(read[name])) for name in ("cs_num", "cs_type", "ref_cs_num")
     )
     points = [np.asarray(read[name]) for name in ("ref_o", "x_point", "xz_point")]
-    if any(point.shape != (numbers.size, 3) for point in points) or numbers.size == 0:
+    if (
+        any(point.shape != (numbers.size, 3) for point in points)
+        or not numbers.size == kinds.size == references.size > 0
+    ):
         raise ValueError("does not have nine numbers for each coordinate system")
     if not (np.abs(points) < FARTHEST).all():
         raise ValueError("has a coordinate that is not a length")
@@ -118,8 +121,8 @@ def drawing_of_elements(place: DatasetPlace, block: DatasetBlock, read: Any) -> 
             faces += triangles
     return Drawing(
         place,
-        np.array(lines, dtype=np.int64).reshape(-1, 2),
-        np.array(faces, dtype=np.int64).reshape(-1, 3),
+        _whole(np.array(lines, dtype=np.float64)).reshape(-1, 2),
+        _whole(np.array(faces, dtype=np.float64)).reshape(-1, 3),
     )
 
 

@@ -107,6 +107,9 @@ def _contents(
             except ValueError as problem:
                 passed.setdefault(str(problem), []).append((place, block))
                 continue
+            except OverflowError:
+                passed.setdefault("has a number that is too large", []).append((place, block))
+                continue
             if content is not None:
                 contents.append(content)
     return contents

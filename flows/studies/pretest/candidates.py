@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import Solver
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh, global_shapes
@@ -113,7 +114,7 @@ def _nodes(mesh: Mesh, asked: str) -> Integers:
 def _listed_nodes(path: Path, mesh: Mesh) -> Integers:
     """Node numbers in the first column of a file. Raises CampaignError with all problems."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_regular(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise CampaignError(
             f"--candidates {path}: expected surface, all, or a file of node numbers, and there is "
