@@ -29,13 +29,17 @@ from scipy.optimize import lsq_linear
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 
-StepForm = Literal[
+LinearForm = Literal[
     "pseudo_inverse",
     "weighted_least_squares",
     "minimum_norm",
     "regularised",
     "pulled_to_initial",
 ]
+#: The forms above, and `core/updating/trust_region`.
+StepForm = Literal["trust_region", LinearForm]
+#: A factor of regularisation, or the corner of the L-curve.
+Factor = float | Literal["l_curve"]
 
 #: Singular values below this share of the largest count as zero.
 RANK_TOLERANCE = 1e-10
@@ -87,11 +91,12 @@ class Step:
 
 
 def parameter_step(
-    problem: StepProblem, form: StepForm, regularisation: float | Literal["l_curve"] = 1.0
+    problem: StepProblem, form: LinearForm, regularisation: Factor = 1.0, share: float = 1.0
 ) -> Step:
     """The step of one of the five forms, within its box.
 
-    regularisation: the factor a of the last two forms, or "l_curve". Source: thesis (34)-(53).
+    regularisation: the factor a of the last two forms, or "l_curve"; share: of it, that is used.
+    Source: thesis (34)-(53).
     """
     root_w = np.sqrt(problem.weights)
     weighted = root_w[:, None] * problem.sensitivity
@@ -99,7 +104,8 @@ def parameter_step(
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0])) if singular.size else 0
     factor = 0.0
     if form in ("regularised", "pulled_to_initial"):
-        factor = l_curve(problem).corner if regularisation == "l_curve" else float(regularisation)
+        corner = l_curve(problem).corner if regularisation == "l_curve" else float(regularisation)
+        factor = share * corner
     change = _solve(problem, form, factor)
     smallest = singular[-1] if singular.size == problem.sensitivity.shape[1] else 0.0
     return Step(
@@ -111,7 +117,7 @@ def parameter_step(
     )
 
 
-def _solve(problem: StepProblem, form: StepForm, factor: float) -> Floats:
+def _solve(problem: StepProblem, form: LinearForm, factor: float) -> Floats:
     root_t = np.sqrt(problem.parameter_weights)
     used = problem.weights > 0.0
     plain, plain_target = problem.sensitivity[used], problem.residual[used]

@@ -212,10 +212,11 @@ class UpdateSection(Section):
     the answer."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the starts that are drawn."""
-    step: StepForm = "regularised"
+    step: StepForm = "trust_region"
     """How the step follows from residual and sensitivity (see the theory)."""
     regularisation: NotNegative | Literal["l_curve"] = 1.0
-    """Factor on the parameters' own weights, or the corner of the L-curve."""
+    """Factor on the parameters' own weights, or the corner of the L-curve; with `trust_region` the
+    first step's."""
     e1: E1Section = E1Section()
     """Agreement that ends updating."""
     e2: NotNegative = 0.2
@@ -224,7 +225,8 @@ class UpdateSection(Section):
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
     """Steps that are taken at most."""
     step_limit: Positive = 0.2
-    """Largest change of a parameter in one step [of the deck's value]"""
+    """Largest change of a parameter in one step; with `trust_region` in the first, after which it
+    grows as steps keep their promise [of the deck's value]"""
 
 
 class SensitivitySection(Section):

@@ -21,11 +21,13 @@ import numpy as np
 from modetune.core.errors import ModesError, SolverCancelled, SolverError, SolverMissing
 from modetune.core.modes import Floats
 from modetune.core.updating.criteria import slope
-from modetune.core.updating.estimation import Step, StepProblem, parameter_step
+from modetune.core.updating.estimation import Step
+from modetune.core.updating.trust_region import TrustRegion
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.between import Between
 from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
 from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.stepping import Stepping
 
 logger = logging.getLogger(__name__)
 
@@ -92,22 +94,27 @@ class State:
 
     current: the last accepted set; matrix: for the step from there, None where it has yet to be
     computed; skip: the slope by which e2 lets the next iteration do without a matrix of its own,
-    None where it does not.
+    None where it does not; region: where the next step may go.
     """
 
     current: Evaluation
     matrix: Matrix | None
     skip: float | None
+    region: TrustRegion
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A set tried: the step to it, what it gave, its fresh matrix if there is one, its slope."""
+    """A set tried: the step to it, what it gave, its fresh matrix if there is one, its slope.
+
+    region: that the step was taken in.
+    """
 
     step: Step
     evaluation: Evaluation
     matrix: Matrix | None
     slope: float
+    region: TrustRegion
 
 
 class Loop:
@@ -135,6 +142,7 @@ class Loop:
         self.lower = np.maximum(parameters.lower, low)
         self.upper = np.minimum(parameters.upper, high)
         self.between = Between(campaign, evaluator, self.lower, self.upper)
+        self.stepping = Stepping(campaign, evaluator, self.lower, self.upper)
         self.last_matrix: Matrix | None = None
         self.number = 0
 
@@ -152,7 +160,10 @@ class Loop:
                 self.watcher.confirmed(confirmed)
                 apart = float(np.max(np.abs(confirmed.errors - state.current.errors)))
                 unmet = status == "converged" and not confirmed.agrees(self.campaign.tolerances)
-                before, state = state.current, State(confirmed, None, None)
+                before, state = (
+                    state.current,
+                    replace(state, current=confirmed, matrix=None, skip=None),
+                )
                 if apart > CONFIRMED or unmet:
                     self.evaluator.refuted(before, apart)
                     continue
@@ -166,14 +177,17 @@ class Loop:
             if self.number == self.campaign.update.max_iterations:
                 return "max_iterations", state
             matrix = state.matrix or self._fresh(state.current)
-            step = self._step(state.current, matrix)
-            trial = self._try(state, matrix, step)
+            self.last_matrix = matrix
+            trial = self._try(state, matrix)
             if trial is not None:
                 state, gained = self._accept(state, matrix, trial)
                 if gained or matrix.age > 0 or state.current.agrees(self.campaign.tolerances):
                     continue
+                if self.stepping.adapts and not state.region.boldest:
+                    state = replace(state, region=state.region.emboldened())
+                    continue
             elif matrix.age > 0:
-                state = State(state.current, None, None)
+                state = replace(state, matrix=None, skip=None)
                 continue
             elif self.number == self.campaign.update.max_iterations:
                 continue
@@ -183,7 +197,8 @@ class Loop:
         if status == "converged":
             return f"e1 is met: {_distance(last)}"
         if status == "max_iterations":
-            return f"all {self.number} iterations are used up and e1 is not met: {_distance(last)}"
+            said = f"all {self.number} iterations are used up and e1 is not met: {_distance(last)}"
+            return "; ".join(filter(None, (said, self.stepping.held_back)))
         return (
             "the residual cannot be brought down further within the bounds, and e1 is not met: "
             + _distance(last)
@@ -196,18 +211,19 @@ class Loop:
         current, matrix = self.evaluator.evaluate(0, initial, self.around, alone)
         self.last_matrix = matrix
         self._note(current, None, None, np.nan, True, "initial model", False)
-        return State(current, matrix, None)
+        return State(current, matrix, None, self.stepping.first)
 
     def _fresh(self, current: Evaluation) -> Matrix:
         self.watcher.working(f"iteration {self.number}: sensitivities")
         return self.evaluator.matrix(self.number, current)
 
-    def _try(self, state: State, matrix: Matrix, step: Step) -> Trial | None:
-        """The first set along a step that is better than the current one, or None.
+    def _try(self, state: State, matrix: Matrix) -> Trial | None:
+        """The first set that is better than the current one, or None.
 
         An old matrix gets one chance; with a fresh one the step is made shorter until it helps.
         """
-        current = state.current
+        current, region = state.current, state.region
+        step = self.stepping.step(current, matrix, region)
         chances, failures = 1 if matrix.age > 0 else SHORTENINGS + 1, 0
         for chance in range(chances):
             if np.max(np.abs(step.change)) < NO_STEP:
@@ -218,7 +234,7 @@ class Loop:
             self.watcher.working(f"iteration {self.number}")
             ending = "taken back, new sensitivity" if matrix.age > 0 else "shorter step"
             try:
-                trial = self._evaluate(state, step, chance)
+                trial = self._evaluate(state, step, region, chance)
             except (SolverError, ModesError) as error:
                 never_solved = matrix.age == 0 and failures == chance == chances - 1
                 if isinstance(error, SolverMissing | SolverCancelled) or never_solved:
@@ -226,7 +242,7 @@ class Loop:
                 failures += 1
                 logger.warning("%s; %s", error, ending)
             else:
-                better = self._gain(current, trial) > 0.0
+                better = self.stepping.gain(current, trial.evaluation, step) > 0.0
                 if better or trial.evaluation.agrees(self.campaign.tolerances):
                     return trial
                 self._note(
@@ -238,10 +254,10 @@ class Loop:
                     f"worse: {ending}",
                     False,
                 )
-            step = self._shorter(current, matrix, step)
+            step, region = self.stepping.shorter(current, matrix, step, region)
         return None
 
-    def _evaluate(self, state: State, step: Step, chance: int) -> Trial:
+    def _evaluate(self, state: State, step: Step, region: TrustRegion, chance: int) -> Trial:
         current = state.current
         # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
         alone = (
@@ -256,7 +272,7 @@ class Loop:
         used = current.residual.weights > 0.0
         now, before = evaluation.residual.values[used], current.residual.values[used]
         change = slope(now, before, theta.size)
-        return Trial(step, evaluation, fresh, change)
+        return Trial(step, evaluation, fresh, change, region)
 
     def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
         """The state after a better set, and whether more than nothing was gained by it.
@@ -264,15 +280,16 @@ class Loop:
         e2 spares this set its sensitivity where Broyden's formula can stand in, and the next set
         where the old matrix is kept as it is (thesis, 4.2), as long as steps keep their promise.
         """
-        before = self._objective(state.current, state.current.residual.values, trial.step)
-        gain = self._gain(state.current, trial)
-        promised = before - self._objective(state.current, trial.step.predicted, trial.step, 1.0)
+        current, step, stepping = state.current, trial.step, self.stepping
+        before = stepping.objective(current, current.residual.values, step)
+        gain = stepping.gain(current, trial.evaluation, step)
+        promised = before - stepping.objective(current, step.predicted, step, 1.0)
         kept = gain >= max(KEPT_PROMISE * promised, STATIONARY * before)
         small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
         spared, skip = None, None
         if self.between.waits:
             left = (before - gain) / before
-            pays = kept and self.between.pays(matrix, trial.step, trial.evaluation, left)
+            pays = kept and self.between.pays(matrix, step, trial.evaluation, left)
             spared = trial.slope if small and pays else None
         elif self.campaign.sensitivity.between == "broyden":
             pass  # its matrix could only take the place of one that takes no time
@@ -280,75 +297,14 @@ class Loop:
             spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix
         if spared is not None:
-            following = self.between.older(matrix, state.current, trial.step, trial.evaluation)
+            following = self.between.older(matrix, current, step, trial.evaluation)
             self.evaluator.skip(self.number, spared)
         self.last_matrix = following or matrix
         decision = "" if skip is None else f"e2: slope {skip:.2g}, no new sensitivity next"
-        self._note(
-            trial.evaluation, trial.step, matrix, trial.slope, True, decision, spared is not None
-        )
-        return State(trial.evaluation, following, skip), gain > STATIONARY * before
-
-    def _step(self, current: Evaluation, matrix: Matrix) -> Step:
-        self.last_matrix = matrix
-        parameters, settings = self.campaign.parameters, self.campaign.update
-        limit = np.full(len(parameters), settings.step_limit)
-        limit[list(matrix.missing)] = 0.0  # nothing is known of what these would do
-        problem = StepProblem(
-            sensitivity=matrix.values,
-            residual=current.residual.values,
-            weights=current.residual.weights,
-            parameter_weights=parameters.standard_deviations**-2,
-            offset=current.theta - parameters.initial,
-            lower=np.minimum(np.maximum(self.lower - current.theta, -limit), 0.0),
-            upper=np.maximum(np.minimum(self.upper - current.theta, limit), 0.0),
-        )
-        step = parameter_step(problem, settings.step, settings.regularisation)
-        region = self._region(current, np.full(len(parameters), settings.step_limit))
-        return self.evaluator.refined(current, step, region) or step
-
-    def _region(self, current: Evaluation, reach: Floats) -> tuple[Floats, Floats]:
-        """Where a step of at most this reach may end."""
-        return (
-            np.maximum(self.lower, current.theta - reach),
-            np.minimum(self.upper, current.theta + reach),
-        )
-
-    def _shorter(self, current: Evaluation, matrix: Matrix, step: Step) -> Step:
-        """A step of at most half the length."""
-        reach = np.full(step.change.size, 0.5 * np.max(np.abs(step.change)))
-        refined = self.evaluator.refined(current, step, self._region(current, reach))
-        if refined is not None:
-            return refined
-        change = 0.5 * step.change
-        predicted = current.residual.values - matrix.values @ change
-        return replace(step, change=change, predicted=predicted)
-
-    def _objective(
-        self, current: Evaluation, residual: Floats, step: Step, share: float = 0.0
-    ) -> float:
-        """What the step form brings down, for a residual found at a share of the step.
-
-        The weights are those of the current set, since weights of shapes grow as these come near;
-        pseudo_inverse and minimum_norm know none. A pull to the initial values counts too.
-        """
-        settings, parameters = self.campaign.update, self.campaign.parameters
-        weights = current.residual.weights
-        if settings.step in ("pseudo_inverse", "minimum_norm"):
-            weights = (weights > 0.0).astype(np.float64)
-        pull = 0.0
-        if settings.step == "pulled_to_initial":
-            theta = current.theta + share * step.change
-            offset = (theta - parameters.initial) / parameters.standard_deviations
-            pull = step.regularisation * float(offset @ offset)
-        return float(residual @ (weights * residual)) + pull
-
-    def _gain(self, current: Evaluation, trial: Trial) -> float:
-        """How much lower the objective is at a trial than at the current set."""
-        now, there = current.residual.values, trial.evaluation.residual.values
-        return self._objective(current, now, trial.step) - self._objective(
-            current, there, trial.step, 1.0
-        )
+        self._note(trial.evaluation, step, matrix, trial.slope, True, decision, spared is not None)
+        share = gain / promised if promised > 0.0 else 0.0
+        region = stepping.region_after(current, matrix, step, trial.region, share)
+        return State(trial.evaluation, following, skip, region), gain > STATIONARY * before
 
     def _note(
         self,

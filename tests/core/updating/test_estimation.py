@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from modetune.core.errors import CampaignError
 from modetune.core.updating.estimation import (
-    StepForm,
+    LinearForm,
     StepProblem,
     l_curve,
     parameter_covariance,
     parameter_step,
 )
 
-FORMS: tuple[StepForm, ...] = (
+FORMS: tuple[LinearForm, ...] = (
     "pseudo_inverse",
     "weighted_least_squares",
     "minimum_norm",
@@ -69,7 +69,7 @@ def test_underdetermined_minimum_norm_is_by_the_parameters_weights() -> None:
 
 @given(st.integers(0, 10_000), st.sampled_from(FORMS), st.integers(2, 8), st.integers(1, 6))
 @settings(max_examples=60, deadline=None)
-def test_no_step_leaves_its_box(seed: int, form: StepForm, rows: int, columns: int) -> None:
+def test_no_step_leaves_its_box(seed: int, form: LinearForm, rows: int, columns: int) -> None:
     p = problem(rows, columns, seed, box=0.05)
     change = parameter_step(p, form, 0.1).change
     assert (change >= p.lower).all()

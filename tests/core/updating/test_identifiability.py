@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.updating.estimation import (
-    StepForm,
+    LinearForm,
     StepProblem,
     parameter_covariance,
     parameter_step,
@@ -207,7 +207,7 @@ def chain(theta: Floats) -> tuple[Floats, Floats]:
 
 
 def estimate(
-    measured: Floats, form: StepForm, deviations: Floats, n_modes: int, iterations: int = 30
+    measured: Floats, form: LinearForm, deviations: Floats, n_modes: int, iterations: int = 30
 ) -> tuple[Floats, Floats]:
     """Parameters (n,) and their standard errors from frequencies, by steps as a campaign's."""
     n = deviations.size
@@ -235,7 +235,7 @@ def estimate(
 
 
 def coverage(
-    form: StepForm,
+    form: LinearForm,
     truths: Floats,
     deviations: Floats,
     n_modes: int,

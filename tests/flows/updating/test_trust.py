@@ -29,6 +29,7 @@ from tests.flows.conftest import recased
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1}
 FORMS: tuple[StepForm, ...] = (
+    "trust_region",
     "pseudo_inverse",
     "weighted_least_squares",
     "minimum_norm",

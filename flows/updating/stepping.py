@@ -1,0 +1,159 @@
+"""Steps of a campaign: from an evaluation and its sensitivity to the next set, and what it gained.
+
+The default step lives in a trust region that grows where steps keep their promise; `step_limit` is
+its first radius. The other forms are taken as they come, no longer than `step_limit`. Where reduced
+models are there, the step is the one to where updating ends on them, within the same region.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from modetune.core.modes import Floats
+from modetune.core.updating.estimation import Step, StepProblem, parameter_step
+from modetune.core.updating.trust_region import (
+    HELD,
+    Scale,
+    TrustRegion,
+    by_factors,
+    trust_region_step,
+)
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.evaluator import Evaluator
+
+#: Parameters held back that a sentence names.
+NAMED = 4
+
+
+class Stepping:
+    """The steps of a loop, and which parameters were held back by the length of a step.
+
+    lower, upper: (n_parameters,), values that steps keep to.
+    """
+
+    def __init__(
+        self, campaign: Campaign, evaluator: Evaluator, lower: Floats, upper: Floats
+    ) -> None:
+        self.campaign = campaign
+        self.evaluator = evaluator
+        self.lower, self.upper = lower, upper
+        self.adapts = campaign.update.step == "trust_region"
+        # By the bounds of the campaign: those of a region around a set are always near.
+        wide = by_factors(campaign.parameters.lower, campaign.parameters.upper)
+        self.logarithmic = wide & self.adapts
+        self.held: Counter[str] = Counter()
+        self.taken = 0
+
+    @property
+    def first(self) -> TrustRegion:
+        """The region of the first step."""
+        return TrustRegion(self.campaign.update.step_limit)
+
+    def step(self, current: Evaluation, matrix: Matrix, region: TrustRegion) -> Step:
+        """The step from a set by its sensitivity."""
+        parameters, settings = self.campaign.parameters, self.campaign.update
+        low, high = box = self._box(current, region.radius)
+        room = np.ones(len(parameters))
+        room[list(matrix.missing)] = 0.0  # nothing is known of what these would do
+        problem = StepProblem(
+            sensitivity=matrix.values,
+            residual=current.residual.values,
+            weights=current.residual.weights,
+            parameter_weights=parameters.standard_deviations**-2,
+            offset=current.theta - parameters.initial,
+            lower=room * np.minimum(low - current.theta, 0.0),
+            upper=room * np.maximum(high - current.theta, 0.0),
+        )
+        if settings.step == "trust_region":
+            scale = self._scale(current)
+            step = trust_region_step(problem, scale, region, settings.regularisation)
+        else:
+            step = parameter_step(problem, settings.step, settings.regularisation)
+        return self.evaluator.refined(current, step, box) or step
+
+    def shorter(
+        self, current: Evaluation, matrix: Matrix, step: Step, region: TrustRegion
+    ) -> tuple[Step, TrustRegion]:
+        """A step of at most half the length, and its region."""
+        length = self.length(current, step)
+        if self.adapts:
+            region = region.shrunk(length)
+            return self.step(current, matrix, region), region
+        box = self._box(current, 0.5 * length)
+        refined = self.evaluator.refined(current, step, box)
+        if refined is not None:
+            return refined, region
+        change = 0.5 * step.change
+        predicted = current.residual.values - matrix.values @ change
+        return replace(step, change=change, predicted=predicted), region
+
+    def region_after(
+        self, current: Evaluation, matrix: Matrix, step: Step, region: TrustRegion, kept: float
+    ) -> TrustRegion:
+        """The region for the step after an accepted one; kept: share of its promise."""
+        self._count(current, step, region)
+        if not self.adapts or (matrix.age > 0 and kept < 1.0):
+            return region  # what an old matrix promised tells nothing of the model
+        return region.after(self.length(current, step), kept)
+
+    def length(self, current: Evaluation, step: Step) -> float:
+        """The largest entry of a step, as its parameters are counted."""
+        return float(np.max(np.abs(self._scale(current).steps(step.change))))
+
+    def objective(
+        self, current: Evaluation, residual: Floats, step: Step, share: float = 0.0
+    ) -> float:
+        """What the step form brings down, for a residual found at a share of the step.
+
+        The weights are those of the current set, since weights of shapes grow as these come near;
+        pseudo_inverse and minimum_norm know none. A pull to the initial values counts too.
+        """
+        settings, parameters = self.campaign.update, self.campaign.parameters
+        weights = current.residual.weights
+        if settings.step in ("pseudo_inverse", "minimum_norm"):
+            weights = (weights > 0.0).astype(np.float64)
+        pull = 0.0
+        if settings.step == "pulled_to_initial":
+            theta = current.theta + share * step.change
+            offset = (theta - parameters.initial) / parameters.standard_deviations
+            pull = step.regularisation * float(offset @ offset)
+        return float(residual @ (weights * residual)) + pull
+
+    def gain(self, current: Evaluation, there: Evaluation, step: Step) -> float:
+        """How much lower the objective is at the end of a step than at the current set."""
+        before = self.objective(current, current.residual.values, step)
+        return before - self.objective(current, there.residual.values, step, 1.0)
+
+    @property
+    def held_back(self) -> str:
+        """How far the length of steps was the reason that updating got no further, in words."""
+        if not self.taken:
+            return ""
+        limit = f"`step_limit` ({self.campaign.update.step_limit:g})"
+        if not self.held:
+            return f"{limit} held none of {self.taken} steps back"
+        names = ", ".join(f"{name} in {n}" for name, n in self.held.most_common(NAMED))
+        more = f" and {len(self.held) - NAMED} others" if len(self.held) > NAMED else ""
+        return f"{limit} held back {names}{more} of {self.taken} steps"
+
+    def _count(self, current: Evaluation, step: Step, region: TrustRegion) -> None:
+        """Keep which parameters a step would have moved further, had it been allowed to."""
+        self.taken += 1
+        steps = np.abs(self._scale(current).steps(step.change))
+        for place in np.flatnonzero(steps >= HELD * region.radius).tolist():
+            self.held[self.campaign.parameters.names[place]] += 1
+
+    def _scale(self, current: Evaluation) -> Scale:
+        return Scale(current.theta, self.logarithmic)
+
+    def _box(self, current: Evaluation, radius: float) -> tuple[Floats, Floats]:
+        """Where a step of at most this length may end."""
+        scale, reach = self._scale(current), np.full(current.theta.size, radius)
+        return (
+            np.maximum(self.lower, current.theta + scale.changes(-reach)),
+            np.minimum(self.upper, current.theta + scale.changes(reach)),
+        )
