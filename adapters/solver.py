@@ -9,21 +9,24 @@ solver, write a folder with the two and name it in `flows/campaign/solvers`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
-from modetune.core.mesh import Mesh
+from modetune.core.mesh import Mesh, shortest_length
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values
 from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation, nothing_known
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.results import MatrixResult, Result
+from modetune.core.updating.results import MatrixResult, ModalResult, Result
+
+R = TypeVar("R", bound=Result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +67,14 @@ Analysis = ModalAnalysis | MatrixAnalysis | SensitivityAnalysis
 class Capabilities:
     """What a solver can give besides modes.
 
-    matrix_modes: whether modes of its stored matrices may stand for its own.
+    tell_rigid: whether its strain energies of rigid modes are far below the rounding of their
+    eigenvalues (stress times strain is, displacements times stiffness is not). matrix_modes:
+    whether modes of its stored matrices may stand for its own.
     """
 
     strain_energies: bool
     matrices: bool
+    tell_rigid: bool = False
     frequency_sensitivities: bool = False
     shape_sensitivities: bool = False
     matrix_modes: bool = False
@@ -223,6 +229,21 @@ class Deck(Protocol):
         """Root of E over density of each material that has both, in the deck's units."""
         return {}
 
+    def largest_eigenvalue(self) -> float:
+        """About the largest eigenvalue of the model, (rad/s)^2, 0 where nothing tells it.
+
+        That of a bar of one element, 12 (c / l)^2, as long as the shortest way between corners.
+        """
+        speed = max(self.wave_speeds().values(), default=0.0)
+        try:
+            return 12.0 * (speed / self.least_length()) ** 2 if speed else 0.0
+        except ModelError:  # told where the mesh itself is wanted
+            return 0.0
+
+    def least_length(self) -> float:
+        """The least dimension of an element as its stiffness sees it. Raises ModelError."""
+        return shortest_length(self.mesh())
+
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """Element sets whose strain energy is proportional to the parameter; empty if none."""
         return ()
@@ -230,6 +251,14 @@ class Deck(Protocol):
     def is_linear(self, parameter: Parameter) -> bool:
         """Whether the stiffness and mass matrices are linear in the parameter."""
         return False
+
+    def preload(self) -> str:
+        """What of the deck makes the stiffness depend on a state that is solved for first.
+
+        With file and line; empty where nothing does. No parameter is linear then (stresses and
+        contacts follow from all of them), and strain energies lack the part of the stresses.
+        """
+        return ""
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         """What of the matrices the parameter moves.
@@ -280,10 +309,14 @@ class Program(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Solver:
-    """A program bound to a model."""
+    """A program bound to a model.
+
+    rigid_modes: how many it has by hand, None where they are counted.
+    """
 
     deck: Deck
     program: Program
+    rigid_modes: RigidByHand | None = None
 
     def render(self, values: Values, analysis: Analysis) -> Rendered:
         """The job at these values. Raises ModelError, SolverMissing."""
@@ -291,4 +324,22 @@ class Solver:
 
     def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         """Read a finished job. Raises SolverError where there is no result."""
-        return self.program.read(self.deck.edited(values), analysis, folder, return_code)
+        result = self.program.read(self.deck.edited(values), analysis, folder, return_code)
+        if not isinstance(result, ModalResult):
+            return result
+        energies = result.total_strain_energy
+        if not self.program.capabilities.tell_rigid:
+            energies = np.full(energies.size, np.nan)
+        largest = self.deck.largest_eigenvalue
+        return replace(result, n_rigid=count_rigid_modes(result.eigenvalues, energies, largest))
+
+    def by_hand(self, result: R) -> R:
+        """A result with the number of rigid modes that was given by hand, if one was.
+
+        Raises CampaignError where its strain energies contradict that.
+        """
+        if self.rigid_modes is None or not isinstance(result, ModalResult):
+            return result
+        energies, found = result.total_strain_energy, result.n_rigid
+        self.rigid_modes.check(result.eigenvalues, energies, found)
+        return replace(result, n_rigid=self.rigid_modes.number)

@@ -36,6 +36,7 @@ from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
 from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.rigid_modes import DOUBLE, matrix_energies
 from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, ModeSet, close_sets
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.observation import observe
@@ -190,10 +191,15 @@ class Model:
         largest = np.abs(here.upper_stiffness.diagonal()).max() / here.upper_mass.diagonal().min()
         self.reduced = unreduced(affine, -1e-6 * float(largest), observer)
         self.n_modes = min(loaded.case.n_modes, here.nodes.size)
+        _, shapes = self.reduced.combinations(loaded.start, self.n_modes)
+        energies = matrix_energies(here.upper_stiffness, shapes, DOUBLE)
+        self.n_rigid = int(np.sum(energies == 0.0))
         self.dofs = np.flatnonzero(observer @ np.ones(here.nodes.size))
 
     def modal(self, theta: Floats) -> ModalResult:
-        return reduced_modal(self.reduced, theta, self.n_modes, self.nodes, self.components)
+        return reduced_modal(
+            self.reduced, theta, self.n_modes, self.n_rigid, self.nodes, self.components
+        )
 
     def measured(self, truth: Floats, rng: Generator) -> ModeSet:
         """What an exact test of the true structure gives, modes of one frequency at any angle."""

@@ -101,6 +101,21 @@ def global_shapes(mesh: Mesh, modes: ModeSet) -> Floats:
     return shapes
 
 
+def shortest_length(mesh: Mesh) -> float:
+    """The least distance of two corners of an element, infinite where there are none.
+
+    Raises ModelError where an element names a node that is not in the mesh.
+    """
+    least = np.inf
+    for cells in mesh.cells:
+        rows = mesh.rows(cells.nodes[:, : CORNERS[cells.kind]])
+        for one, other in combinations(range(rows.shape[1]), 2):
+            along = mesh.coordinates[rows[:, one]] - mesh.coordinates[rows[:, other]]
+            squares = np.sum(along**2, axis=1)  # springs may be between nodes at one place
+            least = min(least, float(np.min(squares, initial=np.inf, where=squares > 0.0)))
+    return float(np.sqrt(least))
+
+
 def node_strains(mesh: Mesh, fields: Floats) -> Floats:
     """Root mean square strain over all fields at each node, (n_nodes,); 0 without elements.
 

@@ -152,21 +152,6 @@ def close_sets(frequencies_hz: Floats, width: float) -> list[Integers]:
     return [np.sort(item) for item in np.split(order, np.flatnonzero(apart) + 1)]
 
 
-def count_rigid_modes(eigenvalues: Floats) -> int:
-    """How many of the lowest modes move the structure without straining it.
-
-    eigenvalues: (n_modes,), ascending, (rad/s)^2, as the solver gave them. Rounding leaves
-    rigid-body eigenvalues near zero with either sign. They end where the next eigenvalue is more
-    than 10^4 times larger in magnitude than all before (a factor 100 in frequency, which
-    neighbouring elastic modes do not reach); at most six are looked for.
-    """
-    magnitudes = np.maximum.accumulate(np.abs(eigenvalues))
-    for count in range(min(6, eigenvalues.size - 1), 0, -1):
-        if eigenvalues[count] > 1e4 * magnitudes[count - 1]:
-            return count
-    return 0
-
-
 @dataclass(frozen=True, slots=True)
 class MeasuredModes:
     """The modes of a test with the numbers the test gave them.

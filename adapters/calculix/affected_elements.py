@@ -39,7 +39,7 @@ def affected_elements_of(
     preload the structure, or where the number of equations depends on the value.
     """
     cards = _cards(model, lines)
-    if _preloaded(model) or not cards:
+    if model.preload() or not cards:
         return None
     keywords = {card.keyword for card in cards}
     thickness = "*SHELLSECTION" in keywords
@@ -142,14 +142,6 @@ def _cards(model: CalculixModel, lines: Collection[int]) -> list[KeywordCard]:
     starts = [card.lines.start for card in cards]
     places = sorted({bisect_right(starts, line) - 1 for line in lines})
     return [cards[place] for place in places if place >= 0]
-
-
-def _preloaded(model: CalculixModel) -> bool:
-    frequency = model.deck.named("*FREQUENCY")
-    steps = model.deck.named("*STEP")
-    return (
-        bool(frequency) and sum(step.lines.start < frequency[0].lines.start for step in steps) > 1
-    )
 
 
 def _sets(model: CalculixModel, card: KeywordCard) -> list[str]:

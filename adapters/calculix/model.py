@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -106,6 +107,40 @@ class CalculixModel:
             elements = self.mesh.element_sets.get(card.option("ELSET"), frozenset())
             total += read_number(text.split(",")[0]) * len(elements)
         return total
+
+    def preload(self) -> str:
+        """The first card by which the stiffness depends on a state, with file and line, or empty.
+
+        That is a step before a frequency step with PERTURBATION, which starts from its stresses and
+        displacements (without the word ccx takes none of them), or contact. Moduli that depend on
+        temperature do not: a parameter scales them all alike.
+        """
+        frequency, contact = self.deck.named("*FREQUENCY"), self.deck.named("*CONTACT PAIR")
+        if frequency:
+            first = frequency[0].lines.start
+            steps = [step for step in self.deck.named("*STEP") if step.lines.start < first]
+            if len(steps) > 1 and "PERTURBATION" in steps[-1].options:
+                return f"{self.deck.where(steps[0])}: a step before that of the frequencies"
+        return f"{self.deck.where(contact[0])}: contact" if contact else ""
+
+    @property
+    def hides_energy(self) -> bool:
+        """Whether a mode may have strain energy that ccx does not print."""
+        kinds = {element.kind for element in self.mesh.elements.values()}
+        return bool(self.preload()) or any(WITHOUT_ENERGY.fullmatch(kind) for kind in kinds)
+
+    def least_thickness(self) -> float:
+        """The least thickness of shells and plies, and dimension of beams; infinite without."""
+        shells, beams = self.deck.named("*SHELL SECTION"), self.deck.named("*BEAM SECTION")
+        layered = [card for card in shells if "COMPOSITE" in card.options]
+        fields = [self.deck.fields(position)[0] for card in layered for position in card.data]
+        fields += [self.deck.fields(p)[0] for c in shells if c not in layered for p in c.data[:1]]
+        fields += [text for c in beams for p in c.data[:1] for text in self.deck.fields(p)]
+        found = [math.inf]
+        for text in filter(None, fields):
+            with suppress(ValueError):  # ccx says what is wrong with it
+                found.append(read_number(text))
+        return min(value for value in found if value > 0.0)
 
     def wave_speeds(self) -> dict[str, float]:
         """Root of E over density of each isotropic material that has both."""

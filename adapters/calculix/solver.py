@@ -42,6 +42,7 @@ from modetune.adapters.solver import (
     Rendered,
     Solver,
 )
+from modetune.core.algebra.rigid_modes import STRAINED
 from modetune.core.errors import (
     SolverCrashed,
     SolverExhausted,
@@ -107,11 +108,17 @@ class CalculixDeck(Deck):
     def wave_speeds(self) -> dict[str, float]:
         return self.model.wave_speeds()
 
+    def least_length(self) -> float:
+        return min(super().least_length(), self.model.least_thickness())
+
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
-        return self.model.energy_sets(parameter)
+        return () if self.preload() else self.model.energy_sets(parameter)
 
     def is_linear(self, parameter: Parameter) -> bool:
-        return parameter.quantity in LINEAR
+        return parameter.quantity in LINEAR and not self.preload()
+
+    def preload(self) -> str:
+        return self.model.preload()
 
     @cached_property
     def _incidence(self) -> Incidence:
@@ -155,7 +162,9 @@ class CalculixProgram:
     reader_version = 1
     #: Raised by hand when the same shapes are turned into frames in another way.
     frames_version = 1
-    capabilities = Capabilities(strain_energies=True, matrices=True, matrix_modes=True)
+    capabilities = Capabilities(
+        strain_energies=True, matrices=True, tell_rigid=True, matrix_modes=True
+    )
 
     @cached_property
     def _version(self) -> str:
@@ -227,7 +236,12 @@ class CalculixProgram:
         if isinstance(analysis, ModalAnalysis):
             point_mass = deck.model.point_mass(deck.changed)
             result = read_modal(folder / f"{JOB}.dat", analysis, point_mass)
-            return replace(result, modes=in_frames(result.modes, deck.frames or {}))
+            energies = result.total_strain_energy
+            if deck.model.hides_energy:
+                told = 2.0 * energies > STRAINED * result.eigenvalues
+                energies = np.where(told, energies, np.nan)
+            modes = in_frames(result.modes, deck.frames or {})
+            return replace(result, modes=modes, total_strain_energy=energies)
         from modetune.adapters.calculix.matrices import read_matrices  # polars takes a moment
 
         return read_matrices(folder, JOB)

@@ -26,8 +26,10 @@ from modetune.adapters.process import log_tail, read_log
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.rigid_modes import DOUBLE, matrix_energies
 from modetune.core.errors import ModelError, ModesError, NoResult, SolverCrashed, SolverRejected
-from modetune.core.modes import Floats, count_rigid_modes, mode_set
+from modetune.core.modes import Floats, mode_set
 from modetune.core.updating.results import MatrixResult, ModalResult, Result
 
 JOB, RESULT = "job.json", "result.npz"
@@ -163,19 +165,19 @@ def _solved(
     # A small system has no more modes than unknowns, and a campaign asks for some to spare.
     n_modes = min(job.n_modes, stiffness.shape[0])
     eigenvalues, shapes = solve_modes(stiffness, mass, n_modes)
-    elastic = eigenvalues[count_rigid_modes(eigenvalues) :]
-    if (elastic < -NEGATIVE * np.abs(eigenvalues).max()).any():
+    energies = matrix_energies(upper_triangle(stiffness), shapes, DOUBLE)
+    if (2.0 * energies < -NEGATIVE * np.abs(eigenvalues).max()).any():
         raise ModelError(
-            f"the stiffness matrix has a negative eigenvalue ({elastic.min():.3e}): no structure "
+            f"the stiffness matrix has a negative eigenvalue ({eigenvalues[0]:.3e}): no structure "
             "is like that; look at the parts' matrices and the parameters' bounds"
         )
     groups = [_load(folder, f"group{number}") for number in range(job.n_groups)]
-    energies = [0.5 * np.sum(shapes * (group @ shapes), axis=0) for group in groups]
+    of_groups = [0.5 * np.sum(shapes * (group @ shapes), axis=0) for group in groups]
     return {
         "eigenvalues": eigenvalues,
         "mode_shapes": shapes[list(job.rows)],
-        "strain_energies": np.array(energies).reshape(job.n_groups, n_modes),
-        "total_strain_energy": 0.5 * np.sum(shapes * (stiffness @ shapes), axis=0),
+        "strain_energies": np.array(of_groups).reshape(job.n_groups, n_modes),
+        "total_strain_energy": energies,
     }
 
 

@@ -16,7 +16,7 @@ from modetune.adapters.nastran.design_sensitivity import DesignSensitivities
 from modetune.adapters.nastran.f06 import F06
 from modetune.adapters.nastran.op2 import Op2Modes
 from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
-from modetune.core.modes import Floats, Integers, count_rigid_modes, mode_set
+from modetune.core.modes import Floats, Integers, mode_set
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 
 #: Generalised masses are printed with seven digits; what is this near to 1 is 1.
@@ -136,13 +136,11 @@ def mode_derivatives(
     found: DesignSensitivities,
     analysis: SensitivityAnalysis,
     values: Sequence[float],
-    eigenvalues: Floats,
 ) -> ModeDerivatives:
     """Derivatives with respect to the relative values of the analysis' parameters.
 
-    values: where the parameters stand (design.py tells why they divide). eigenvalues: (n_modes,)
-    of the same run, empty where it does not tell; rows of rigid modes are zero, which rounding
-    would hide. Raises ValueError that names the first response or variable that is not there.
+    values: where the parameters stand (design.py tells why they divide). Rows of rigid modes are
+    rounding. Raises ValueError that names the first response or variable that is not there.
     """
     n_parameters = len(analysis.parameters)
     columns = {response.number: place for place, response in enumerate(found.responses)}
@@ -167,8 +165,6 @@ def mode_derivatives(
 
     modes = range(analysis.n_modes)
     slopes = np.array([derivatives(mode) for mode in modes])
-    if eigenvalues.size:
-        slopes[: count_rigid_modes(eigenvalues)] = 0.0
     shapes = np.array(
         [[derivatives(mode, row) for mode in modes] for row in range(n_rows(analysis))]
     )

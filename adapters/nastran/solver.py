@@ -171,7 +171,7 @@ class NastranProgram:
     ) -> ModeDerivatives:
         found = read_dscm2(folder / self.dialect.result_file)
         at = [values.get(name, 1.0) for name in analysis.parameters]
-        return mode_derivatives(found, analysis, at, printed.eigenvalues[: analysis.n_modes])
+        return mode_derivatives(found, analysis, at)
 
 
 def _place(fatal: Iterable[FatalMessage], edited: EditedNastran) -> str:

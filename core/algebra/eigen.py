@@ -46,6 +46,7 @@ from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pencil import (
     LEAST_SHIFT,
     ROUNDING,
+    STRAINED,
     Pencil,
     count_below,
     estimate_shift,
@@ -54,7 +55,7 @@ from modetune.core.algebra.pencil import (
     singular_together,
 )
 from modetune.core.errors import ModelError
-from modetune.core.modes import Floats, count_rigid_modes
+from modetune.core.modes import Floats
 
 #: Models up to this many unknowns are solved whole.
 DENSE = 300
@@ -250,8 +251,10 @@ class ModeSolver:
 
     def _whole(self, pencil: Pencil, n_modes: int, shift: float | None) -> SolvedModes:
         values, vectors = solve_whole(pencil, n_modes)
-        rigid = min(count_rigid_modes(values), values.size - 1)
-        least = min(-0.1 * abs(float(values[rigid])), -LEAST_SHIFT * pencil.largest_eigenvalue())
+        least = LEAST_SHIFT * pencil.largest_eigenvalue()
+        strained = values[values > STRAINED * least]
+        first = float(strained[0]) if strained.size else 0.0
+        least = min(-0.1 * first, -least)
         below = least if shift is None else shift
         self._shift = below if values[0] > below else 2.0 * float(values[0])
         return SolvedModes(values, vectors, np.zeros(n_modes), self._shift, "whole", True, 0)

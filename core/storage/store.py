@@ -41,7 +41,7 @@ from modetune.core.updating.results import (
 logger = logging.getLogger(__name__)
 
 #: Grows whenever the layout of a result's dataclasses changes.
-FORMAT = 3
+FORMAT = 4
 TITLE = f"modetune store entry {FORMAT}"
 KINDS: dict[str, type[Result]] = {
     "modal": ModalResult,

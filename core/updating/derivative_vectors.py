@@ -28,7 +28,7 @@ from scipy import sparse
 
 from modetune.core.algebra.matrices import touched_product, upper_product
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, Integers, count_rigid_modes
+from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 
 #: (K - s M)^-1 times a block of vectors (n, k), at the values of the modes.
@@ -60,10 +60,14 @@ class KnownModes:
 
     @classmethod
     def of(
-        cls, eigenvalues: Floats, shapes: Floats, used: Integers, mass: sparse.csr_array
+        cls,
+        eigenvalues: Floats,
+        shapes: Floats,
+        used: Integers,
+        mass: sparse.csr_array,
+        first: int,
     ) -> KnownModes:
         """Raises ModesError where no mode strains the structure."""
-        first = count_rigid_modes(eigenvalues)
         if first >= eigenvalues.size:
             raise ModesError("a reduced model needs modes that strain the structure")
         weighted = upper_product(mass, shapes)

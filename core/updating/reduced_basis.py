@@ -51,6 +51,7 @@ def reduce(
     shapes: Floats,
     inverse: Inverse,
     used: Integers,
+    n_rigid: int,
     observer: sparse.csr_array,
     previous: Floats | None = None,
     most: int = MOST_VECTORS,
@@ -59,13 +60,14 @@ def reduce(
 
     theta: (n_parameters,); eigenvalues (n_modes,), shapes (n, n_modes): the lowest modes there,
     rigid ones included, mass-normalised; inverse: by the factorisation that they were found with;
-    used: positions of the modes whose derivatives are wanted; observer: (n_rows, n), takes shapes
+    used: positions of the modes whose derivatives are wanted; n_rigid: how many of the first are
+    rigid; observer: (n_rows, n), takes shapes
     to the wanted degrees of freedom; previous: an older basis (n, r_old). Raises ModesError where
     no mode strains the structure. Eigenvalues' derivatives are exact, those of shapes good to
     some 10^-3.
     """
     mass = affine.mass_at(theta)
-    modes = KnownModes.of(eigenvalues, shapes, used, mass)
+    modes = KnownModes.of(eigenvalues, shapes, used, mass, n_rigid)
     answers = derivative_answers(affine, theta, modes, mass, inverse)
     basis = _basis(modes, answers, most - eigenvalues.size)
     widened = basis

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, ModeSet, count_rigid_modes
+from modetune.core.modes import Floats, ModeSet
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.sensitivity import ModeDerivatives
@@ -35,7 +35,8 @@ class ModalResult:
     groups: names of the element groups whose strain energies are known.
     strain_energies: (n_groups, n_modes) of the mass-normalised modes; total_strain_energy:
     (n_modes,) of the whole model. Both in the deck's units of (rad/s)^2 for unit modal mass.
-    mass: total mass in the deck's unit, NaN where the solver does not tell.
+    mass: total mass in the deck's unit, NaN where the solver does not tell. n_rigid: how many of
+    the first modes are rigid (core/algebra/rigid_modes), which whoever read the modes has counted.
     """
 
     eigenvalues: Floats
@@ -44,6 +45,7 @@ class ModalResult:
     strain_energies: Floats
     total_strain_energy: Floats
     mass: float
+    n_rigid: int = 0
 
     __repr__ = brief
 
@@ -77,10 +79,6 @@ class ModalResult:
             strain_energies=self.strain_energies @ shares,
             total_strain_energy=self.total_strain_energy @ shares,
         )
-
-    @property
-    def n_rigid(self) -> int:
-        return count_rigid_modes(self.eigenvalues)
 
     @property
     def elastic(self) -> ModeSet:

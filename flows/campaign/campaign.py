@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile, read_yaml
+from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.parameters import Parameter, ParameterSet, Values
@@ -289,4 +290,7 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
         problems += [f"{place}: {said}" for said in solver.deck.problems(parameters)]
     if not problems:
         problems += unit_problems(source.where(("model", "units")), file.model.units, solver)
-    return solver
+    number = file.model.rigid_modes
+    if number == "auto":
+        return solver
+    return replace(solver, rigid_modes=RigidByHand(number, source.where(("model", "rigid_modes"))))

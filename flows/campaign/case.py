@@ -63,7 +63,9 @@ class Case:
     @property
     def n_modes(self) -> int:
         """Modes asked of the solver: the measured ones, rigid ones and some to spare."""
-        return len(self.measured.numbers) + EXTRA_MODES + RIGID_MODES
+        by_hand = self.solver.rigid_modes
+        rigid = max(RIGID_MODES, 0 if by_hand is None else by_hand.number)
+        return len(self.measured.numbers) + EXTRA_MODES + rigid
 
     @property
     def measured(self) -> MeasuredModes:

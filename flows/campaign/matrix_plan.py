@@ -131,7 +131,9 @@ def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method
     for parameter in parameters:
         sampled = sampling(solver, parameter, 0.0)
         if sampled.affected is None:
-            return f"the matrices are not polynomials in {parameter.name}"
+            why = solver.deck.preload()
+            said = f"the matrices are not polynomials in {parameter.name}"
+            return f"{said} ({why})" if why else said
         found.append((parameter, sampled))
     for one, other in combinations(found, 2):
         if scale_together(one, other):

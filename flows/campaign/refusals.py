@@ -68,7 +68,8 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     if shapes:
         return [f"{place}: strain energies give no shape sensitivities; use `auto`"]
     return [
-        f"{place}: the stiffness is not proportional to {item.name} ({item.quantity}); use `auto`"
+        f"{place}: the stiffness is not proportional to {item.name} "
+        f"({solver.deck.preload() or item.quantity}); use `auto`"
         for item in (section.parameter() for section in file.parameters)
         if not solver.deck.problems((item,)) and not solver.deck.energy_sets(item)
     ]

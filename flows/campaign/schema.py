@@ -56,6 +56,9 @@ class ModelSection(Section):
     faster of both."""
     units: Units
     """The consistent units that the deck is written in."""
+    rigid_modes: Literal["auto"] | Annotated[int, Field(ge=0, le=1000)] = "auto"
+    """How many modes are rigid: bodies that are free, and mechanisms; `auto`: those without strain
+    energy. A number that the energies contradict is refused."""
 
 
 class TestSection(Section):

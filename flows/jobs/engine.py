@@ -75,7 +75,7 @@ class JobOutcome:
             if entry is None:
                 raise damaged_again(engine.store, self.key)
         assert isinstance(entry.result, kind)
-        return entry.result
+        return engine.solver.by_hand(entry.result)
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,8 +112,10 @@ class ByReduced:
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
-        known = self.around.modal.modes
-        modal = reduced_modal(self.reduced, theta, known.n_modes, known.nodes, known.components)
+        known, n_rigid = self.around.modal.modes, self.around.modal.n_rigid
+        modal = reduced_modal(
+            self.reduced, theta, known.n_modes, n_rigid, known.nodes, known.components
+        )
         return self.around.key, modal
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
@@ -130,11 +132,17 @@ class ByReduced:
 
 
 def reduced_modal(
-    reduced: ReducedModel, theta: Floats, n_modes: int, nodes: Integers, components: Integers
+    reduced: ReducedModel,
+    theta: Floats,
+    n_modes: int,
+    n_rigid: int,
+    nodes: Integers,
+    components: Integers,
 ) -> ModalResult:
     """The lowest modes of a reduced model at its rows, whose degrees of freedom these are.
 
-    Raises ModesError where it has no such modes.
+    n_rigid: how many of them are rigid, as in the model that was reduced. Raises ModesError where
+    it has no such modes.
     """
     eigenvalues, shapes = reduced.modes(theta, n_modes)
     return ModalResult(
@@ -150,6 +158,7 @@ def reduced_modal(
         strain_energies=np.zeros((0, eigenvalues.size)),
         total_strain_energy=0.5 * eigenvalues,
         mass=np.nan,
+        n_rigid=n_rigid,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
@@ -26,8 +27,11 @@ from modetune.flows.updating.evaluators import engine_of, evaluator_of
 from modetune.flows.updating.forecast import Forecast, Forecaster
 from modetune.flows.updating.prefect import Pages, PagesProgress
 from modetune.flows.updating.run import CampaignRun
+from modetune.flows.updating.sensitivities import not_linear
 from modetune.flows.updating.starting import read_earlier, start_of
 from modetune.flows.updating.updating import Progress, Updating
+
+logger = logging.getLogger(__name__)
 
 
 def job_engine(campaign: Campaign) -> JobEngine:
@@ -117,6 +121,9 @@ def _update(
         execution: Execution = ThreadExecution(engine, campaign.parallel, watcher=pages)
         if executes is not None:
             execution = executes(engine, campaign.parallel)
+        if campaign.sensitivity.method == "auto":
+            for said in filter(None, (not_linear(case.solver) for case in campaign.cases)):
+                logger.warning("%s", said)
         # What several models cost side by side nobody has worked out yet.
         if len(campaign.cases) > 1:
             forecast = None

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
+from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis, Solver
 from modetune.core.correlation.clusters import rotation_onto, with_neighbours
 from modetune.core.correlation.pairing import Pairing, pair_by_tracking
 from modetune.core.errors import ModesError
@@ -146,7 +146,7 @@ class Sensitivities:
 
     def _strain_energy(self, point: Point, column: int) -> ModeDerivatives:
         balance = point.modal.energy_balance[point.pairing.computed]
-        if (np.abs(balance - 1.0) > BALANCE_TOLERANCE).any():
+        if not (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():
             raise UnbalancedEnergies(
                 f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
                 "eigenvalues say: the solver leaves some out (reduced elements); use `auto`, "
@@ -235,6 +235,15 @@ class Sensitivities:
         # Of close modes that the step turns: what the shapes that they had would be.
         eigenvalues = after.eigenvalues @ rotation**2
         return eigenvalues[places], (np.real(after.mode_shapes) @ rotation)[:, places]
+
+
+def not_linear(solver: Solver) -> str:
+    """Why no parameter of a model is linear and what follows from that; empty where they may be."""
+    why = solver.deck.preload()
+    return why and (
+        f"{why}: the stiffness depends on the state there, so it is linear in no parameter, and "
+        "sensitivities are differences of modal runs"
+    )
 
 
 def _columns(methods: Sequence[Exact], method: Exact) -> list[int]:

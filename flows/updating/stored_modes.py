@@ -21,10 +21,16 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.eigen import ModeSolver, SolvedModes
+from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.pencil import shift_below
+from modetune.core.algebra.rigid_modes import (
+    DOUBLE,
+    PRINTED,
+    count_rigid_modes,
+    matrix_energies,
+)
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, Integers, count_rigid_modes, mode_set
+from modetune.core.modes import Floats, Integers, mode_set
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
@@ -39,7 +45,7 @@ from modetune.flows.updating.semi_analytic import UnlikeMatrices
 logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are solved, or reduced, to other numbers.
-MODES_VERSION = 3
+MODES_VERSION = 4
 REDUCED_VERSION = 3
 #: Unobservable nodes that a message names.
 NAMED = 5
@@ -66,10 +72,24 @@ class _Around:
 
 
 @dataclass(frozen=True, slots=True)
+class _Solved:
+    """Modes at a set with shapes of all unknowns (n, n_modes).
+
+    energies: (n_modes,), NaN where the rounding of the matrices hides them: of rigid modes.
+    """
+
+    eigenvalues: Floats
+    shapes: Floats
+    energies: Floats
+    n_rigid: int
+
+
+@dataclass(frozen=True, slots=True)
 class _Basis:
-    """A reduced model and its basis (n, r)."""
+    """A reduced model and its basis (n, r); n_rigid: modes that are rigid."""
 
     of: _Around
+    n_rigid: int
     reduced: ReducedModel
     vectors: Floats
 
@@ -82,17 +102,21 @@ class _Basis:
 class _Solutions:
     """Solutions in memory, and found again where they have left it: the newest of each kind."""
 
-    def __init__(self, matrices: ParameterMatrices, engine: JobEngine, shift: float) -> None:
+    def __init__(
+        self, matrices: ParameterMatrices, engine: JobEngine, shift: float, rounding: float
+    ) -> None:
+        """shift: where none is known, (rad/s)^2; rounding: of the matrices' entries, relative."""
         self.matrices = matrices
+        self.rounding = rounding
         self.engine = engine
         self.shift = shift
         # The solver's own modes at the end tell whether any was missed: no need to count them.
         self._solver = ModeSolver(count=False)
-        self._newest: tuple[_Set, SolvedModes] | None = None
-        self._first: tuple[_Set, SolvedModes] | None = None
+        self._newest: tuple[_Set, _Solved] | None = None
+        self._first: tuple[_Set, _Solved] | None = None
         self._basis: _Basis | None = None
 
-    def modes(self, item: _Set) -> SolvedModes:
+    def modes(self, item: _Set) -> _Solved:
         """The modes of a set with shapes of all unknowns."""
         if self._newest is not None and self._newest[0] is item:
             return self._newest[1]
@@ -103,8 +127,11 @@ class _Solutions:
             solved = self._solver.solve(
                 here.upper_stiffness, here.upper_mass, item.n_modes, shift, start
             )
-        self._newest = item, solved
-        return solved
+            energies = matrix_energies(here.upper_stiffness, solved.shapes, self.rounding)
+        energies[energies == 0.0] = np.nan
+        n_rigid = count_rigid_modes(solved.eigenvalues, energies, lambda: np.inf)
+        self._newest = item, _Solved(solved.eigenvalues, solved.shapes, energies, n_rigid)
+        return self._newest[1]
 
     def basis(self, around: _Around) -> _Basis:
         """A reduced model with its basis."""
@@ -118,9 +145,10 @@ class _Solutions:
                     solved.shapes,
                     self._solver.inverse,
                     around.modes,
+                    solved.n_rigid,
                     around.observer,
                 )
-            self._basis = _Basis(around, *made)
+            self._basis = _Basis(around, solved.n_rigid, *made)
         return self._basis
 
     def _beginning(self, item: _Set) -> tuple[float, Floats | None]:
@@ -130,15 +158,18 @@ class _Solutions:
         if isinstance(item.start, _Set):
             if self._first is None or self._first[0] is not item.start:
                 self._first = item.start, self.modes(item.start)
-            eigenvalues, shapes = self._first[1].eigenvalues, self._first[1].shapes
+            first = self._first[1]
+            eigenvalues, shapes, n_rigid = first.eigenvalues, first.shapes, first.n_rigid
         else:
             self._first = None
             try:
-                eigenvalues, shapes = self.basis(item.start).shapes(item.values, item.n_modes)
+                basis = self.basis(item.start)
+                eigenvalues, shapes = basis.shapes(item.values, item.n_modes)
             except ModesError as error:
                 logger.debug("no start from a reduced model: %s", error)
                 return self.shift, None
-        elastic = eigenvalues[count_rigid_modes(eigenvalues) :]
+            n_rigid = basis.n_rigid
+        elastic = eigenvalues[n_rigid:]
         return shift_below(float(elastic[0])) if elastic.size else self.shift, shapes
 
 
@@ -158,7 +189,9 @@ class MatrixModes:
         self._matrices_key = source.key(campaign.start, columns)
         first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
         self._shift = shift_below(first**2)
-        self._solutions = _Solutions(self.affine, engine, self._shift)
+        given = campaign.case.solver.deck.summary.matrices is not None
+        rounding = DOUBLE if given else PRINTED
+        self._solutions = _Solutions(self.affine, engine, self._shift, rounding)
         self._sets: dict[tuple[float, ...], _Set] = {}
         self._first: dict[int, _Set] = {}
         self._reduced: dict[str, _Around] = {}
@@ -171,11 +204,13 @@ class MatrixModes:
 
         def compute() -> ModalResult:
             solved = self._solutions.modes(item)
-            return self._seen(solved.eigenvalues, solved.shapes, analysis)
+            return self._seen(
+                solved.eigenvalues, solved.shapes, solved.energies, solved.n_rigid, analysis
+            )
 
         asked: Json = {"modes at": item.key, "nodes": list(analysis.nodes)}
         found = self.engine.derived(asked, compute, ModalResult)
-        return content_key(canonical_json(asked)), found
+        return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
 
     def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """As `modal`, by the newest reduced model. Raises ModesError where it has no such modes."""
@@ -185,8 +220,11 @@ class MatrixModes:
         values = self.source.written(theta)
 
         def compute() -> ModalResult:
-            found = self._solutions.basis(around).shapes(values, analysis.n_modes)
-            return self._seen(*found, analysis)
+            basis = self._solutions.basis(around)
+            eigenvalues, shapes = basis.shapes(values, analysis.n_modes)
+            energies = 0.5 * eigenvalues
+            energies[: basis.n_rigid] = np.nan
+            return self._seen(eigenvalues, shapes, energies, basis.n_rigid, analysis)
 
         asked: Json = {
             "foreseen": around.key,
@@ -195,7 +233,7 @@ class MatrixModes:
             "nodes": list(analysis.nodes),
         }
         found = self.engine.derived(asked, compute, ModalResult)
-        return content_key(canonical_json(asked)), found
+        return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
 
     def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:
         """The reduced model around an evaluation point, for its pairs, at the campaign's nodes."""
@@ -238,7 +276,14 @@ class MatrixModes:
             self._first.setdefault(n_modes, self._sets[mark])
         return self._sets[mark]
 
-    def _seen(self, eigenvalues: Floats, shapes: Floats, analysis: ModalAnalysis) -> ModalResult:
+    def _seen(
+        self,
+        eigenvalues: Floats,
+        shapes: Floats,
+        energies: Floats,
+        n_rigid: int,
+        analysis: ModalAnalysis,
+    ) -> ModalResult:
         """The modes at an analysis' nodes, of shapes of all unknowns."""
         eigenvalues = eigenvalues[: analysis.n_modes]
         nodes, components = _named(analysis.nodes)
@@ -254,8 +299,9 @@ class MatrixModes:
             ),
             groups=(),
             strain_energies=np.zeros((0, eigenvalues.size)),
-            total_strain_energy=0.5 * eigenvalues,
+            total_strain_energy=energies[: eigenvalues.size],
             mass=np.nan,
+            n_rigid=min(n_rigid, eigenvalues.size),
         )
 
     def _observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:

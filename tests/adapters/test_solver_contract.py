@@ -555,7 +555,7 @@ def test_springs_between_two_nodes_move_right_but_print_no_energy(tmp_path: Path
     result = run_modal(solver, CHAIN, tmp_path)
     assert result.modes.frequencies_hz == pytest.approx(CHAIN.frequencies_hz, rel=CHAIN.tolerance)
     assert (result.strain_energies[1] == 0.0).all()
-    assert (result.energy_balance < 0.5).all()
+    assert np.isnan(result.energy_balance).all()
     assert solver.deck.energy_sets(CHAIN.parameters[1]) == ()
 
 

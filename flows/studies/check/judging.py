@@ -113,7 +113,8 @@ def judged(
     facts = model_facts(campaign, result)
     test = campaign.case.measured  # what is held out has its place in the order of frequencies too
     lowest_hz = float(test.modes.frequencies_hz.min())
-    held = rigid_findings(result, campaign.case.solver.deck.summary.components, lowest_hz)
+    solver = campaign.case.solver
+    held = rigid_findings(result, solver.deck.summary.components, solver.rigid_modes is not None)
     found = [*static, *mass_findings(campaign, facts), *held]
     if worst(held) == "wrong" or lowest_hz <= 0.0:
         return PreCheckReport(

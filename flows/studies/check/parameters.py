@@ -11,7 +11,7 @@ from modetune.core.parameters import Parameter
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.check.findings import Finding, Level
-from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE
+from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 
 #: A parameter with less of the strain energy in every used mode cannot be found from them.
 DEAD = 1e-3
@@ -132,6 +132,9 @@ def energy_findings(
                 f"parameter {', '.join(silent)}",
             )
         )
+    said = not_linear(campaign.case.solver)
+    if said and campaign.sensitivity.method == "auto":
+        found.append(Finding("good", "parameters", said))
     return found + _balance(campaign, result, bool(shares))
 
 

@@ -162,7 +162,7 @@ def test_an_entry_without_its_seal_is_no_hit(tmp_path: Path) -> None:
     assert store.get(key_of(1)) is None
 
 
-@pytest.mark.parametrize("name", ["{}.h5", "{}.4.h5"])
+@pytest.mark.parametrize("name", ["{}.h5", "{}.3.h5"])
 def test_an_entry_of_another_format_is_left_alone_and_told_of_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, name: str
 ) -> None:

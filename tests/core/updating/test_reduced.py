@@ -12,8 +12,9 @@ from scipy import sparse
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import MatrixResult, symmetric
+from modetune.core.algebra.rigid_modes import PRINTED, matrix_energies
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, count_rigid_modes
+from modetune.core.modes import Floats
 from modetune.core.updating.matrix_samples import differences, separate
 from modetune.core.updating.parameter_matrices import (
     SHELL_POWERS,
@@ -39,18 +40,21 @@ class Full:
     theta: Floats
     eigenvalues: Floats
     shapes: Floats
+    n_rigid: int = 0
 
     @classmethod
     def at(cls, affine: ParameterMatrices, values: list[float], known: int = KNOWN) -> Full:
         theta = np.array(values)
         here = affine.at(theta)
         eigenvalues, shapes = solve_modes(here.stiffness, here.mass, known + 6)
-        count = known + count_rigid_modes(eigenvalues)
-        return cls(affine, theta, eigenvalues[:count], shapes[:, :count])
+        energies = matrix_energies(here.upper_stiffness, shapes, PRINTED)
+        n_rigid = int(np.sum(energies == 0.0))
+        count = known + n_rigid
+        return cls(affine, theta, eigenvalues[:count], shapes[:, :count], n_rigid)
 
     @property
     def used(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        return np.arange(USED) + count_rigid_modes(self.eigenvalues)
+        return np.arange(USED) + self.n_rigid
 
     @property
     def rows(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -70,6 +74,7 @@ class Full:
             self.shapes,
             factors.solve,
             self.used,
+            self.n_rigid,
             observer,
             previous,
             most,
@@ -278,6 +283,7 @@ def test_repeated_modes_are_treated_as_the_full_model_treats_them() -> None:
         full.shapes,
         factorise(affine.at(full.theta).stiffness + 0.1 * affine.at(full.theta).mass).solve,
         used,
+        0,
         sparse.csr_array(sparse.eye_array(17, format="csr")),
     )[0]
     changes = [tuple(symmetric(a) for a in affine.change(full.theta, c)) for c in (0, 1)]

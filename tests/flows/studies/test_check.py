@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from modetune.adapters.solver import ModelSummary, Number
 from modetune.configs.cases import write_case
+from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.correlation.correlation import rigid_body_shapes
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.alignment import Alignment
@@ -33,7 +34,6 @@ from modetune.flows.cli.check import told
 from modetune.flows.studies.check.findings import Finding, worst
 from modetune.flows.studies.check.judging import NO_RUN, PreCheckReport, check_campaign, judged
 from modetune.flows.studies.check.measured_modes import data_findings
-from modetune.flows.studies.check.model import count_near_zero
 from modetune.flows.studies.check.pairing import preview, unmeasured
 from modetune.flows.updating.running import update_campaign
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
@@ -207,8 +207,9 @@ def free_result(
         ),
         groups=(),
         strain_energies=np.zeros((0, 10)),
-        total_strain_energy=0.5 * eigenvalues,
+        total_strain_energy=np.where(np.abs(eigenvalues) < 1e-3, 0.0, 0.5 * eigenvalues),
         mass=float(np.sum(masses)),
+        n_rigid=int(np.argmax(np.abs(eigenvalues) >= 1e-3)),
     )
     return result, Mesh(np.arange(1, 5), places, ())
 
@@ -305,12 +306,21 @@ def test_a_model_of_a_strange_size_is_told(bench: Any) -> None:
     assert "the model is 3.74e+04 m across" in only("doubtful", report.findings)
 
 
-def test_seven_modes_at_zero_are_a_mechanism(bench: Any) -> None:
+def test_a_seventh_mode_without_strain_energy_is_a_mechanism_unless_it_is_named(
+    bench: Any,
+) -> None:
     result, mesh = free_result()
-    eigenvalues = result.eigenvalues.copy()
-    eigenvalues[6] = 2e-6
-    report = judge(bench, replace(result, eigenvalues=eigenvalues), mesh)
-    assert any("7 modes are at zero" in text for text in at("wrong", report.findings))
+    seven = replace(result, n_rigid=7)
+    (said,) = [
+        text for text in at("doubtful", judge(bench, seven, mesh).findings) if "mechan" in text
+    ]
+    assert "7 modes have no strain energy, a free structure has 6" in said
+    campaign = solid_campaign(bench, result, mesh, (2, 3))
+    meant = replace(campaign.case.solver, rigid_modes=RigidByHand(7, "x.yaml:3"))
+    report = judged(recased(campaign, solver=meant), seven, (), 10, NO_RUN)
+    assert any(
+        "7 rigid modes, as `rigid_modes` says" in text for text in at("good", report.findings)
+    )
 
 
 def test_a_negative_elastic_eigenvalue_is_wrong(bench: Any) -> None:
@@ -322,11 +332,14 @@ def test_a_negative_elastic_eigenvalue_is_wrong(bench: Any) -> None:
 def test_a_half_held_model_is_named(bench: Any) -> None:
     result, mesh = free_result(rigid=[1e-7, 2e-7, 9.0, 10.0, 11.0, 12.0])
     report = judge(bench, result, mesh, modes=(5, 6))
-    assert any("half held: 2 modes at zero" in text for text in at("doubtful", report.findings))
+    assert any(
+        "half held: 2 modes have no strain energy" in text
+        for text in at("doubtful", report.findings)
+    )
 
 
 def test_rigid_modes_that_are_not_near_zero_are_told(bench: Any) -> None:
-    # By hand: 2e-3 of 1 Hz, so (2e-3 * 2 pi)^2 = 1.58e-4; counted as rigid below 1e-4 of 39.5.
+    # By hand: 2e-3 of 1 Hz, so (2e-3 * 2 pi)^2 = 1.58e-4.
     result, mesh = free_result(rigid=[1e-7, 1e-7, 1e-7, 1e-7, 1e-7, 1.58e-4])
     assert "at most 0.002 of the first elastic" in only(
         "doubtful", judge(bench, result, mesh).findings
@@ -342,15 +355,10 @@ def test_all_modes_at_zero_are_wrong(bench: Any) -> None:
         modes=result.modes.select(range(6)),
         strain_energies=np.zeros((0, 6)),
         total_strain_energy=np.zeros(6),
+        n_rigid=6,
     )
     report = judged(campaign, seven, (), 6, NO_RUN)
-    assert only("wrong", report.findings).startswith(": all 6 computed modes are at zero")
-
-
-def test_near_zero_is_counted_beyond_six() -> None:
-    assert count_near_zero(np.array([1e-9, 2e-9, 1.0, 2.0])) == 2
-    assert count_near_zero(np.array([1e-9] * 8 + [1.0, 5.0])) == 8
-    assert count_near_zero(np.array([1.0, 2.0, 300.0])) == 0
+    assert only("wrong", report.findings).startswith(": all 6 computed modes are rigid")
 
 
 def shifted(test: MeasuredModes, factors: Sequence[float]) -> MeasuredModes:
