@@ -116,6 +116,7 @@ def aircraft(_: Generator) -> Structure:
         solved.shapes,
         solver.inverse,
         np.arange(6, 14),
+        6,
         observer,
     )
     _, order = linalg.qr(basis.T, mode="r", pivoting=True)
