@@ -80,7 +80,7 @@ def matrix_energies(stiffness: sparse.csr_array, shapes: Floats, rounding: float
 
 @dataclass(frozen=True, slots=True)
 class RigidByHand:
-    """A number of rigid modes that a user gave; where: file and line."""
+    """A number of rigid modes that a user gave; where: file, line and key."""
 
     number: int
     where: str
@@ -110,6 +110,6 @@ class RigidByHand:
                 )
         if said:
             raise CampaignError(
-                f"{self.where}: model.rigid_modes: {self.number} rigid modes, but {said}; leave "
-                "it at `auto`, or look at the supports"
+                f"{self.where}: {self.number} rigid modes, but {said}; leave the number out, or "
+                "look at the supports"
             )

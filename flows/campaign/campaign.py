@@ -293,4 +293,5 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
     number = file.model.rigid_modes
     if number == "auto":
         return solver
-    return replace(solver, rigid_modes=RigidByHand(number, source.where(("model", "rigid_modes"))))
+    where = f"{source.where(('model', 'rigid_modes'))}: model.rigid_modes"
+    return replace(solver, rigid_modes=RigidByHand(number, where))

@@ -224,9 +224,8 @@ def test_a_number_by_hand_that_energies_contradict_is_refused_with_both() -> Non
     with pytest.raises(CampaignError) as caught:
         RigidByHand(3, "campaign.yaml:4").check(LOW, idle, 2)
     assert str(caught.value) == (
-        "campaign.yaml:4: model.rigid_modes: 3 rigid modes, but the strain energies say 2: that of "
-        "mode 3 at 2.001 Hz is all of its eigenvalue, so it is elastic; leave it at `auto`, or "
-        "look at the supports"
+        "campaign.yaml:4: 3 rigid modes, but the strain energies say 2: that of mode 3 at 2.001 Hz "
+        "is all of its eigenvalue, so it is elastic; leave the number out, or look at the supports"
     )
     with pytest.raises(CampaignError, match="1 rigid modes, but the strain energies say 2: that"):
         RigidByHand(1, "campaign.yaml:4").check(LOW, idle, 2)
