@@ -1,0 +1,212 @@
+"""Campaigns that are killed at random moments and run again until they end, as often as asked.
+
+A small campaign on CalculiX runs undisturbed, twice. Then it is killed: its process alone, at one
+blow with its solvers and their supervisors, or a solver alone; and run again on the same store,
+until it ends. What must hold: no solver run of a job whose result the store had, no process left
+ten seconds after a kill, and a record of the same bits.
+
+Runs are forks of this process, which has the packages loaded.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from tests.flows.records import differences
+from tests.flows.updating.test_by_matrices import OWN, STORED, written
+from tests.flows.updating.test_same_bits import LONG, SHORT
+
+from modetune.flows.cli.main import main as modetune
+
+#: In the environment of every process of one benchmark.
+MARK = "MODETUNE_KILLS_MARK"
+#: Seconds after a kill in which what it leaves must have ended.
+GRACE_S = 10.0
+#: Each attempt is killed within this share of an undisturbed run's time, if it lasts so long.
+SHARE = 0.7
+SOLVER = """#!/bin/sh
+basename "$PWD" .part >> "{log}"
+exec "{ccx}" "$@"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command, with the record that it leaves."""
+
+    arguments: tuple[str, ...]
+    record: str
+
+
+DIFFERENCES = ("--set", "sensitivity.method=finite_difference")
+UPDATE = ("update", "part.yaml", "--no-prefect", "--json", "--set", SHORT)
+SCREEN = ("screen", "part.yaml", "--json", "--method", "lhs", "--points", "20")
+SAMPLE = (
+    *("sample", "part.yaml", "--json", "--steps", "100", "--points", "20", "--checks", "3"),
+    *("--set", "residuals.frequency_deviation=0.05"),
+)
+#: What is killed, a command for each campaign in turn.
+KINDS: dict[str, tuple[Command, ...]] = {
+    "matrices": (Command((*UPDATE, "--set", STORED), "campaign.h5"),),
+    "solver": (Command((*UPDATE, "--set", OWN, *DIFFERENCES), "campaign.h5"),),
+    "screening": tuple(Command((*SCREEN, "--set", way), "screening.h5") for way in (STORED, OWN)),
+    "sampling": tuple(Command((*SAMPLE, "--set", way), "posterior.h5") for way in (STORED, OWN)),
+}
+
+
+@dataclass(slots=True)
+class Found:
+    """What came of the kills of one kind."""
+
+    blows: Counter[str] = field(default_factory=Counter)
+    campaigns: int = 0
+    repeated: int = 0
+    orphans: int = 0
+    differ: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> bool:
+        return not (self.repeated or self.orphans or self.differ)
+
+
+class Field:
+    """A folder with the campaign, and what runs there."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self.folder = folder
+        self.random = np.random.default_rng(seed)
+        written(LONG, folder / "case")
+        self.log = folder / "started"
+        ccx = shutil.which("ccx")
+        assert ccx is not None, "CalculiX (ccx) is not here"
+        program = folder / "ccx"
+        program.write_text(SOLVER.format(log=self.log, ccx=ccx))
+        program.chmod(0o755)
+        self.environment = {
+            MARK: str(folder),
+            "MODETUNE_CCX": str(program),
+            "MODETUNE_HOME": str(folder / "home"),
+        }
+
+    def kill(self, kind: str, count: int) -> Found:
+        """Kill campaigns of a kind so many times."""
+        found = Found()
+        wholes = [self._undisturbed(kind, turn, found) for turn in range(len(KINDS[kind]))]
+        while sum(found.blows.values()) < count:
+            turn = found.campaigns % len(KINDS[kind])
+            whole, seconds = wholes[turn]
+            place = self.folder / f"{kind}-{found.campaigns}"
+            self._until_it_ends(KINDS[kind][turn], place, SHARE * seconds, found)
+            found.campaigns += 1
+            found.differ += differences(whole, place / "part" / KINDS[kind][turn].record)
+            shutil.rmtree(place)
+        return found
+
+    def _undisturbed(self, kind: str, turn: int, found: Found) -> tuple[Path, float]:
+        """The record of a run that nobody kills, and its seconds; of a second one the same."""
+        command, records, seconds = KINDS[kind][turn], [], 0.0
+        for name in ("first", "second"):
+            place = self.folder / f"{kind}-{turn}-{name}"
+            began = time.monotonic()
+            self._wait(self._start(command, place))
+            seconds = time.monotonic() - began
+            records.append(place / "part" / command.record)
+        found.differ += differences(*records)
+        return records[0], seconds
+
+    def _until_it_ends(self, command: Command, place: Path, longest_s: float, found: Found) -> None:
+        had: set[str] = set()
+        while True:
+            had |= {path.name[:64] for path in (place / "store").glob("??/*.h5")}
+            self.log.write_text("")
+            pid = self._start(command, place)
+            ended = self._waits(pid, longest_s * self.random.uniform())
+            if not ended:
+                blow = str(self.random.choice(["campaign", "all", "solver"]))
+                ended = self._strike(blow, pid, found)
+            found.repeated += len(had.intersection(self.log.read_text().split()))
+            if ended:
+                return
+
+    def _strike(self, blow: str, pid: int, found: Found) -> bool:
+        """Kill what a blow is named for; whether the campaign came to its end all the same."""
+        others = self._processes()
+        if blow != "campaign" and not others:
+            blow = "campaign"  # no solver runs just now
+        found.blows[blow] += 1
+        for victim in [] if blow == "campaign" else others:
+            _kill(victim)
+        if blow == "solver":  # it is run again
+            self._wait(pid)
+            return True
+        _kill(pid)
+        os.waitpid(pid, 0)
+        deadline = time.monotonic() + GRACE_S
+        while self._processes() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        found.orphans += len(self._processes())
+        return False
+
+    def _start(self, command: Command, place: Path) -> int:
+        place.mkdir(exist_ok=True)
+        pid = os.fork()
+        if pid:
+            return pid
+        code = 70
+        try:
+            os.environ |= {**self.environment, "MODETUNE_STORE": str(place / "store")}
+            os.setsid()
+            os.chdir(self.folder / "case")
+            log = os.open(place / "log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+            os.dup2(log, 1)
+            os.dup2(log, 2)
+            sys.argv = ["modetune", *command.arguments, "--runs", str(place)]
+            modetune()
+            code = 0
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 70
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+
+    def _wait(self, pid: int) -> None:
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        assert code in (0, 3), f"it ended with code {code}; look at the logs in {self.folder}"
+
+    def _waits(self, pid: int, seconds: float) -> bool:
+        """Whether a process ends within so many seconds."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done:
+                assert os.waitstatus_to_exitcode(status) in (0, 3)
+                return True
+            time.sleep(0.005)
+        return False
+
+    def _processes(self) -> list[int]:
+        """Programs that campaigns here have started: solvers and their supervisors."""
+        mark, found = f"{MARK}={self.folder}".encode(), []
+        for entry in Path("/proc").glob("[0-9]*"):
+            try:
+                if mark in (entry / "environ").read_bytes().split(b"\0"):
+                    found.append(int(entry.name))
+            except OSError:
+                continue
+        return found
+
+
+def _kill(pid: int) -> None:
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return
