@@ -13,6 +13,7 @@ Prefect's own signs of life come every 30 s at the least, too rarely to see a de
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from uuid import uuid4
 
 from modetune.flows.jobs.prefect_api import PrefectApi
@@ -24,6 +25,8 @@ SILENT_S = 25.0
 #: Marks runs that give signs of life; others are left alone.
 TAG = "modetune"
 LABEL = "modetune.sign-of-life"
+#: Names the leases of licences that a run holds, apart by blanks.
+LICENCES = "modetune.licences"
 #: States of runs that somebody carries.
 CARRIED = ("PENDING", "RUNNING", "CANCELLING")
 
@@ -31,6 +34,17 @@ CARRIED = ("PENDING", "RUNNING", "CANCELLING")
 def give_sign(api: PrefectApi, run: str) -> None:
     """Say that somebody carries this run. Raises ServerRefused."""
     api.patch(f"/flow_runs/{run}/labels", {LABEL: uuid4().hex})
+
+
+def note_licences(api: PrefectApi, run: str, leases: Iterable[str]) -> None:
+    """Say which leases this run holds, for whoever finds it dead. Raises ServerRefused."""
+    api.patch(f"/flow_runs/{run}/labels", {LICENCES: " ".join(leases)})
+
+
+def free_licences(api: PrefectApi, leases: Iterable[str]) -> None:
+    """Give back what a dead run held. Raises ServerRefused."""
+    for lease in leases:
+        api.post("/v2/concurrency_limits/decrement-with-lease", {"lease_id": lease})
 
 
 class SilentRuns:
@@ -44,15 +58,17 @@ class SilentRuns:
         carried = {"state": {"type": {"any_": list(CARRIED)}}, "tags": {"all_": [TAG]}}
         now, heard = time.monotonic(), self._heard
         self._heard = {}
-        silent = []
+        silent: dict[str, str] = {}
         for run in api.post("/flow_runs/filter", {"flow_runs": carried}):
-            sign = (run["state_type"], (run.get("labels") or {}).get(LABEL))
+            labels = run.get("labels") or {}
+            sign = (run["state_type"], labels.get(LABEL))
             last, since = heard.get(run["id"], (sign, now))
             self._heard[run["id"]] = sign, since if sign == last else now
             if sign == last and now - since > SILENT_S:
-                silent.append(str(run["id"]))
-        for run_id in silent:
+                silent[str(run["id"])] = str(labels.get(LICENCES, ""))
+        for run_id, leases in silent.items():
             message = f"no sign of life for {SILENT_S:.0f} s: its process, or its machine, is gone"
             state = {"type": "CRASHED", "name": "Crashed", "message": message}
             api.post(f"/flow_runs/{run_id}/set_state", {"state": state})
-        return silent
+            free_licences(api, leases.split())
+        return list(silent)

@@ -2,7 +2,8 @@
 
 Each licence is a global concurrency limit of the server (`nastran`), with the number of slots that
 the campaign names. A slot is a lease that is renewed while the solver runs; one that a killed
-campaign held comes back about a minute later. Cores stay the machine's own.
+campaign held is free again when its run is known to have crashed (`heartbeats`), or a minute later
+where nobody looks after runs. Cores stay the machine's own.
 """
 
 from __future__ import annotations
@@ -36,9 +37,13 @@ class ServerLimits:
     A server that refuses, or does not answer, is not asked again by this campaign.
     """
 
-    def __init__(self, machine: Limits, url: str) -> None:
+    def __init__(
+        self, machine: Limits, url: str, tell: Callable[[str, bool], None] = lambda *told: None
+    ) -> None:
+        """tell: hears of each lease that is taken (true) and that is given back (false)."""
         self.machine = machine
         self.url = url
+        self.tell = tell
         self._counts = True
         self._made: set[Limit] = set()
 
@@ -62,7 +67,10 @@ class ServerLimits:
                 with PrefectApi(self.url, patience_s=PATIENCE_S) as api:
                     _set(api, limit)
                 self._made.add(limit)
-            held.enter_context(_renewed(self.url, _lease(self.url, limit, waiting)))
+            lease = _lease(self.url, limit, waiting)
+            self.tell(lease, True)
+            held.callback(self.tell, lease, False)
+            held.enter_context(_renewed(self.url, lease))
         except ServerRefused as error:
             self._counts = False
             logger.warning("%s; licences are counted on this machine alone", error)

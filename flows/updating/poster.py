@@ -27,7 +27,7 @@ from typing import Any
 from uuid import uuid4
 
 from modetune.core.errors import ModetuneError
-from modetune.flows.jobs.heartbeats import BEAT_S, TAG, give_sign
+from modetune.flows.jobs.heartbeats import BEAT_S, TAG, free_licences, give_sign, note_licences
 from modetune.flows.jobs.prefect_api import PrefectApi, ServerRefused
 from modetune.flows.jobs.prefect_server import START_PATIENCE_S, SharedServer, use_server
 
@@ -69,6 +69,7 @@ class Poster:
         self._sheets: dict[str, str] = {}
         self._beaten = 0.0
         self._refused = False
+        self._leases: set[str] = set()
 
     def listen(self) -> None:
         """Hear the campaign to its end, and see to it that this process does not stay."""
@@ -180,7 +181,11 @@ class Poster:
                 os.kill(self.parent, signal.SIGINT)  # the user ends it on the server's page
 
     def _post(self, api: PrefectApi, message: Message) -> None:
-        if "task" in message:
+        if "licence" in message:
+            told = message["licence"]
+            (self._leases.add if told["held"] else self._leases.discard)(told["lease"])
+            note_licences(api, self.run, sorted(self._leases))
+        elif "task" in message:
             api.post("/events", [task_event(self.run, message["task"])])
         elif "log" in message:
             api.post("/logs/", [{"name": "modetune", "flow_run_id": self.run, **message["log"]}])
@@ -199,6 +204,8 @@ class Poster:
     def _end(self, api: PrefectApi, end: Message) -> None:
         state = {key: end[key] for key in ("type", "name", "message")}
         api.post(f"/flow_runs/{self.run}/set_state", {"state": state, "force": True})
+        if end == KILLED["end"]:
+            free_licences(api, self._leases)
 
     def _last_sheets(self, folder: str | None) -> None:
         """Tables and pictures of the result, drawn here and not in the campaign's time."""

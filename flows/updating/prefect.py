@@ -96,6 +96,10 @@ class Pages:
         """A table, a text or a number of the run; a later one of the same key replaces it."""
         self._tell({"sheet": sheet.told()})
 
+    def licence(self, lease: str, held: bool) -> None:
+        """A licence's lease was taken, or given back."""
+        self._tell({"licence": {"lease": lease, "held": held}})
+
     def log(self, text: str, level: int = logging.INFO) -> None:
         """A line of the run's log."""
         self._tell({"log": {"level": level, "message": text, "timestamp": _now()}})

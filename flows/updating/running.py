@@ -116,7 +116,7 @@ def _update(
     unfinished = folder / "campaign.unfinished.h5"
     try:
         if pages is not None:
-            engine = _counted(engine, campaign)
+            engine = _counted(engine, campaign, pages)
             progress = PagesProgress(progress, pages, campaign.tolerances)
         execution: Execution = ThreadExecution(engine, campaign.parallel, watcher=pages)
         if executes is not None:
@@ -152,7 +152,7 @@ def _update(
     return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)
 
 
-def _counted(engine: JobEngine, campaign: Campaign) -> JobEngine:
+def _counted(engine: JobEngine, campaign: Campaign, pages: Pages) -> JobEngine:
     """The engine, its licences counted by a server of the user's own, which other machines may use
     too."""
     url = os.environ.get("PREFECT_API_URL")
@@ -160,4 +160,4 @@ def _counted(engine: JobEngine, campaign: Campaign) -> JobEngine:
         return engine
     from modetune.flows.jobs.server_limits import ServerLimits
 
-    return replace(engine, counter=ServerLimits(engine.counter, url))
+    return replace(engine, counter=ServerLimits(engine.counter, url, pages.licence))

@@ -25,6 +25,7 @@ from modetune.core.parameters import Parameter
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs import prefect_server as process
+from modetune.flows.jobs.server_limits import LEASE_S
 from modetune.flows.updating import artifacts
 from modetune.flows.updating.running import job_engine, update_campaign
 from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of
@@ -362,6 +363,45 @@ def test_a_licence_is_counted_by_the_server_for_all_machines(site: Site) -> None
     assert [(item["name"], item["limit"]) for item in kept if item["name"] == "scripted"] == (
         [("scripted", 1)]
     )
+
+
+HOLDER = """
+import os, sys
+from pathlib import Path
+from modetune.flows.jobs.limits import Limit, MachineLimits
+from modetune.flows.jobs.server_limits import ServerLimits
+from modetune.flows.updating.prefect import Pages
+pages = Pages("holder")
+url = os.environ["PREFECT_API_URL"]
+counter = ServerLimits(MachineLimits(Path(sys.argv[1])), url, pages.licence)
+with counter.held((Limit("killed", 1, 1),), print):
+    print("taken", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_licence_of_a_killed_campaign_is_free_at_once(site: Site) -> None:
+    """The process beside the campaign gives back what it heard of; the lease lasts a minute."""
+    assert site.run("server", "status").returncode == 0
+    address = process.read_address(site.home)
+    assert address is not None
+    login = process.read_login(site.home)
+    campaign = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(site.folder / "limits")],
+        env={**os.environ, "PREFECT_API_URL": address.url, "PREFECT_API_AUTH_STRING": login},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with campaign:
+        assert campaign.stdout is not None
+        assert campaign.stdout.readline() == "taken\n"
+        assert site.ask("/v2/concurrency_limits/killed")["active_slots"] == 1
+        campaign.kill()
+        killed = time.monotonic()
+    while site.ask("/v2/concurrency_limits/killed")["active_slots"]:
+        assert time.monotonic() - killed < LEASE_S - 10.0
+        time.sleep(0.2)
 
 
 def test_without_the_server_the_machines_own_limits_hold(tmp_path: Path) -> None:

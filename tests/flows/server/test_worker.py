@@ -18,7 +18,7 @@ import pytest
 from modetune.core.errors import ModetuneError
 from modetune.flows.jobs import heartbeats
 from modetune.flows.jobs import prefect_server as process
-from modetune.flows.jobs.heartbeats import LABEL, SilentRuns
+from modetune.flows.jobs.heartbeats import LABEL, LICENCES, SilentRuns
 from modetune.flows.jobs.prefect_api import PrefectApi, ServerRefused
 from modetune.flows.server import deployed
 from modetune.flows.server.deployment import make_pool
@@ -206,6 +206,30 @@ def test_a_server_that_is_killed_under_a_run_hears_how_it_ended(site: Site) -> N
     killed_server_round(site)
 
 
+def test_a_run_that_is_cancelled_on_its_page_ends_and_leaves_its_slot(site: Site) -> None:
+    """Nothing asks the worker: the campaign itself sees it, and ends in good order."""
+    site.mend()
+    worker = site.worker()
+    try:
+        site.hang()
+        run = site.due()
+        site.wait(run, lambda run: run["state_type"] == "RUNNING" and LABEL in run["labels"])
+        asked = {"type": "CANCELLING", "name": "Cancelling"}  # what the page's button sends
+        assert site.ask(f"/flow_runs/{run}/set_state", {"state": asked})["status"] == "ACCEPT"
+        found, _ = site.wait(run, lambda run: run["state_type"] in ENDED)
+        assert (found["state_type"], found["state"]["message"]) == (
+            "CANCELLED",
+            "stopped by the user",
+        )
+        assert site.slots() == 0
+        site.mend()
+        found, _ = site.wait(site.due(), lambda run: run["state_type"] in ENDED)
+        assert found["state_name"] in ("Converged", "Unchanged"), found["state"]
+    finally:
+        worker.terminate()
+        assert "fault" not in worker.communicate(timeout=60.0)[1]
+
+
 def test_a_pool_of_our_runs_takes_no_settings_of_a_run(site: Site) -> None:
     deployment = site.ask("/deployments/name/update/six-mass")["id"]
     asked = {"state": {"type": "SCHEDULED"}, "job_variables": {"command": "touch /tmp/owned"}}
@@ -272,23 +296,32 @@ class Server:
     def __init__(self) -> None:
         self.signs = {"a": "1", "b": "1"}
         self.crashed: list[str] = []
+        self.freed: list[str] = []
 
     def post(self, path: str, content: Any) -> Any:
         if path == "/flow_runs/filter":
             return [
-                {"id": run, "state_type": "RUNNING", "labels": {LABEL: sign}}
+                {
+                    "id": run,
+                    "state_type": "RUNNING",
+                    "labels": {LABEL: sign, LICENCES: f"{run}1 {run}2"},
+                }
                 for run, sign in self.signs.items()
                 if run not in self.crashed
             ]
+        if path == "/v2/concurrency_limits/decrement-with-lease":
+            self.freed.append(content["lease_id"])
+            return None
         assert content["state"]["type"] == "CRASHED"
         self.crashed.append(path.split("/")[2])
         return {}
 
 
 def test_only_a_run_that_gives_no_signs_is_taken_for_dead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its licences are free with it."""
     server, watch, now = Server(), SilentRuns(), [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     for turn in range(4):  # 30 s are long enough
         now[0], server.signs["a"] = 10.0 * turn, str(turn)
-        watch.look(server)  # type: ignore[arg-type]  # it asks for two paths
-    assert server.crashed == ["b"]
+        watch.look(server)  # type: ignore[arg-type]  # it asks for three paths
+    assert (server.crashed, server.freed) == (["b"], ["b1", "b2"])
