@@ -7,13 +7,15 @@ import json
 import os
 import select
 import shutil
+import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -164,9 +166,9 @@ def test_what_stands_in_a_servers_place_changes_nothing(
     assert wall_s < LATER_S + plain.wall_s * 3
 
 
-def end_poster(url: str) -> None:
+def end_poster(value: str, variable: str = "PREFECT_API_URL") -> None:
     """Do not wait the minute for which it would go on trying."""
-    wanted = f"PREFECT_API_URL={url}".encode()
+    wanted = f"{variable}={value}".encode()
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             if b"updating.poster" in (entry / "cmdline").read_bytes():
@@ -253,24 +255,85 @@ def test_a_campaign_that_is_killed_has_crashed() -> None:
     ]
 
 
-def test_the_command_ends_as_ever_beside_a_server_that_says_nothing(tmp_path: Path) -> None:
-    """In a process of its own: with the interpreter's exit, which threads of others can abort."""
-    shutil.copytree(SIX_MASS, tmp_path / "x", ignore=shutil.ignore_patterns("__pycache__", "*.py"))
-    with listening(says_nothing) as url:
-        environment = {
-            **os.environ,
-            "PREFECT_API_URL": url,
-            process.HOME_VARIABLE: str(tmp_path / "home"),
-        }
-        done = subprocess.run(
-            [sys.executable, "-m", "modetune", "update", "campaign.yaml", "--json"],
-            cwd=tmp_path / "x",
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=100,
-            check=False,
-        )
-        end_poster(url)
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """What a campaign without Prefect prints."""
+    return told(commanded(tmp_path_factory.mktemp("plain"), {}, "--no-prefect"))
+
+
+def commanded(
+    folder: Path, variables: dict[str, str], *options: str
+) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own: with the interpreter's exit, which threads of others
+    can abort. A proxy is named that nobody answers for."""
+    shutil.copytree(SIX_MASS, folder / "x", ignore=shutil.ignore_patterns("__pycache__", "*.py"))
+    proxies = {name: "http://192.0.2.1:3128" for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY")}
+    environment = {**os.environ, **proxies, process.HOME_VARIABLE: str(folder / "home")}
+    for name in ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "NO_PROXY", "no_proxy"):
+        environment.pop(name, None)
+    return subprocess.run(
+        [sys.executable, "-m", "modetune", "update", "campaign.yaml", "--json", *options],
+        cwd=folder / "x",
+        env=environment | variables,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+
+
+def told(done: subprocess.CompletedProcess[str]) -> Any:
+    """The numbers that a command printed that ended well, without a word on threads or faults."""
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["status"] == "converged"
+    assert not {"fault", "Traceback", "thread"} & set(done.stderr.split())
+    found = json.loads(done.stdout)
+    return {name: found[name] for name in ("status", "reason", "parameters", "modes")}
+
+
+@pytest.mark.parametrize("state", [says_nothing, asks_for_a_login])
+def test_the_command_ends_as_ever_whatever_stands_in_a_servers_place(
+    plain: Any, tmp_path: Path, state: Callable[[socket.socket, bytes], None]
+) -> None:
+    with listening(state) as url:
+        done = commanded(tmp_path, {"PREFECT_API_URL": url})
+        end_poster(url)
+    assert told(done) == plain
+
+
+@contextmanager
+def corrupt(database: Path) -> Iterator[None]:
+    database.write_bytes(b"SQLite format 3\0" + bytes(range(256)) * 64)
+    yield
+
+
+@contextmanager
+def locked(database: Path) -> Iterator[None]:
+    with closing(sqlite3.connect(database, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        yield
+
+
+@contextmanager
+def full(database: Path) -> Iterator[None]:
+    """What stands for a full disk: writing to it fails as there."""
+    for name in ("prefect.db", "prefect.db-wal", "prefect.db-journal"):
+        database.with_name(name).symlink_to("/dev/full")
+    yield
+
+
+@pytest.mark.parametrize("spoilt", [corrupt, locked, full], ids=lambda spoilt: spoilt.__name__)
+def test_the_command_ends_as_ever_where_the_shared_servers_database_is(
+    plain: Any, tmp_path: Path, spoilt: Callable[[Path], AbstractContextManager[None]]
+) -> None:
+    home = process.machine_home(tmp_path / "home")
+    database = home / "prefect" / "prefect.db"
+    database.parent.mkdir(parents=True, mode=0o700)
+    for folder in (tmp_path / "home", home):
+        folder.chmod(0o700)
+    with spoilt(database):
+        done = commanded(tmp_path, {})
+        address = process.read_address(home)
+        assert address is not None  # it was tried
+        os.kill(address.pid, signal.SIGKILL)
+        end_poster(str(tmp_path / "home"), process.HOME_VARIABLE)
+    assert told(done) == plain
