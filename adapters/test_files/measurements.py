@@ -18,6 +18,7 @@ from modetune.adapters.regular_file import open_regular
 from modetune.adapters.test_files.geometry_csv import is_geometry_csv, read_geometry_csv
 from modetune.adapters.test_files.hdf5 import is_test_hdf5, read_test_hdf5
 from modetune.adapters.test_files.modes_csv import read_modes_csv
+from modetune.adapters.test_files.universal.axes import Axes
 from modetune.adapters.test_files.universal.file import read_universal
 from modetune.core.correlation.complexity import real_shapes
 from modetune.core.errors import CampaignError
@@ -52,13 +53,16 @@ class Inspection:
     n_functions: int
 
 
-def read_measurement(paths: Sequence[Path], metres: float | None = None) -> Measurement:
+def read_measurement(
+    paths: Sequence[Path], metres: float | None = None, axes: Axes = "auto"
+) -> Measurement:
     """Read the files of a test.
 
-    metres: length of the coordinates' unit in metres, over what files say. Raises CampaignError
-    with file and line, also where the files hold neither modes, points nor response functions.
+    metres: length of the coordinates' unit in metres, over what files say. axes: whether those of
+    universal files are rows or columns of dataset 2420. Raises CampaignError with file and line,
+    also where the files hold neither modes, points nor response functions.
     """
-    measurement = inspect_files(paths, metres).measurement
+    measurement = inspect_files(paths, metres, axes).measurement
     if measurement.is_empty:
         raise CampaignError(
             [
@@ -69,7 +73,9 @@ def read_measurement(paths: Sequence[Path], metres: float | None = None) -> Meas
     return measurement
 
 
-def inspect_files(paths: Sequence[Path], metres: float | None = None) -> Inspection:
+def inspect_files(
+    paths: Sequence[Path], metres: float | None = None, axes: Axes = "auto"
+) -> Inspection:
     """Read the files of a test and tell what each is. Raises CampaignError."""
     if not paths:
         raise CampaignError("no test file is named")
@@ -83,7 +89,7 @@ def inspect_files(paths: Sequence[Path], metres: float | None = None) -> Inspect
     datasets: dict[Path, tuple[str, ...]] = {}
     collinearity, n_functions = np.zeros(0), 0
     if universal:
-        test = read_universal(universal)
+        test = read_universal(universal, axes)
         parts.append((", ".join(map(str, universal)), test.measurement))
         datasets = {file.path: file.datasets for file in test.files}
         collinearity, n_functions = test.collinearity, test.n_functions

@@ -27,7 +27,9 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
     names = (file.test.modes,) if isinstance(file.test.modes, str) else file.test.modes
     metres = None if file.test.length is None else LENGTH_METRES[file.test.length]
     try:
-        measurement = read_measurement([source.path.parent / name for name in names], metres)
+        measurement = read_measurement(
+            [source.path.parent / name for name in names], metres, file.test.axes
+        )
     except CampaignError as error:
         where = source.where(("test", "modes"))
         problems += [f"{problem} (named in {where})" for problem in error.problems]

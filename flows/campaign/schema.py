@@ -71,6 +71,9 @@ class TestSection(Section):
     list of files that belong together: modes, geometry, response functions."""
     length: LengthUnit | None = None
     """Unit of the test's coordinates, where its files do not tell."""
+    axes: Literal["auto", "rows", "columns"] = "auto"
+    """Whether a universal file's coordinate systems (dataset 2420) hold their axes as rows or as
+    columns; `auto` by the program that wrote the file and by the lines of its drawing."""
     sensors: SensorSection = SensorSection()
     """How the test's points are laid over the model."""
     use: tuple[int, ...] | None = Field(default=None, min_length=1)

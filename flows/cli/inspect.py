@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -41,13 +41,17 @@ def inspect(
     metres: Annotated[
         float | None, typer.Option(help="Length unit of the coordinates, in metres.")
     ] = None,
+    axes: Annotated[
+        Literal["auto", "rows", "columns"],
+        typer.Option(help="What of the matrices of dataset 2420 the axes are."),
+    ] = "auto",
     as_json: AsJson = False,
 ) -> None:
     """Tell what the files of a test hold, and what was left out; write it in another form."""
     from modetune.adapters.test_files.measurements import inspect_files
     from modetune.flows.campaign.terminal import terminal
 
-    inspection = inspect_files(files, metres)
+    inspection = inspect_files(files, metres, axes)
     told = {"status": "good", **_told(inspection)}
     told["written"] = (
         []

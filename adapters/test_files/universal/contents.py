@@ -128,9 +128,13 @@ Content = Units | NodeTable | CoordinateSystems | Drawing | DatasetShape | Funct
 
 @dataclass(frozen=True, slots=True)
 class UniversalFile:
-    """A file's datasets (their names, in order), what they say, and what was passed over."""
+    """A file's datasets (their names, in order), what they say, and what was passed over.
+
+    program: what wrote it, as its header (dataset 151) says, empty where it has none.
+    """
 
     path: Path
     datasets: tuple[str, ...]
     contents: tuple[Content, ...]
     notes: tuple[str, ...]
+    program: str = ""

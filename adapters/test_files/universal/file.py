@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyuff
 
+from modetune.adapters.test_files.universal.axes import Axes, with_axes
 from modetune.adapters.test_files.universal.blocks import DatasetBlock, bad_row, read_blocks, tidy
 from modetune.adapters.test_files.universal.contents import (
     Content,
@@ -53,8 +54,10 @@ CONVERT: dict[int, Callable[[DatasetPlace, DatasetBlock, Any], Content | None]] 
     2414: shape_2414,
     2420: systems_2420,
 }
-#: Datasets whose content is not needed: a header with names and dates.
+#: Datasets whose content is not needed otherwise: a header with names and dates.
 UNUSED = {151}
+#: Rows of a header, counted from its number on, with the program that wrote the file or its data.
+PROGRAMS = (6, 3)
 
 #: What was passed over, by the reason.
 Passed = dict[str, list[tuple[DatasetPlace, DatasetBlock]]]
@@ -83,7 +86,22 @@ def read_file(path: Path) -> UniversalFile:
     notes += [_passed_over(reason, found) for reason, found in passed.items()]
     if not contents:
         raise CampaignError([f"{path} holds nothing of a test that can be read", *notes])
-    return UniversalFile(path, tuple(block.name for block in blocks), tuple(contents), tuple(notes))
+    return UniversalFile(
+        path,
+        tuple(block.name for block in blocks),
+        tuple(contents),
+        tuple(notes),
+        _program(blocks),
+    )
+
+
+def _program(blocks: Sequence[DatasetBlock]) -> str:
+    """What wrote a file: of its header's rows (dataset 151) the last program's."""
+    header = next((block for block in blocks if block.kind == 151), None)
+    rows = (
+        [] if header is None else [header.rows[row] for row in PROGRAMS if row < len(header.rows)]
+    )
+    return next((text for row in rows if (text := row.strip()) not in ("", "NONE")), "")
 
 
 def _contents(
@@ -147,9 +165,9 @@ class UniversalTest:
     n_functions: int
 
 
-def read_universal(paths: Sequence[Path]) -> UniversalTest:
-    """Read files as one test. Raises CampaignError with file and line."""
-    files = tuple(read_file(path) for path in paths)
+def read_universal(paths: Sequence[Path], axes: Axes = "auto") -> UniversalTest:
+    """Read files as one test. axes: of datasets 2420. Raises CampaignError with file and line."""
+    files = tuple(with_axes(read_file(path), axes) for path in paths)
     notes = [note for file in files for note in file.notes]
     try:
         points, responses, found = geometry(files, notes), frfs(files, notes), modes(files, notes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -221,3 +222,52 @@ def test_points_in_two_units_are_refused(tmp_path: Path) -> None:
     second = save(tmp_path / "b.unv", units_164(1e3), nodes_15((2, 0, 0, (0, 0, 0))))
     with pytest.raises(CampaignError, match=r"in 0\.001 m.*in 1 m"):
         read(first, second)
+
+
+#: A turn of 30 degrees about z: its columns are not its rows.
+TURNED = [[math.sqrt(0.75), 0.5, 0.0], [-0.5, math.sqrt(0.75), 0.0], [0.0, 0.0, 1.0]]
+
+
+def turned_test(folder: Path, program: str, along: int | None) -> Path:
+    """Five points in a row, all measured in TURNED; the row runs along a row (1) or column (-1)."""
+    matrix = np.array(TURNED)
+    direction = (
+        np.array([0.6, 0.8, 0.0]) if along is None else (matrix if along == 1 else matrix.T)[0]
+    )
+    header = dataset(151, "wing", "NONE", program, "11-Oct-17", "11-Oct-17", program, "17-Oct-17")
+    system = dataset(2420, f"{1:10d}", "NONE", *system_2420(3, 0, [*TURNED, [0.0, 0.0, 0.0]]))
+    points = nodes_2411(*((n, 3, tuple(n * direction)) for n in range(1, 6)))
+    trace = dataset(82, f"{1:10d}{5:10d}{8:10d}", "row", "".join(f"{n:10d}" for n in range(1, 6)))
+    return save(folder / "t.unv", header, system, points, trace)
+
+
+@pytest.mark.parametrize(
+    ("program", "along", "transposed", "said"),
+    [
+        ("LMS Test.Lab Rev project-15A", None, True, "columns of the matrices: so Test.Lab"),
+        ("Simcenter Testlab 2021.1", None, True, "columns of the matrices: so Testlab"),
+        ("LMS Test.Lab Rev 12A", None, False, ""),
+        ("some program", None, False, ""),
+        ("some program", 1, False, "rows of the matrices: the lines of the drawing run along them"),
+        ("some program", -1, True, "columns of the matrices: the lines of the drawing run along"),
+        ("Simcenter Testlab 2021.1", 1, False, "doubtful: Simcenter Testlab 2021.1 writes columns"),
+    ],
+)
+def test_axes_of_2420_are_found_by_program_and_drawing(
+    tmp_path: Path, program: str, along: int | None, transposed: bool, said: str
+) -> None:
+    points, notes = read(turned_test(tmp_path, program, along))
+    expected = np.array(TURNED).T if transposed else np.array(TURNED)
+    np.testing.assert_allclose(points.frames, [expected] * 5, atol=1e-15)
+    assert said in notes
+    assert ("of the matrices" in notes) is bool(said)
+
+
+@pytest.mark.parametrize("axes", ["rows", "columns"])
+def test_axes_of_2420_as_asked(tmp_path: Path, axes: Literal["rows", "columns"]) -> None:
+    path = turned_test(tmp_path, "Simcenter Testlab 2021.1", -1)
+    found = read_universal([path], axes).measurement
+    assert found.geometry is not None
+    expected = np.array(TURNED) if axes == "rows" else np.array(TURNED).T
+    np.testing.assert_allclose(found.geometry.frames[0], expected, atol=1e-15)
+    assert f"axes are the {axes} of the matrices: as asked" in "\n".join(found.notes)
