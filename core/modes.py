@@ -140,15 +140,17 @@ def common_dofs(first: ModeSet, second: ModeSet) -> tuple[Integers, Integers]:
     return rows[:, 0], rows[:, 1]
 
 
-def close_sets(frequencies_hz: Floats, width: float) -> list[Integers]:
+def close_sets(frequencies_hz: Floats, width: float | Floats) -> list[Integers]:
     """Positions of each set of close modes, ascending; a mode that is close to none is alone.
 
-    width: relative distance of neighbours in frequency up to which they are close. Sets are in the
-    order of frequency.
+    width: relative distance of neighbours in frequency up to which they are close, of all or
+    (n_modes,), the larger one of both. Sets are in the order of frequency.
     """
     order = np.argsort(frequencies_hz, kind="stable")
     ascending = frequencies_hz[order]
-    apart = np.diff(ascending) > width * np.abs(ascending[1:])
+    widths = np.broadcast_to(width, order.shape)[order]
+    reach = np.maximum(widths[1:], widths[:-1])
+    apart = np.diff(ascending) > reach * np.abs(ascending[1:])
     return [np.sort(item) for item in np.split(order, np.flatnonzero(apart) + 1)]
 
 

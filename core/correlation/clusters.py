@@ -42,11 +42,12 @@ def rotation_onto(shapes: Floats, wanted: Floats, frequencies_hz: Floats) -> Flo
 
 
 def rotation_to_test(
-    measured: ModeSet, computed: ModeSet, pairing: Pairing, resolution: float
+    measured: ModeSet, computed: ModeSet, pairing: Pairing, resolution: float | Floats
 ) -> Floats | None:
     """The rotation of close computed modes that brings them to the test's shapes.
 
-    resolution: relative distance of frequencies that the test can split. Measured shapes may have
+    resolution: relative distance of frequencies that the test can split, of all or (n_modes,) of
+    the measured ones. Measured shapes may have
     any scale, and be of some of the members only; the others are what is left of the space. None
     where there is nothing to turn: no paired mode is close to another one, the test cannot split
     them either, or the sensors cannot tell how the members lie.
@@ -79,7 +80,7 @@ def rotation_to_test(
 
 
 def paired_clusters(
-    measured: ModeSet, computed: ModeSet, pairing: Pairing, resolution: float
+    measured: ModeSet, computed: ModeSet, pairing: Pairing, resolution: float | Floats
 ) -> list[Integers]:
     """Positions of the pairs of each cluster: close on the model's side, or not split by the test.
 
@@ -102,7 +103,7 @@ def with_neighbours(frequencies_hz: Floats, modes: Integers) -> Integers:
     return np.flatnonzero(np.isin(labels, labels[modes]))
 
 
-def _labels(frequencies_hz: Floats, width: float) -> Integers:
+def _labels(frequencies_hz: Floats, width: float | Floats) -> Integers:
     """The number of the close set that each mode is in, (n_modes,)."""
     labels = np.empty(frequencies_hz.size, dtype=np.int64)
     for number, members in enumerate(close_sets(frequencies_hz, width)):

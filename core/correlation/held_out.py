@@ -157,16 +157,17 @@ def track_held_out(
 
 def judge_held_out(
     held: MeasuredModes,
-    frequency_deviation: float,
+    frequency_deviations: Floats,
     initial: tuple[ModeSet, Pairing],
     updated: tuple[ModeSet, Pairing],
 ) -> HeldOut:
     """Compare held-out modes before and after.
 
     initial, updated: the computed modes and where the held-out ones are among them.
-    frequency_deviation: relative standard deviation of measured frequencies.
+    frequency_deviations: (n_modes,), relative standard deviations of the measured frequencies.
     """
     test_hz = held.modes.frequencies_hz[initial[1].measured]
+    known = frequency_deviations[initial[1].measured]
     hz = [_frequencies(*state) for state in (initial, updated)]
     errors = [values / test_hz - 1.0 for values in hz]
     macs = [pairing.judged_mac for _, pairing in (initial, updated)]
@@ -180,7 +181,7 @@ def judge_held_out(
         mac_initial=macs[0],
         mac_updated=macs[1],
         worse=(
-            (np.abs(errors[1]) > np.abs(errors[0]) + frequency_deviation)
+            (np.abs(errors[1]) > np.abs(errors[0]) + known)
             | (macs[1] < macs[0] - MAC_FALL)
             | np.isnan(hz[1]) & np.isfinite(hz[0])
         ),

@@ -74,7 +74,7 @@ def pair_by_shape(
     measured: ModeSet,
     computed: ModeSet,
     lost_mac: float = LOST_MAC,
-    resolution: float = RESOLUTION,
+    resolution: float | Floats = RESOLUTION,
 ) -> Pairing:
     """Pair every measured mode with one computed mode by MAC at the common sensors.
 

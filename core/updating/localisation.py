@@ -137,14 +137,15 @@ def error_fields(
     eigenvalues: Floats,
     measured: Floats,
     observer: sparse.csr_array,
-    shape_deviation: float,
+    shape_deviations: Floats,
     model_deviation: float = 0.1,
 ) -> ErrorFields:
     """The fields of the constitutive-relation error, one factorisation a mode.
 
     stiffness, mass: (n, n); eigenvalues: (n_modes,), measured, above zero; measured: (n_sensors,
     n_modes), real, scaled to shapes of unit modal mass; observer: (n_sensors, n), T;
-    shape_deviation: of an entry relative to the shape's root mean square; model_deviation: tau.
+    shape_deviations: (n_modes,), of an entry relative to the shape's root mean square;
+    model_deviation: tau.
     Raises ModesError where these do not fit together, ModelError where a system is singular.
     """
     n, n_modes = stiffness.shape[0], eigenvalues.size
@@ -158,7 +159,7 @@ def error_fields(
         raise ModesError("measured shapes and frequencies must be finite and not zero")
     u, d, r = (np.zeros((n, n_modes)) for _ in range(3))
     for mode, lam in enumerate(eigenvalues.tolist()):
-        trust = lam * (model_deviation / (shape_deviation * lengths[mode])) ** 2
+        trust = lam * (model_deviation / (shape_deviations[mode] * lengths[mode])) ** 2
         shifted = stiffness - lam * mass
         seen = trust * (observer.T @ observer)
         system = sparse.block_array([[-stiffness, shifted], [shifted, seen]], format="csr")

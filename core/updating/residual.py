@@ -22,6 +22,9 @@ difference, whose square is 1 - MAC, so a shape far from the test (modes that mi
 until it has come near:
 
     variance of an entry = (s^2 + (1 - MAC)^2) / n.
+
+Where sensors have weights of their own, both shapes are scaled by them first (`weighting`), and
+unit length and MAC are those of the scaled shapes.
 """
 
 from __future__ import annotations
@@ -34,21 +37,7 @@ from modetune.core.correlation.clusters import paired_clusters, with_neighbours
 from modetune.core.correlation.pairing import UNSEEN, Pairing
 from modetune.core.modes import REPEATED, Floats, Integers, ModeSet, close_sets, common_dofs
 from modetune.core.updating.results import ModeDerivatives
-
-
-@dataclass(frozen=True, slots=True)
-class Weighting:
-    """How far the measured values are trusted.
-
-    frequency_deviation: relative standard deviation of measured frequencies.
-    shape_deviation: standard deviation of a shape entry relative to the shape's rms.
-    frequency_weight, shape_weight: emphasis, dimensionless; 0 leaves that kind out.
-    """
-
-    frequency_deviation: float
-    shape_deviation: float
-    frequency_weight: float
-    shape_weight: float
+from modetune.core.updating.weighting import Weighting
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,33 +66,51 @@ class Residual:
         shapes = np.array_split(used[self.n_frequencies :], max(self.n_frequencies, 1))
         return int(used.sum()) - sum(bool(shape.any()) for shape in shapes)
 
+    def of_used_frequencies(self, values: Floats) -> Floats:
+        """What is there of the frequencies that have a weight; values: (n_frequencies,)."""
+        return values[self.weights[: self.n_frequencies] > 0.0]
+
 
 def residual(
     measured: ModeSet, computed: ModeSet, pairing: Pairing, weighting: Weighting
 ) -> Residual:
-    """The residual of paired modes; shapes take part where their weight is above zero."""
+    """The residual of paired modes; shapes take part where one of them has a weight above zero."""
+    own = weighting.modes(pairing.measured)
     lam_m = measured.eigenvalues[pairing.measured]
     values = [(lam_m - computed.eigenvalues[pairing.computed]) / lam_m]
-    variances = [np.full(lam_m.size, (2.0 * weighting.frequency_deviation) ** 2)]
-    emphasis = [np.full(lam_m.size, weighting.frequency_weight)]
-    if weighting.shape_weight > 0.0:
-        shapes = np.zeros((lam_m.size, common_dofs(measured, computed)[0].size))
+    emphasis, unknown = [own.frequency_weights], [np.zeros(lam_m.size)]
+    if weighting.with_shapes:
+        sensors, _ = common_dofs(measured, computed)
+        _, shares = weighting.sensor_scales(sensors)
+        shapes = np.zeros((lam_m.size, sensors.size))
         spread = np.zeros_like(shapes)
         for cluster in _clusters(measured, computed, pairing, weighting):
             away = cluster.model - cluster.test @ (cluster.test.T @ cluster.model)
             shapes[cluster.pairs] = -away.T
-            far = float(np.sum(away**2)) / cluster.pairs.size
-            spread[cluster.pairs] = (weighting.shape_deviation**2 + far**2) / shapes.shape[1]
+            spread[cluster.pairs] = (float(np.sum(away**2)) / cluster.pairs.size) ** 2 * shares
         values.append(shapes.ravel())
-        variances.append(spread.ravel())
-        emphasis.append(np.full(shapes.size, weighting.shape_weight))
-    all_variances = np.concatenate(variances)
+        unknown.append(spread.ravel())
+        emphasis.append(np.outer(own.shape_weights, weighting.sensor_weights[sensors]).ravel())
+    known = measurement_variances(measured, computed, pairing, weighting)
+    variances = known + np.concatenate(unknown)
     return Residual(
         values=np.concatenate(values),
-        weights=np.concatenate(emphasis) / all_variances,
-        variances=all_variances,
+        weights=np.concatenate(emphasis) / variances,
+        variances=variances,
         n_frequencies=lam_m.size,
     )
+
+
+def measurement_variances(
+    measured: ModeSet, computed: ModeSet, pairing: Pairing, weighting: Weighting
+) -> Floats:
+    """Variances of the residual's values by the measurement alone, (n_residuals,)."""
+    own = weighting.modes(pairing.measured)
+    frequencies = (2.0 * own.frequency_deviations) ** 2
+    if not weighting.with_shapes:
+        return frequencies
+    _, shares = weighting.sensor_scales(common_dofs(measured, computed)[0])
+    return np.concatenate([frequencies, np.outer(own.shape_deviations**2, shares).ravel()])
 
 
 def residual_sensitivity(
@@ -122,13 +129,13 @@ def residual_sensitivity(
     slopes = derivatives.eigenvalues / lam_m[:, None]
     for alike in _unsplit(measured, computed, pairing, weighting):
         slopes[alike] = slopes[alike].mean(axis=0)
-    if weighting.shape_weight == 0.0:
+    if not weighting.with_shapes:
         return slopes
     _, sensors = common_dofs(measured, computed)
     changes = derivatives.mode_shapes[sensors]
     rows = np.zeros((lam_m.size, sensors.size, slopes.shape[1]))
     for cluster in _clusters(measured, computed, pairing, weighting):
-        change = changes[:, cluster.pairs] * cluster.scales[:, None]
+        change = changes[:, cluster.pairs] * cluster.scales[:, :, None]
         for space in (cluster.space, cluster.test):
             change = change - np.tensordot(space, np.tensordot(space.T, change, axes=1), axes=1)
         rows[cluster.pairs] = change.transpose(1, 0, 2)
@@ -137,11 +144,12 @@ def residual_sensitivity(
 
 @dataclass(frozen=True, slots=True)
 class _Cluster:
-    """Shapes of the pairs of one cluster at the common sensors.
+    """Shapes of the pairs of one cluster at the common sensors, scaled by their weights.
 
     pairs: (n,), positions; test, space: (n_sensors, k), orthonormal, of the measured shapes and of
-    the model's with all that are close to them; scales: (n,), what brings the model's shapes
-    model, (n_sensors, n), to unit root mean square length and the measured sign.
+    the model's with all that are close to them; model: (n_sensors, n), the model's shapes in the
+    measured sign, of unit root mean square length; scales: (n_sensors, n), what they were
+    multiplied by for that.
     """
 
     pairs: Integers
@@ -155,15 +163,18 @@ def _clusters(
     measured: ModeSet, computed: ModeSet, pairing: Pairing, weighting: Weighting
 ) -> list[_Cluster]:
     rows_m, rows_c = common_dofs(measured, computed)
-    test, model = np.real(measured.mode_shapes[rows_m]), np.real(computed.mode_shapes[rows_c])
+    sensors = weighting.sensor_scales(rows_m)[0][:, None]
+    test = sensors * np.real(measured.mode_shapes[rows_m])
+    model = sensors * np.real(computed.mode_shapes[rows_c])
     found = []
-    for pairs in paired_clusters(measured, computed, pairing, weighting.frequency_deviation):
+    for pairs in paired_clusters(measured, computed, pairing, weighting.frequency_deviations):
         own, wanted = model[:, pairing.computed[pairs]], test[:, pairing.measured[pairs]]
         near = with_neighbours(computed.frequencies_hz, pairing.computed[pairs])
         # A solver's sign means nothing.
         signs = np.where(np.sum(own * wanted, axis=0) < 0.0, -1.0, 1.0)
-        scales = signs / np.sqrt(np.mean(np.sum(own**2, axis=0)))
-        found.append(_Cluster(pairs, _space(wanted), _space(model[:, near]), scales, scales * own))
+        factors = signs / np.sqrt(np.mean(np.sum(own**2, axis=0)))
+        spaces = _space(wanted), _space(model[:, near])
+        found.append(_Cluster(pairs, *spaces, sensors * factors, factors * own))
     return found
 
 
@@ -184,7 +195,7 @@ def _unsplit(
     model_hz = computed.frequencies_hz[pairing.computed]
     return [
         alike[members]
-        for alike in close_sets(test_hz, weighting.frequency_deviation)
+        for alike in close_sets(test_hz, weighting.frequency_deviations[pairing.measured])
         for members in close_sets(model_hz[alike], 0.5 * REPEATED)
         if members.size > 1
     ]

@@ -21,7 +21,7 @@ from modetune.core.parameters import Parameter, ParameterSet, Values
 from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
 from modetune.core.updating.criteria import Tolerances
-from modetune.core.updating.residual import Weighting
+from modetune.core.updating.weighting import Weighting, weighting_side_by_side
 from modetune.flows.campaign.case import Case, whole_test
 from modetune.flows.campaign.configurations import configuration_files
 from modetune.flows.campaign.measured import (
@@ -32,6 +32,7 @@ from modetune.flows.campaign.measured import (
     used_modes,
 )
 from modetune.flows.campaign.refusals import core_problems, licence_problems, method_problems
+from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.schema import (
     STORE_VARIABLE,
     CampaignFile,
@@ -43,6 +44,7 @@ from modetune.flows.campaign.settings import override
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.campaign.solvers import bind_solver
 from modetune.flows.campaign.units import unit_problems
+from modetune.flows.campaign.weights import weighting_of
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -54,7 +56,7 @@ class Campaign:
     text: str
     cases: tuple[Case, ...]
     parameters: ParameterSet
-    weighting: Weighting
+    residuals: ResidualSection
     tolerances: Tolerances
     update: UpdateSection
     sensitivity: SensitivitySection
@@ -90,6 +92,11 @@ class Campaign:
     def test(self) -> MeasuredModes:
         """The modes of all cases that are used."""
         return whole_test(self.cases)
+
+    @property
+    def weighting(self) -> Weighting:
+        """That of `test`."""
+        return weighting_side_by_side([item.weighting for item in self.used])
 
     def __repr__(self) -> str:
         names = self.parameters.names
@@ -188,12 +195,7 @@ def load_campaign(
         text=source.text,
         cases=tuple(cases),
         parameters=parameters,
-        weighting=Weighting(
-            file.residuals.frequency_deviation,
-            file.residuals.shape_deviation,
-            file.residuals.frequency_weight,
-            file.residuals.shape_weight,
-        ),
+        residuals=file.residuals,
         tolerances=Tolerances(file.update.e1.frequency, file.update.e1.mac),
         update=file.update,
         sensitivity=file.sensitivity,
@@ -248,7 +250,11 @@ def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Cas
         mapping=mapping,
         surface=display_surface(solver.deck.mesh(), file.report.nodes),
         nodes=pairing_nodes(test, mapping.sensors, solver),
+        weighting=weighting_of(file.residuals, test),
         held_out=replace(held, modes=held.modes.rows(mapping.rows)) if held else None,
+        held_out_deviations=(
+            weighting_of(file.residuals, held).frequency_deviations if held else np.zeros(0)
+        ),
         eigensolver=file.model.eigensolver,
     )
 

@@ -8,7 +8,7 @@ at the sensors of the others, and a mode is told by its configuration and its nu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from modetune.adapters.solver import Solver
 from modetune.core.correlation.held_out import together
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.measurement.sensors import SensorMap
-from modetune.core.modes import MeasuredModes, ModeSet, mode_set
+from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.surface import Surface
+from modetune.core.updating.weighting import Weighting
 from modetune.flows.campaign.mapping import Mapping
 from modetune.flows.campaign.schema import Eigensolver, Units
 
@@ -30,8 +31,9 @@ RIGID_MODES = 6
 class Case:
     """A model with a test.
 
-    test: the modes that are used; held_out: those that are only judged by. nodes: at which pairing
-    and derivatives need shapes. name: of the configuration, empty where the campaign has one
+    test: the modes that are used, weighting: of these; held_out: those that are only judged by,
+    held_out_deviations: (n_held_out,), relative, of their frequencies. nodes: at which pairing and
+    derivatives need shapes. name: of the configuration, empty where the campaign has one
     model; columns: positions of its parameters among the campaign's, all of them where None;
     weight: of its residuals; aside: whether it is only judged by.
     """
@@ -43,7 +45,9 @@ class Case:
     mapping: Mapping
     surface: Surface
     nodes: tuple[int, ...]
+    weighting: Weighting
     held_out: MeasuredModes | None = None
+    held_out_deviations: Floats = field(default_factory=lambda: np.zeros(0))
     eigensolver: Eigensolver = "solver"
     name: str = ""
     columns: tuple[int, ...] | None = None

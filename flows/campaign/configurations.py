@@ -60,6 +60,7 @@ def configuration_files(
             update={
                 "model": section.model,
                 "test": section.test,
+                "residuals": section.residuals or file.residuals,
                 "configurations": (),
                 "parameters": tuple(file.parameters[column] for column in columns),
             }
@@ -143,16 +144,18 @@ def _known_parameters(
 
 
 def _view(source: YamlFile, place: Place) -> YamlFile:
-    """The file with the lines of a configuration's model and test where one's own would be."""
+    """The file with the lines of a configuration's own keys where one's own would be."""
     if not place:
         return source
     depth = len(place)
-    lines = {key: line for key, line in source.lines.items() if not key or key[0] not in OWN}
-    lines |= {
+    own = {
         key[depth:]: line
         for key, line in source.lines.items()
-        if len(key) > depth and key[:depth] == place and key[depth] in OWN
+        if len(key) > depth and key[:depth] == place and key[depth] in (*OWN, "residuals")
     }
+    instead = {*OWN, *(key[0] for key in own)}
+    lines = {key: line for key, line in source.lines.items() if not key or key[0] not in instead}
+    lines |= own
     return replace(source, lines=lines)
 
 

@@ -15,6 +15,7 @@ from modetune.core.modes import MeasuredModes, mode_set
 from modetune.flows.campaign.mapping import Mapping, map_sensors
 from modetune.flows.campaign.schema import CampaignFile, ModelFile
 from modetune.flows.campaign.units import LENGTH_METRES, METRES
+from modetune.flows.campaign.weights import kept_sensors, weight_problems
 
 #: Nodes whose shapes are kept where the test has no sensors, to track modes by.
 TRACKING_NODES = 500
@@ -58,11 +59,12 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
             "held out, so nothing is left to update with"
         )
         return None
-    if file.residuals.shape_weight > 0.0 and not test.has_shapes:
+    if file.residuals.with_shapes and not test.has_shapes:
         problems.append(
             f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
             f"{said} holds frequencies only"
         )
+    problems += weight_problems(source, file, test, used_numbers(file, test), file.test.hold_out)
     return measurement
 
 
@@ -74,15 +76,18 @@ def used_numbers(file: CampaignFile, test: MeasuredModes) -> tuple[int, ...]:
 
 
 def used_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes:
-    """The modes that the campaign uses."""
+    """The modes that the campaign uses, at the sensors that it uses."""
     assert measurement.modes is not None
-    return measurement.modes.use(used_numbers(file, measurement.modes))
+    test = kept_sensors(file.residuals, measurement.modes)
+    return test.use(used_numbers(file, test))
 
 
 def held_out_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes | None:
     """The modes that are only judged by, None where there are none."""
     assert measurement.modes is not None
-    return measurement.modes.use(file.test.hold_out) if file.test.hold_out else None
+    if not file.test.hold_out:
+        return None
+    return kept_sensors(file.residuals, measurement.modes).use(file.test.hold_out)
 
 
 def map_test(

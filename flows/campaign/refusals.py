@@ -36,7 +36,7 @@ def licence_problems(source: YamlFile, run: RunSection) -> list[str]:
 def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
     """Why the campaign's sensitivity method is unavailable."""
     method, has = file.sensitivity.method, solver.program.capabilities
-    shapes = file.residuals.shape_weight > 0.0
+    shapes = file.residuals.with_shapes
     place = source.where(("sensitivity", "method"))
     offered = {
         "strain_energy": has.strain_energies,

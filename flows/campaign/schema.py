@@ -19,6 +19,7 @@ from pydantic_core import PydanticKnownError
 
 from modetune.core.parameters import TARGETS, Parameter, Quantity, TargetKind
 from modetune.core.updating.estimation import StepForm
+from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.section import Name, NotNegative, Positive, Section, Share
 from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.site import RunSection
@@ -171,6 +172,8 @@ class ConfigurationSection(Section):
     """Its finite element model."""
     test: TestSection
     """What was measured of it."""
+    residuals: ResidualSection | None = None
+    """What of it is compared, and how exactly it was measured; without it as the campaign says."""
     weight: Positive = 1.0
     """Emphasis of all its residuals."""
     hold_out: bool = False
@@ -184,19 +187,6 @@ class ReportSection(Section):
     """Whether `update` leaves report.html in its run folder."""
     nodes: Annotated[int, Field(ge=0, le=100_000)] = 4000
     """Shapes are kept at the sensors and at no more than so many nodes of the model's surface."""
-
-
-class ResidualSection(Section):
-    """What is compared: emphasis of frequencies and shapes, and how exactly they were measured."""
-
-    frequency_weight: NotNegative = 1.0
-    """Emphasis of frequencies; 0 leaves them out."""
-    shape_weight: NotNegative = 0.0
-    """Emphasis of mode shapes; 0 leaves them out."""
-    frequency_deviation: Positive = 0.002
-    """Standard deviation of measured frequencies [of the frequency]"""
-    shape_deviation: Positive = 0.05
-    """Standard deviation of measured shape entries [of the shape's rms]"""
 
 
 class E1Section(Section):
@@ -294,8 +284,6 @@ class CampaignFile(Section):
         names = [parameter.name for parameter in self.parameters]
         if len(set(names)) != len(names):
             raise ValueError("two parameters have the same name")
-        if self.residuals.frequency_weight == 0.0 and self.residuals.shape_weight == 0.0:
-            raise ValueError("residuals: one of the weights must be above zero")
         return self
 
     @model_validator(mode="after")

@@ -67,7 +67,8 @@ class Between:
         if matrix.age == 0:
             return True
         rounds = 1 + math.ceil((self.n_jobs - 1) / self.campaign.parallel)
-        far = float(np.max(np.abs(evaluation.errors))) / self.campaign.tolerances.frequency
+        worst = float(np.max(np.abs(evaluation.used_errors), initial=0.0))
+        far = worst / self.campaign.tolerances.frequency
         # The objective is a square: its share left is that of the errors, squared.
         return 2.0 * math.log(max(far, LEAST_WAY)) <= -rounds * math.log(max(left, 1e-300))
 

@@ -27,7 +27,7 @@ from modetune.core.correlation.pairing import (
 from modetune.core.modes import Floats, Integers, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.updating.estimation import Step
-from modetune.core.updating.residual import Residual, Weighting, residual
+from modetune.core.updating.residual import Residual, residual
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.case import Case, node_base, side_by_side
 
@@ -98,7 +98,12 @@ class Evaluation:
 
     def agrees(self, tolerances: Tolerances) -> bool:
         """Whether e1 holds; members of a cluster of close modes are judged by its space."""
-        return agrees(self.errors, self.pairing.judged_mac, tolerances)
+        return agrees(self.used_errors, self.pairing.judged_mac, tolerances)
+
+    @property
+    def used_errors(self) -> Floats:
+        """Errors of the frequencies that are compared."""
+        return self.residual.of_used_frequencies(self.errors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +132,6 @@ class Matrix:
 
 def compare(
     case: Case,
-    weighting: Weighting,
     theta: Floats,
     key: str,
     result: ModalResult,
@@ -143,10 +147,10 @@ def compare(
     test, modal = case.test, result.at(case.nodes)
     seen = case.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
     if test.has_shapes:
-        resolution = weighting.frequency_deviation
+        resolution = case.weighting.frequency_deviations
         pairing = pair_by_shape(test.modes, seen, resolution=resolution)
         rotation = rotation_to_test(test.modes, seen, pairing, resolution)
-        if rotation is not None and weighting.shape_weight > 0.0:
+        if rotation is not None and case.weighting.with_shapes:
             result = result.turned(rotation)
             modal = result.at(case.nodes)
             seen = case.sensors.observe(modal.elastic)
@@ -163,7 +167,7 @@ def compare(
         seen=seen,
         field=result.elastic,
         pairing=pairing,
-        residual=residual(test.modes, seen, pairing, weighting),
+        residual=residual(test.modes, seen, pairing, case.weighting),
         errors=frequency_errors(test.modes, seen, pairing),
         held_out=_held_out(case, seen, pairing, previous),
         solved_by=solved_by,
@@ -182,15 +186,13 @@ def _held_out(
     return track_held_out(previous.held_out, previous.seen, seen, pairing)
 
 
-def judged(
-    case: Case, weighting: Weighting, initial: CaseEvaluation, updated: CaseEvaluation
-) -> HeldOut | None:
+def judged(case: Case, initial: CaseEvaluation, updated: CaseEvaluation) -> HeldOut | None:
     """The modes that are only judged by, before and after; None where there are none."""
     if case.held_out is None or initial.held_out is None or updated.held_out is None:
         return None
     return judge_held_out(
         case.held_out,
-        weighting.frequency_deviation,
+        case.held_out_deviations,
         (initial.seen, initial.held_out),
         (updated.seen, updated.held_out),
     )
@@ -281,7 +283,8 @@ def expects_agreement(step: Step, evaluation: Evaluation, tolerances: Tolerances
 
 def _expects(predicted: Floats, part: CaseEvaluation, tolerances: Tolerances) -> bool:
     n_frequencies = part.residual.n_frequencies
-    errors = 0.5 * predicted[:n_frequencies]  # z is of eigenvalues: twice the frequency's
+    # z is of eigenvalues: twice the frequency's
+    errors = part.residual.of_used_frequencies(0.5 * predicted[:n_frequencies])
     shapes = predicted[n_frequencies:]
     mac = 1.0 - (shapes.reshape(n_frequencies, -1) ** 2).sum(axis=1)
     return agrees(errors, mac if shapes.size else part.pairing.judged_mac, tolerances)

@@ -217,7 +217,7 @@ class Evaluator:
         found = [
             self._named(held, state)
             for state, before, after in zip(self.used, initial.parts, updated.parts, strict=True)
-            if (held := judged(state.case, self.campaign.weighting, before, after)) is not None
+            if (held := judged(state.case, before, after)) is not None
         ]
         found += [self._judged_aside(state, initial.theta, updated.theta) for state in self.aside]
         return join_held_out(found)
@@ -319,7 +319,6 @@ class Evaluator:
             before = previous.parts[self.used.index(state)] if previous else None
             return compare(
                 state.case,
-                self.campaign.weighting,
                 item.theta,
                 key,
                 modal,
@@ -383,9 +382,7 @@ class Evaluator:
         if state.finder.suits(part, state.analysis):
             return part
         key, modal = self._modes(title, state, part.theta, state.analysis)
-        return compare(
-            state.case, self.campaign.weighting, part.theta, key, modal, part, state.finder.name
-        )
+        return compare(state.case, part.theta, key, modal, part, state.finder.name)
 
     def _stacked(self, parts: Sequence[CaseEvaluation], columns: Sequence[Columns]) -> Matrix:
         """The sensitivities of all cases as one."""
@@ -399,7 +396,7 @@ class Evaluator:
                 state.case.test.modes,
                 part.seen,
                 part.pairing,
-                self.campaign.weighting,
+                state.case.weighting,
                 self._seen(state.case, part, found.derivatives),
             )
             missing |= {int(state.columns[column]) for column in found.missing}
@@ -418,7 +415,7 @@ class Evaluator:
         self, case: Case, part: CaseEvaluation, derivatives: ModeDerivatives
     ) -> ModeDerivatives:
         """Derivatives of shapes as the test's sensors see them."""
-        if self.campaign.weighting.shape_weight == 0.0:
+        if not case.weighting.with_shapes:
             return derivatives
         modes = part.modal.modes
         observer = case.sensors.matrix(modes.nodes, modes.components)
@@ -438,8 +435,8 @@ class Evaluator:
                     raise
                 logger.warning("the held-out configuration %s: %s", state.case.name, error)
                 states.append(unfound(state.case.test))
-        deviation = self.campaign.weighting.frequency_deviation
-        return self._named(judge_held_out(state.case.test, deviation, *states), state)
+        deviations = state.case.weighting.frequency_deviations
+        return self._named(judge_held_out(state.case.test, deviations, *states), state)
 
     def _aside_part(
         self, state: CaseState, theta: Floats, before: CaseEvaluation | None
@@ -450,7 +447,6 @@ class Evaluator:
             try:
                 return compare(
                     state.case,
-                    self.campaign.weighting,
                     theta,
                     key,
                     modal,

@@ -249,7 +249,7 @@ def sensitivities(
     return Sensitivities(
         source=source,
         settings=campaign.sensitivity,
-        with_shapes=campaign.weighting.shape_weight > 0.0,
+        with_shapes=campaign.case.weighting.with_shapes,
         modal=replace(analysis, nodes=campaign.case.nodes),
     )
 

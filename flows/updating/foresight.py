@@ -114,9 +114,7 @@ class ReducedForesight:
                     return None
                 own = state.own(theta)
                 key, modal = state.finder.foreseen(own, state.analysis)
-                parts.append(
-                    compare(state.case, self.campaign.weighting, own, key, modal, before, REDUCED)
-                )
+                parts.append(compare(state.case, own, key, modal, before, REDUCED))
         except ModesError as error:
             logger.debug("nothing is foreseen: %s", error)
             return None
@@ -178,9 +176,7 @@ class ReducedForesight:
         work = Work(f"modal by {name}", (job,), state.engine)
         ((outcome,),) = self.evaluator.carry_out(title, [work], state)
         modal = outcome.result(ModalResult)
-        return compare(
-            state.case, self.campaign.weighting, part.theta, outcome.key, modal, part, name
-        )
+        return compare(state.case, part.theta, outcome.key, modal, part, name)
 
     def _foreseen_at(self, theta: Floats) -> Evaluation | None:
         """The end of the last step on reduced models, if it is this set."""

@@ -218,7 +218,10 @@ def _tolerated(campaign: Campaign, answer: CampaignRecord) -> Floats:
     Updating ends as soon as e1 is met, so its ends scatter as if frequencies were measured as
     loosely as e1 judges them.
     """
-    loose = max(1.0, campaign.tolerances.frequency / campaign.weighting.frequency_deviation)
+    weighting = campaign.weighting
+    known = weighting.frequency_deviations[weighting.frequencies_used]
+    least = float(known.min(initial=campaign.tolerances.frequency))
+    loose = campaign.tolerances.frequency / least
     errors = SAME_ERRORS * loose * answer.standard_errors
     return np.asarray(np.fmax(SAME_LEAST, errors))
 

@@ -48,11 +48,12 @@ from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.observation import Observation, observe
-from modetune.core.updating.residual import Weighting
 from modetune.core.updating.results import MatrixResult, ModalResult, ModeDerivatives, Result
+from modetune.core.updating.weighting import even_weighting
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.mapping import map_sensors
+from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.schema import (
     E1Section,
     ReportSection,
@@ -92,8 +93,16 @@ if behaviour == "nan":
 
 
 def recased(campaign: Campaign, **changes: Any) -> Campaign:
-    """A campaign of one model with something else in its case."""
-    return replace(campaign, cases=(replace(campaign.case, **changes),))
+    """A campaign of one model with something else in its case, weighted as the first mode was."""
+    case, modes = replace(campaign.case, **changes), campaign.case.weighting.modes
+    case = replace(
+        case,
+        weighting=modes([0] * len(case.test.numbers)),
+        held_out_deviations=modes(
+            [0] * len(case.held_out.numbers) if case.held_out else []
+        ).frequency_deviations,
+    )
+    return replace(campaign, cases=(case,))
 
 
 def scripted_job(folder: Path) -> int | None:
@@ -355,6 +364,9 @@ class Bench:
             mapping=map_sensors(test.modes, None, solver.deck.mesh(), SensorSection(), 1.0),
             surface=display_surface(solver.deck.mesh()),
             nodes=(1, 2, 3, 4, 5, 6),
+            weighting=even_weighting(
+                len(modes), test.modes.n_dof, 0.002, 0.02, 1.0, 1.0 if shapes else 0.0
+            ),
         )
         return Campaign(
             name="chain",
@@ -364,7 +376,7 @@ class Bench:
                 tuple(Parameter(n, q, "part", (n,), *bounds, 0.3) for n, q in names.items())
             ),
             cases=(case,),
-            weighting=Weighting(0.002, 0.02, 1.0, 1.0 if shapes else 0.0),
+            residuals=ResidualSection(),
             tolerances=Tolerances(update.e1.frequency, update.e1.mac),
             update=update,
             sensitivity=sensitivity or SensitivitySection(),

@@ -43,9 +43,11 @@ def bound_findings(campaign: Campaign) -> list[Finding]:
             Finding(level, "parameters", said, f"parameter {parameter.name}", remedy)
             for level, said, remedy in _bounds(campaign, parameter)
         ]
-    test, weighting = campaign.test, campaign.weighting
-    data = len(test.numbers) * (weighting.frequency_weight > 0.0)
-    data += test.modes.mode_shapes.size * (weighting.shape_weight > 0.0)
+    data = sum(
+        int(case.weighting.frequencies_used.sum())
+        + int(case.weighting.shapes_used.sum()) * case.test.modes.n_dof
+        for case in campaign.used
+    )
     count = len(campaign.parameters)
     if count > data and campaign.update.step in DETERMINED:
         found.append(

@@ -151,8 +151,10 @@ def _fields(
     test, seen, pairing = campaign.test.modes, evaluation.seen, evaluation.pairing
     rows_m, rows_c = common_dofs(test, seen)
     observer, kept = _observer(campaign, base, rows_c)
-    measured = np.real(test.mode_shapes[np.ix_(rows_m[kept], pairing.measured)])
-    mine = np.real(seen.mode_shapes[np.ix_(rows_c[kept], pairing.computed)])
+    weighting = campaign.case.weighting
+    scales = weighting.sensor_scales(rows_m[kept])[0][:, None]
+    measured = scales * np.real(test.mode_shapes[np.ix_(rows_m[kept], pairing.measured)])
+    mine = scales * np.real(seen.mode_shapes[np.ix_(rows_c[kept], pairing.computed)])
     lengths = np.sum(measured**2, axis=0)
     if measured.size == 0 or (lengths == 0.0).any():
         raise ModesError("a measured shape is zero at all sensors that are free to move")
@@ -167,8 +169,8 @@ def _fields(
         base.mass,
         test.eigenvalues[pairing.measured],
         measured,
-        observer,
-        campaign.weighting.shape_deviation,
+        observer.multiply(scales).tocsr(),
+        weighting.shape_deviations[pairing.measured],
     )
     return fields, shapes[:, pairing.computed + n_rigid]
 

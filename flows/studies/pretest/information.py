@@ -20,6 +20,7 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.placement import parameter_information
 from modetune.core.updating.results import ModalResult
+from modetune.core.updating.weighting import even_weighting
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.report.tables import Column
@@ -110,10 +111,11 @@ def information_of(
         for change in np.moveaxis(found.mode_shapes, 2, 0)
     ]
     readings = np.stack(turned, axis=-1).reshape(candidates.n, -1, len(turned))
-    weighting = campaign.weighting
+    known = campaign.residuals
     slopes = found.eigenvalues / shown.eigenvalues[:, None] / 2.0 * deviations
-    slopes = slopes / weighting.frequency_deviation
-    matrices = parameter_information(readings * deviations / weighting.shape_deviation)
+    slopes = slopes / known.of_others("frequency_deviation")
+    readings = readings * deviations / known.of_others("shape_deviation")
+    matrices = parameter_information(readings)
     return Information(matrices, np.eye(deviations.size) + slopes.T @ slopes)
 
 
@@ -128,10 +130,10 @@ def _turning(rows: Floats, change: Floats) -> Floats:
 
 def with_shapes(campaign: Campaign, nodes: tuple[int, ...]) -> Campaign:
     """The campaign with derivatives of shapes at these nodes, whatever its residual compares."""
+    weighting = even_weighting(1, 0, 1.0, 1.0)
     return replace(
         campaign,
-        cases=(replace(campaign.case, nodes=nodes),),
-        weighting=replace(campaign.weighting, shape_weight=1.0),
+        cases=(replace(campaign.case, nodes=nodes, weighting=weighting),),
         sensitivity=_settings(campaign),
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.residual import Residual
+from modetune.core.updating.residual import measurement_variances
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training
 from modetune.flows.updating.evaluation import Evaluation
@@ -75,7 +75,7 @@ class PointSolver:
 
     def _training(self, found: Sequence[Evaluation]) -> Training:
         responses, names = response_names(self.campaign, found[0] if found else self._known[0])
-        values = [standardised(self.campaign, evaluation.residual) for evaluation in found]
+        values = [standardised(self.campaign, evaluation) for evaluation in found]
         return Training(
             points=np.array([item.theta for item in found]).reshape(
                 -1, len(self.campaign.parameters)
@@ -86,33 +86,27 @@ class PointSolver:
         )
 
 
-def standardised(campaign: Campaign, residual: Residual) -> Floats:
+def standardised(campaign: Campaign, evaluation: Evaluation) -> Floats:
     """Entries of a residual that take part, in standard deviations of the test, (n_residuals,).
 
-    Frequencies where they have a weight, then shapes pair by pair where these have one. A
-    surrogate knows that a shape moves on a curve, so its entries have their measured deviation
-    alone, without what the residual adds for a linear model's sake.
+    Frequencies that have a weight, then shapes that have one, pair by pair. A surrogate knows that
+    a shape moves on a curve, so its entries have their measured deviation alone, without what the
+    residual adds for a linear model's sake.
     """
-    weighting, n = campaign.weighting, residual.n_frequencies
-    parts = []
-    if weighting.frequency_weight > 0.0:
-        parts.append(residual.values[:n] / (2.0 * weighting.frequency_deviation))
-    shapes = residual.values[n:]
-    if shapes.size:
-        parts.append(shapes * np.sqrt(shapes.size / n) / weighting.shape_deviation)
-    return np.concatenate(parts)
+    case, found = campaign.case, evaluation.residual
+    variances = measurement_variances(
+        case.test.modes, evaluation.seen, evaluation.pairing, case.weighting
+    )
+    used = found.weights > 0.0
+    return np.asarray(found.values[used] / np.sqrt(variances[used]))
 
 
 def response_names(campaign: Campaign, evaluation: Evaluation) -> tuple[Integers, tuple[str, ...]]:
     """Which response each entry of a standardised residual is of, and what they are called."""
-    residual = evaluation.residual
-    numbers = [campaign.test.numbers[place] for place in evaluation.pairing.measured.tolist()]
-    n, names, responses = residual.n_frequencies, [], []
-    if campaign.weighting.frequency_weight > 0.0:
-        names += [f"frequency of mode {number}" for number in numbers]
-        responses += list(range(n))
-    each = (residual.values.size - n) // n
-    if each:
-        responses += [len(names) + pair for pair in range(n) for _ in range(each)]
-        names += [f"shape of mode {number}" for number in numbers]
-    return np.array(responses, dtype=np.int64), tuple(names)
+    found, numbers = evaluation.residual, campaign.case.test.numbers
+    called = [numbers[place] for place in evaluation.pairing.measured.tolist()]
+    names = [f"{kind} of mode {number}" for kind in ("frequency", "shape") for number in called]
+    n, used = len(called), found.weights > 0.0
+    owners = np.append(np.arange(n), n + np.repeat(np.arange(n), (used.size - n) // n))[used]
+    there, responses = np.unique(owners, return_inverse=True)
+    return responses.astype(np.int64), tuple(names[place] for place in there.tolist())

@@ -42,15 +42,16 @@ def seen_moves(
     campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
 ) -> Floats:
     """The same of each response, (n_responses, n_parameters); zero where it is not compared."""
-    weighting, n = campaign.weighting, len(campaign.test.numbers)
+    weighting, n = campaign.case.weighting, len(campaign.test.numbers)
     if found is None:
         slopes = np.abs(np.vstack([local.frequencies, local.mac]))
         moves = slopes * (design.upper - design.lower) / campaign.parameters.initial
     else:
         moves = found.moves
     seen = np.zeros(moves.shape)
-    if weighting.frequency_weight > 0.0:
-        seen[:n] = moves[:n] / weighting.frequency_deviation
-    if weighting.shape_weight > 0.0:
-        seen[n:] = np.sqrt(moves[n:]) / weighting.shape_deviation
+    used = weighting.frequencies_used
+    seen[:n][used] = moves[:n][used] / weighting.frequency_deviations[used, None]
+    if weighting.with_shapes:
+        used = weighting.shapes_used
+        seen[n:][used] = np.sqrt(moves[n:][used]) / weighting.shape_deviations[used, None]
     return seen

@@ -114,7 +114,15 @@ def leave_out(campaign: Campaign, number: int, configuration: str = "") -> Campa
     if rest:
         left = case.test.use((number,))
         held = left if case.held_out is None else together(left, case.held_out)
-        changed = replace(case, test=case.test.use(rest), held_out=held)
+        places = [case.test.numbers.index(other) for other in rest]
+        own = case.weighting.frequency_deviations[case.test.numbers.index(number)]
+        changed = replace(
+            case,
+            test=case.test.use(rest),
+            weighting=case.weighting.modes(places),
+            held_out=held,
+            held_out_deviations=np.append(own, case.held_out_deviations),
+        )
     else:
         changed = replace(case, aside=True)
     cases = tuple(changed if item is case else item for item in campaign.cases)

@@ -17,19 +17,15 @@ from modetune.core.correlation.clusters import (
 )
 from modetune.core.correlation.pairing import Pairing, pair_by_shape
 from modetune.core.modes import CLOSE, Floats, ModeSet, close_sets, mode_set
-from modetune.core.updating.residual import (
-    Residual,
-    Weighting,
-    residual,
-    residual_sensitivity,
-)
+from modetune.core.updating.residual import Residual, residual, residual_sensitivity
 from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.weighting import even_weighting
 
 NODES = np.repeat(np.arange(1, 5), 2)
 COMPONENTS = np.tile([1, 2], 4)
 HZ = np.array([10.0, 10.0, 25.0, 40.0, 40.0])
 SPLIT = 0.002
-WEIGHTING = Weighting(SPLIT, 0.05, 1.0, 1.0)
+WEIGHTING = even_weighting(5, 8, SPLIT, 0.05)
 
 
 def shapes(seed: int) -> Floats:

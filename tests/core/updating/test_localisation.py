@@ -89,7 +89,9 @@ def located(
     rng = np.random.default_rng(seed)
     measured = phi[rows] + noise * rms * rng.standard_normal((rows.size, N_MODES))
     k, m = sparse.csr_array(stiffness(SPRINGS)), sparse.csr_array(np.diag(MASSES))
-    fields = error_fields(k, m, lam, measured, sparse.csr_array(np.eye(N)[rows]), max(noise, 1e-7))
+    fields = error_fields(
+        k, m, lam, measured, sparse.csr_array(np.eye(N)[rows]), np.full(lam.size, max(noise, 1e-7))
+    )
     groups = spring_groups() + mass_groups()
     return Found(
         fields,
@@ -199,7 +201,14 @@ def test_the_sign_of_a_measured_shape_changes_no_share() -> None:
     k, m = sparse.csr_array(stiffness(SPRINGS)), sparse.csr_array(np.diag(MASSES))
     both = [
         group_errors(
-            error_fields(k, m, lam, scale * phi[::2], sparse.csr_array(np.eye(N)[::2]), 0.01),
+            error_fields(
+                k,
+                m,
+                lam,
+                scale * phi[::2],
+                sparse.csr_array(np.eye(N)[::2]),
+                np.full(lam.size, 0.01),
+            ),
             k,
             m,
             spring_groups(),
@@ -230,7 +239,9 @@ def test_a_free_chain_is_localised_as_well() -> None:
         )
         for place in range(N - 1)
     ]
-    fields = error_fields(k, m, lam[1:5], phi[:, 1:5], sparse.csr_array(np.eye(N)), 1e-6)
+    fields = error_fields(
+        k, m, lam[1:5], phi[:, 1:5], sparse.csr_array(np.eye(N)), np.full(4, 1e-6)
+    )
     found = group_errors(fields, k, m, groups, phi_c[:, 1:5])
     assert found.ranking[0] == 2
     assert found.changes[2] == pytest.approx(0.3, abs=1e-5)
@@ -249,7 +260,7 @@ def test_a_free_chain_is_localised_as_well() -> None:
 def test_fields_of_data_that_do_not_fit_are_refused(lam: Floats, measured: Floats) -> None:
     k = sparse.csr_array(np.eye(3))
     with pytest.raises(ModesError, match="measured shapes"):
-        error_fields(k, k, lam, measured, k, 0.01)
+        error_fields(k, k, lam, measured, k, np.full(lam.size, 0.01))
 
 
 def test_nodes_sum_their_unknowns_and_leave_turning_moments_out_of_forces() -> None:

@@ -17,15 +17,16 @@ from modetune.core.updating.model_form import (
     model_form_sentence,
     shares_left,
 )
-from modetune.core.updating.residual import Residual, Weighting, residual, residual_sensitivity
+from modetune.core.updating.residual import Residual, residual, residual_sensitivity
 from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.weighting import even_weighting
 
 FREE = np.array([np.inf])
 SPRINGS = np.array([1500.0, 1600.0, 1400.0, 2500.0, 1300.0, 1500.0, 1300.0, 1700.0])
 MASSES = np.array([1.8, 2.4, 1.6, 1.2, 1.1, 0.9, 1.4])
 #: Springs that are parameters.
 CHOSEN = (0, 3, 6)
-WEIGHTING = Weighting(0.002, 0.05, 1.0, 1.0)
+WEIGHTING = even_weighting(5, 7, 0.002, 0.05)
 TRUTH = np.array([1.15, 0.9, 1.08])
 
 
@@ -86,9 +87,9 @@ def updated(seed: int, fault: float = 1.0, n_steps: int = 4) -> Case:
     """A noisy test of the true chain, five modes, and a model brought as near as it gets."""
     rng = np.random.default_rng(seed)
     values, shapes = (part[..., :5] for part in chain_modes(TRUTH, fault))
-    noise = WEIGHTING.shape_deviation * np.sqrt(np.mean(shapes**2, axis=0))
+    noise = WEIGHTING.shape_deviations[0] * np.sqrt(np.mean(shapes**2, axis=0))
     test = modes_of(
-        values * (1.0 + WEIGHTING.frequency_deviation * rng.standard_normal(5)) ** 2,
+        values * (1.0 + WEIGHTING.frequency_deviations * rng.standard_normal(5)) ** 2,
         shapes + noise * rng.standard_normal(shapes.shape),
     )
     theta = np.ones(3)

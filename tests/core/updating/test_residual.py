@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from modetune.core.correlation.pairing import pair_by_order
 from modetune.core.modes import ModeSet, mode_set
-from modetune.core.updating.residual import Weighting, residual, residual_sensitivity
+from modetune.core.updating.residual import residual, residual_sensitivity
 from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.weighting import even_weighting
 
 Floats = NDArray[np.float64]
-BOTH = Weighting(0.002, 0.02, 1.0, 1.0)
-FREQUENCIES = Weighting(0.002, 0.02, 1.0, 0.0)
+BOTH = even_weighting(3, 8, 0.002, 0.02)
+FREQUENCIES = even_weighting(3, 8, 0.002, 0.02, 1.0, 0.0)
 
 
 def sample(seed: int, scale: float = 1.0) -> ModeSet:
@@ -92,7 +93,9 @@ def test_sensitivity_is_the_derivative_of_the_residual(sign: float) -> None:
 
 def test_weights_are_emphasis_over_variance() -> None:
     model = sample(0)
-    found = residual(model, model, pair_by_order(model, model), Weighting(0.01, 0.05, 2.0, 0.5))
+    found = residual(
+        model, model, pair_by_order(model, model), even_weighting(3, 8, 0.01, 0.05, 2.0, 0.5)
+    )
     # An eigenvalue's relative deviation is twice the frequency's; shapes share theirs out.
     np.testing.assert_allclose(found.weights[:3], 2.0 / 0.02**2)
     np.testing.assert_allclose(found.weights[3:], 0.5 * 8 / 0.05**2)

@@ -204,7 +204,9 @@ def test_a_frequency_got_worse_beyond_its_deviation(
     before: float, after: float, worse: bool
 ) -> None:
     test = MeasuredModes((7,), mode_set([100.0]))
-    held = judge_held_out(test, 0.002, pair([before], [100.0]), pair([after], [100.0]))
+    held = judge_held_out(
+        test, np.full(test.modes.n_modes, 0.002), pair([before], [100.0]), pair([after], [100.0])
+    )
     assert held.worse.tolist() == [worse]
 
 
@@ -216,7 +218,7 @@ def test_a_shape_got_worse_where_its_mac_fell_by_two_hundredths(fall: float, wor
 
     test = MeasuredModes((1,), mode_set([100.0], [[1.0], [0.0]], [1, 2], [1, 1]))
     states = [(turned(mac), pair_by_shape(test.modes, turned(mac))) for mac in (0.95, 0.95 - fall)]
-    held = judge_held_out(test, 0.002, states[0], states[1])
+    held = judge_held_out(test, np.full(test.modes.n_modes, 0.002), states[0], states[1])
     assert held.worse.tolist() == [worse]
 
 
@@ -239,7 +241,9 @@ def test_a_mode_that_is_no_longer_found_got_worse() -> None:
     alone = mode_set([10.0], [[1.0], [0.0]], [1, 2], [1, 1])
     after = track_held_out(before, computed, alone, pair_by_order(used.modes, alone))
     assert after.computed.tolist() == [LOST]
-    held = judge_held_out(test, 0.002, (computed, before), (alone, after))
+    held = judge_held_out(
+        test, np.full(test.modes.n_modes, 0.002), (computed, before), (alone, after)
+    )
     assert held.worse.tolist() == [True]
     assert held.reason(0) == "is not found in the updated model"
 
@@ -265,7 +269,9 @@ def test_one_mode_that_is_not_there_leaves_the_others() -> None:
     going = replace(pair_by_order(first.modes, now), computed=np.array([1]))
     tracked = track_held_out(placed, computed, now, going)
     assert tracked.computed.tolist() == [0, LOST]
-    held_out = judge_held_out(plain, 0.002, (computed, placed), (now, tracked))
+    held_out = judge_held_out(
+        plain, np.full(plain.modes.n_modes, 0.002), (computed, placed), (now, tracked)
+    )
     assert held_out.worse.tolist() == [True, False]  # 5 % off; the other never was there
 
 

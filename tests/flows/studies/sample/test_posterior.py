@@ -11,7 +11,7 @@ import pytest
 
 from modetune.core.errors import CampaignError, SolverRejected
 from modetune.core.modes import Floats
-from modetune.core.updating.residual import Weighting
+from modetune.core.updating.weighting import Weighting, even_weighting
 from modetune.flows.studies.sample.figures import write_figures
 from modetune.flows.studies.sample.record import PosteriorRecord, read_posterior, write_posterior
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
@@ -21,7 +21,7 @@ from modetune.flows.updating.running import update_campaign
 TRUTH = {"k1": 1.2, "k3": 0.8}
 MODES = (1, 2, 3)
 #: Frequencies known within 3 % make a posterior wide enough to be no normal distribution.
-COARSE = Weighting(0.03, 0.05, 1.0, 0.0)
+COARSE = even_weighting(3, 0, 0.03, 0.05, 1.0, 0.0)
 
 
 def sampled(campaign: Any, watcher: Any, **asked: Any) -> PosteriorRecord:
@@ -44,6 +44,10 @@ def red(record: PosteriorRecord) -> list[str]:
     return [finding.text for finding in findings(record) if finding.red]
 
 
+def weighed(campaign: Any, weighting: Weighting) -> Any:
+    return replace(campaign, cases=(replace(campaign.case, weighting=weighting),))
+
+
 def on_grid(bench: Any, campaign: Any) -> tuple[Floats, Floats, Floats]:
     """Mean (2,), deviation (2,) and correlation of the posterior by summing it over a grid."""
     names, measured = campaign.parameters.names, campaign.test.modes.eigenvalues
@@ -56,7 +60,7 @@ def on_grid(bench: Any, campaign: Any) -> tuple[Floats, Floats, Floats]:
             for point in points
         ]
     )
-    z = (measured - computed) / measured / (2.0 * campaign.weighting.frequency_deviation)
+    z = (measured - computed) / measured / (2.0 * campaign.weighting.frequency_deviations)
     pull = (points - campaign.parameters.initial) / campaign.parameters.standard_deviations
     density = np.exp(-0.5 * ((z**2).sum(axis=1) + (pull**2).sum(axis=1)))
     density /= density.sum()
@@ -67,7 +71,7 @@ def on_grid(bench: Any, campaign: Any) -> tuple[Floats, Floats, Floats]:
 
 
 def test_the_posterior_of_the_chain_is_that_of_a_grid(bench: Any, watcher: Any) -> None:
-    campaign = replace(bench.campaign(TRUTH, MODES), weighting=COARSE)
+    campaign = weighed(bench.campaign(TRUTH, MODES), COARSE)
     record = sampled(campaign, watcher)
     mean, deviation, correlation = on_grid(bench, campaign)
     size = record.effective_sizes
@@ -131,8 +135,8 @@ def test_two_answers_to_one_test_are_told(bench: Any, watcher: Any) -> None:
 def test_a_surrogate_that_stays_too_poor_is_refused_with_the_response_named(
     bench: Any, watcher: Any
 ) -> None:
-    exact = Weighting(1e-9, 0.05, 1.0, 0.0)  # no surrogate of so few runs is as exact
-    campaign = replace(bench.campaign(TRUTH, MODES), weighting=exact)
+    exact = even_weighting(3, 0, 1e-9, 0.05, 1.0, 0.0)  # no surrogate of so few runs is as exact
+    campaign = weighed(bench.campaign(TRUTH, MODES), exact)
     with pytest.raises(CampaignError, match=r"solver runs the surrogate .*raise --points"):
         sampled(campaign, watcher, points=8)
 
@@ -159,9 +163,7 @@ def test_without_checks_that_is_said(bench: Any, watcher: Any) -> None:
 def test_a_parameter_at_its_bound_and_one_the_test_does_not_see_are_told(
     bench: Any, watcher: Any
 ) -> None:
-    campaign = replace(
-        bench.campaign({"k1": 1.6, "k4": 1.0}, MODES, bounds=(0.6, 1.4)), weighting=COARSE
-    )
+    campaign = weighed(bench.campaign({"k1": 1.6, "k4": 1.0}, MODES, bounds=(0.6, 1.4)), COARSE)
     said = " ".join(finding.text for finding in findings(sampled(campaign, watcher)))
     assert "k1 presses against its bound 1.4" in said
     assert "the test says next to nothing of k4" in said  # the stiff spring in the middle

@@ -1,0 +1,133 @@
+"""The weighting of a test as the campaign's `residuals` say it, by the test's own names.
+
+A name that the test has not, or whose value would count for nothing, is refused with its line and
+the nearest name that there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from typing import get_args
+
+import numpy as np
+
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.modes import Floats, MeasuredModes, ModeSet, dof_name
+from modetune.core.updating.weighting import Weighting
+from modetune.flows.campaign.residual_section import OTHERS, ModeKey, ResidualSection, SensorKey
+from modetune.flows.campaign.schema import CampaignFile
+
+#: Steps that know no weights, but which responses there are (thesis (34), (45)).
+UNWEIGHTED = ("pseudo_inverse", "minimum_norm")
+
+
+def weighting_of(section: ResidualSection, test: MeasuredModes) -> Weighting:
+    """The weighting of these modes at their sensors."""
+    by_mode = [
+        np.array([section.of_mode(key, number) for number in test.numbers])
+        for key in ("frequency_deviation", "shape_deviation", "frequency_weight", "shape_weight")
+    ]
+    by_sensor = [
+        _by_sensor(values, test.modes)
+        for values in (section.sensor_deviation, section.sensor_weight)
+    ]
+    return Weighting(*by_mode, *by_sensor)
+
+
+def kept_sensors(section: ResidualSection, test: MeasuredModes) -> MeasuredModes:
+    """The test without the sensors that have no weight."""
+    kept = np.flatnonzero(_by_sensor(section.sensor_weight, test.modes) > 0.0)
+    if kept.size == test.modes.n_dof:
+        return test
+    return MeasuredModes(test.numbers, test.modes.rows(kept))
+
+
+def weight_problems(
+    source: YamlFile,
+    file: CampaignFile,
+    test: MeasuredModes,
+    used: Sequence[int],
+    held_out: Sequence[int],
+) -> list[str]:
+    """Why the `residuals` do not fit the test. used, held_out: numbers of its modes."""
+    section = file.residuals
+    found = []
+    for key in get_args(ModeKey):
+        judged = (*used, *held_out) if key == "frequency_deviation" else used
+        for name in getattr(section, key):
+            said = "" if name == OTHERS else _mode_problem(name, test.numbers, judged)
+            if said:
+                found.append(f"{source.where(('residuals', key, name))}: residuals.{key}: {said}")
+    for key in get_args(SensorKey):
+        found += [
+            f"{source.where(('residuals', key, name))}: residuals.{key}: {said}"
+            for name in getattr(section, key)
+            if (said := _sensor_problem(name, test))
+        ]
+    return found or _idle(source, file, test, used)
+
+
+def _mode_problem(name: str, numbers: Sequence[int], judged: Sequence[int]) -> str:
+    has = ", ".join(map(str, numbers))
+    if not name.isdecimal():
+        return f"{name!r} is neither the number of a mode ({has}) nor `{OTHERS}`"
+    if int(name) not in numbers:
+        near = min(numbers, key=lambda number: abs(number - int(name)))
+        return f"the test has no mode {name}; the nearest is {near} (it has {has})"
+    if int(name) not in judged:
+        return (
+            f"mode {name} is not used, so this would count for nothing; use it, or leave this out"
+        )
+    return ""
+
+
+def _sensor_problem(name: str, test: MeasuredModes) -> str:
+    names = _sensor_names(test.modes)
+    if not names:
+        return "the test holds frequencies only, no sensors"
+    if name in names or name in {item.partition(".")[0] for item in names}:
+        return ""
+    (near,) = get_close_matches(name, names, n=1, cutoff=0.0)
+    return f"the test has no sensor {name}; the nearest is {near}"
+
+
+def _idle(
+    source: YamlFile, file: CampaignFile, test: MeasuredModes, used: Sequence[int]
+) -> list[str]:
+    """Weights that leave nothing, or that would count for nothing."""
+    section, step = file.residuals, file.update.step
+    where = source.where(("residuals",))
+    weighting = weighting_of(section, test.use(tuple(used)))
+    weights = np.concatenate([weighting.frequency_weights, weighting.shape_weights])
+    if not weights.any():
+        return [f"{where}: residuals: all weights are 0; one must be above zero"]
+    found = []
+    if test.has_shapes and not weighting.sensor_weights.any():
+        place = source.where(("residuals", "sensor_weight"))
+        found.append(f"{place}: residuals.sensor_weight leaves out every sensor of the test")
+    counted = [name for name, weight in section.sensor_weight.items() if weight > 0.0]
+    if counted and not weighting.with_shapes:
+        found.append(
+            f"{source.where(('residuals', 'sensor_weight', counted[0]))}: residuals.sensor_weight: "
+            f"{counted[0]} has a weight, but no shapes are compared; give `shape_weight`"
+        )
+    if step in UNWEIGHTED and np.unique(weights[weights > 0.0]).size > 1:
+        found.append(
+            f"{where}: residuals: `step: {step}` knows no weights but 0, and those given differ; "
+            "use weighted_least_squares or regularised, or one weight for all"
+        )
+    return found
+
+
+def _by_sensor(given: Mapping[str, float], modes: ModeSet) -> Floats:
+    """Values of the sensors (n_dof,): its own, that of its point, or 1."""
+    return np.array(
+        [given.get(name, given.get(name.partition(".")[0], 1.0)) for name in _sensor_names(modes)]
+    )
+
+
+def _sensor_names(modes: ModeSet) -> list[str]:
+    return [
+        dof_name(dof) for dof in zip(modes.nodes.tolist(), modes.components.tolist(), strict=True)
+    ]
