@@ -49,9 +49,7 @@ class FileLock:
                 if error.errno not in WITHOUT_FLOCK:
                     raise
                 return self._take_lease()
-            if (
-                os.fstat(handle.fileno()).st_nlink == 0
-            ):  # removed since it was opened: another's now
+            if _is_removed(handle):  # since it was opened: the file there now is another's
                 handle.close()
                 return False
         self._handle = handle
@@ -103,3 +101,10 @@ class FileLock:
                 continue
             return True
         return False
+
+
+def _is_removed(handle: IO[str]) -> bool:
+    try:
+        return os.fstat(handle.fileno()).st_nlink == 0
+    except OSError:  # a share says so of a file that is gone
+        return True

@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, TypeVar
 
 from modetune.core.errors import StorageUnavailable, StoreDamaged
 from modetune.core.storage.codec import read_value, write_value
@@ -37,6 +37,8 @@ from modetune.core.updating.results import (
     ReducedModel,
     Result,
 )
+
+R = TypeVar("R")
 
 logger = logging.getLogger(__name__)
 
@@ -103,11 +105,20 @@ class Store:
 
         Raises StorageUnavailable where the folder may not be read.
         """
+        return self._checked(key, _read_entry)
+
+    def check(self, key: str) -> bool:
+        """Whether the entry of this key is, bit for bit, what was written; a damaged one is set
+        aside. Raises StorageUnavailable where it may not be read."""
+        return self._checked(key, _head_of) is not None
+
+    def _checked(self, key: str, read: Callable[[bytes, Path, str], R]) -> R | None:
+        """What is read of an entry; nothing where there is none, or `read` finds it damaged."""
         path = self.path(key)
         try:
             with path.open("rb") as file:
                 try:
-                    return _read_entry(file.read(), path, key)
+                    return read(file.read(), path, key)
                 except StoreDamaged as problem:
                     logger.warning("%s; set aside, it will be computed again", problem)
                     self._set_aside(path, os.fstat(file.fileno()).st_ino)
@@ -217,14 +228,24 @@ def _holding(file: IO[bytes]) -> Holding | None:
         return None
 
 
-def _read_entry(data: bytes, path: Path, key: str) -> Entry:
-    """The entry that a file's bytes are. Raises StoreDamaged."""
+def _head_of(data: bytes, path: Path, key: str) -> dict[str, Any]:
+    """What stands before the result in a file whose seal holds. Raises StoreDamaged."""
     if not holds(data, TITLE):
         raise StoreDamaged(f"the checksum of {path} does not hold")
     try:
-        head = json.loads(read_head(io.BytesIO(data), TITLE))
-        if head["key"] != key:
-            raise StoreDamaged(f"{path} is the entry of another key")
+        head: dict[str, Any] = json.loads(read_head(io.BytesIO(data), TITLE))
+        other = head["key"] != key
+    except (ValueError, KeyError, TypeError) as error:
+        raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
+    if other:
+        raise StoreDamaged(f"{path} is the entry of another key")
+    return head
+
+
+def _read_entry(data: bytes, path: Path, key: str) -> Entry:
+    """The entry that a file's bytes are. Raises StoreDamaged."""
+    head = _head_of(data, path, key)
+    try:
         with content(data) as file:
             result = read_value(file, KINDS[head["kind"]])
         return Entry(key, result, head["solver"], head["solver_version"], head["wall_s"])

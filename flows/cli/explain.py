@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import json
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson
+from modetune.flows.cli.options import AsJson, StorePlace, store_and_campaign
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
@@ -26,25 +25,15 @@ SHORT = 12
 
 def explain(
     job: Annotated[str, typer.Argument(help="Start of a job's key, or a job's folder.")],
-    store: Annotated[
-        Path, typer.Option(help="Folder of the store, or a campaign file that names it.")
-    ] = Path(".modetune/store"),
+    store: StorePlace = None,
     as_json: AsJson = False,
 ) -> None:
     """Tell what a job is, what became of it, and in what it differs from the nearest result."""
     from modetune.core.errors import CampaignError
-    from modetune.core.storage.store import Store
     from modetune.flows.updating.lookup import explain_job, key_start
 
     start = key_start(job)
-    if not store.exists():
-        raise CampaignError(f"{store} is not there; name a store or a campaign file with --store")
-    campaign = None
-    if store.is_file():
-        from modetune.flows.campaign.campaign import load_campaign
-
-        campaign = load_campaign(store)
-    place = campaign.store if campaign else Store(store)
+    place, campaign = store_and_campaign(store)
     found = explain_job(place, start)
     if found is None and campaign is not None:
         from modetune.flows.updating.dry_run import explain_unrun

@@ -37,6 +37,7 @@ from modetune.flows.cli.screen import screen
 from modetune.flows.cli.sensors import sensors
 from modetune.flows.cli.serve import serve
 from modetune.flows.cli.server import server_app
+from modetune.flows.cli.store import store_app
 from modetune.flows.cli.twin import twin
 from modetune.flows.cli.update import update
 from modetune.flows.cli.validate import validate
@@ -83,6 +84,7 @@ app = typer.Typer(
 for command in COMMANDS:
     app.command()(command)
 app.add_typer(server_app, name="server")
+app.add_typer(store_app, name="store")
 
 
 def _quiet() -> None:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modetune.core.errors import CampaignStopped
+
+if TYPE_CHECKING:
+    from modetune.core.storage.store import Store
+    from modetune.flows.campaign.campaign import Campaign
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 Settings = Annotated[
@@ -23,6 +28,32 @@ At = Annotated[
 Runs = Annotated[Path, typer.Option(help="Where run folders go.")]
 Figures = Annotated[Path | None, typer.Option(help="Folder for figures (PNG).")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
+
+
+StorePlace = Annotated[
+    Path | None,
+    typer.Option(
+        "--store",
+        help="Folder of the store, or a campaign file that names it; else MODETUNE_STORE, or "
+        ".modetune/store.",
+    ),
+]
+
+
+def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
+    """The store that was named, by its folder or by a campaign. Raises CampaignError."""
+    from modetune.core.errors import CampaignError
+    from modetune.core.storage.store import Store
+
+    place = given or Path(os.environ.get("MODETUNE_STORE") or ".modetune/store")
+    if not place.exists():
+        raise CampaignError(f"{place} is not there; name a store or a campaign file with --store")
+    if not place.is_file():
+        return Store(place), None
+    from modetune.flows.campaign.campaign import load_campaign
+
+    campaign = load_campaign(place)
+    return campaign.store, campaign
 
 
 @contextmanager

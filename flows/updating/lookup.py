@@ -61,27 +61,35 @@ def key_start(text: str) -> str:
     return start
 
 
+def one_key(store: Store, start: str) -> str | None:
+    """The key that starts so of which a store knows; nothing where it knows of none.
+
+    Raises CampaignError where the start fits several jobs.
+    """
+    keys = sorted({path.name.partition(".")[0] for _, path in _places(store, start)})
+    if len(keys) > 1:
+        shown = ", ".join(key[: len(start) + 8] for key in keys[:SHOWN])
+        more = f" and {len(keys) - SHOWN} more" if len(keys) > SHOWN else ""
+        raise CampaignError(f"{start} is the start of {len(keys)} keys: {shown}{more}; give more")
+    return keys[0] if keys else None
+
+
 def explain_job(store: Store, start: str) -> Explanation | None:
     """What the store knows of the job whose key starts so; nothing where it knows of none.
 
     Raises CampaignError where the start fits several jobs.
     """
-    places = _places(store, start)
-    keys = sorted({path.name.partition(".")[0] for _, path in places})
-    if not keys:
+    key = one_key(store, start)
+    if key is None:
         return None
-    if len(keys) > 1:
-        shown = ", ".join(key[: len(start) + 8] for key in keys[:SHOWN])
-        more = f" and {len(keys) - SHOWN} more" if len(keys) > SHOWN else ""
-        raise CampaignError(f"{start} is the start of {len(keys)} keys: {shown}{more}; give more")
-    state, path = places[0]
-    holding = store.holding(keys[0]) if state == "stored" else None
+    state, path = _places(store, key)[0]
+    holding = store.holding(key) if state == "stored" else None
     if state == "stored" and holding is None:
         state = "damaged"
-    job = asked_of(holding) if holding else _job_of_folder(keys[0], path)
+    job = asked_of(holding) if holding else _job_of_folder(key, path)
     near = nearest(store, [job] if job else [], partial(kept_text, store))
     return Explanation(
-        key=keys[0],
+        key=key,
         state=state,
         job=job,
         where=path,

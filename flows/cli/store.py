@@ -1,0 +1,298 @@
+"""`modetune store`: what a store holds, whether it is whole, and what can go.
+
+Heavy packages are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, StorePlace, stoppable, store_and_campaign
+from modetune.flows.report.tables import Column, show_table, table_of
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.jobs.store_files import StoreFile
+    from modetune.flows.jobs.store_index import IndexedEntry, Order
+
+store_app = typer.Typer(
+    help="The store of results: look at it, check it, shrink it.", no_args_is_help=True
+)
+
+AGES_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
+SIZES = {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
+#: Digits of a key that are shown.
+SHORT = 12
+
+Older = Annotated[
+    str | None, typer.Option(help="Written longer ago than this: 90min, 12h, 30d, 8w.")
+]
+Larger = Annotated[str | None, typer.Option(help="Of at least this size: 500kB, 10MB, 1GB.")]
+
+
+class By(StrEnum):
+    """What a list is sorted by."""
+
+    newest = "newest"
+    oldest = "oldest"
+    largest = "largest"
+
+
+@dataclass(frozen=True, slots=True)
+class EntryRow:
+    """A result in a list. solver, kind and model are empty where its head cannot be read."""
+
+    key: Annotated[str, Column("key")]
+    written: Annotated[str, Column("written (UTC)")]
+    size_kb: Annotated[float, Column("size", "kB", ".1f")]
+    wall_s: Annotated[float, Column("took", "s", ".3g")]
+    solver: Annotated[str, Column("solver")]
+    kind: Annotated[str, Column("analysis")]
+    model: Annotated[str, Column("model")]
+
+
+@dataclass(frozen=True, slots=True)
+class SumRow:
+    """What a store holds of one kind."""
+
+    what: Annotated[str, Column("what")]
+    solver: Annotated[str, Column("solver")]
+    model: Annotated[str, Column("model")]
+    files: Annotated[int, Column("files")]
+    size_mb: Annotated[float, Column("size", "MB", ".2f")]
+    wall_s: Annotated[float, Column("took", "s", ".4g")]
+
+
+@store_app.command("ls")
+def store_ls(
+    store: StorePlace = None,
+    by: Annotated[By, typer.Option(help="What comes first.")] = By.newest,
+    older: Older = None,
+    larger: Larger = None,
+    limit: Annotated[int, typer.Option(help="So many are listed; 0: all.", min=0)] = 50,
+    as_json: AsJson = False,
+) -> None:
+    """List results: when they were written, their size, what they are and what they took."""
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.jobs.store_index import Chosen, ask_index
+
+    place, _ = store_and_campaign(store)
+    before_ns = int((time.time() - age_s(older)) * 1e9) if older else Chosen().before_ns
+    chosen = Chosen(before_ns, size_bytes(larger) if larger else 0)
+    found = ask_index(place, lambda index: index.entries(chosen, limit or -1, _order(by)))
+    if as_json:
+        typer.echo(json.dumps({"store": str(place.folder), "results": list(map(_told, found))}))
+        return
+    show_table(terminal(), table_of("", [_row(entry) for entry in found], EntryRow))
+    if not found:
+        typer.echo(f"{place.folder} has no such result")
+
+
+@store_app.command("size")
+def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
+    """Tell how much room results take by solver, model and analysis, and what else there is."""
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.jobs.store_files import beside
+    from modetune.flows.jobs.store_index import ask_index
+
+    place, _ = store_and_campaign(store)
+    sums: dict[tuple[str, str, str], tuple[int, int, float]] = {}
+
+    def add(name: tuple[str, str, str], *more: float) -> None:
+        files, size, wall_s = sums.get(name, (0, 0, 0.0))
+        sums[name] = files + int(more[0]), size + int(more[1]), wall_s + more[2]
+
+    for job, count, size, wall_s in ask_index(place, lambda index: index.sums()):
+        if job is None:
+            add(("cannot be read", "", ""), count, size, 0.0)
+        else:
+            add((job.kind, job.solver, job.note.model if job.note else ""), count, size, wall_s)
+    for item in beside(place, time.time()):
+        add((item.what, "", ""), 1, item.size, 0.0)
+    sorted_sums = sorted(sums.items(), key=lambda item: -item[1][1])
+    total = sum(size for _, size, _ in sums.values())
+    if as_json:
+        told = [
+            {"what": what, "solver": solver, "model": model, "files": files, "size_bytes": size,
+             "wall_s": wall_s}
+            for (what, solver, model), (files, size, wall_s) in sorted_sums
+        ]  # fmt: skip
+        typer.echo(json.dumps({"store": str(place.folder), "size_bytes": total, "holds": told}))
+        return
+    rows = [SumRow(*name, files, size / 1e6, wall_s) for name, (files, size, wall_s) in sorted_sums]
+    show_table(terminal(), table_of("", rows, SumRow))
+    typer.echo(f"{place.folder} holds {shown_size(total)}")
+
+
+@store_app.command("check")
+def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
+    """Read every result and tell which are damaged; these are set aside and computed again.
+
+    Exit code 5 where one was damaged.
+    """
+    from modetune.core.errors import StoreDamaged
+    from modetune.flows.jobs.store_files import check
+
+    place, _ = store_and_campaign(store)
+    with stoppable("stopped; what was found damaged was set aside"):
+        whole, damaged = check(place)
+    aside = place.folder / "damaged"
+    if as_json:
+        keys: list[Json] = [path.name.partition(".")[0] for path in damaged]
+        told: Json = {"store": str(place.folder), "whole": whole, "damaged": keys}
+        typer.echo(json.dumps(told))
+    else:
+        typer.echo(f"{whole} whole, {len(damaged)} damaged")
+        for path in damaged:
+            typer.echo(f"set aside: {aside / path.name}")
+    if damaged:
+        raise typer.Exit(StoreDamaged.exit_code)
+
+
+@store_app.command("prune")
+def store_prune(
+    store: StorePlace = None,
+    older: Older = None,
+    larger: Larger = None,
+    other_formats: Annotated[
+        bool,
+        typer.Option("--other-formats", help="Results of other versions' formats too."),
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Tell what would go, and remove nothing.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Remove what killed runs left behind, and what is older and larger than asked.
+
+    Age and size hold for results, folders of failed and kept jobs, damaged results and texts of
+    decks; where both are given both must hold, and without them only leftovers go, and with
+    --other-formats results of other formats. A result that is needed again is computed again.
+    """
+    from modetune.flows.jobs.store_files import prunable, remove
+
+    place, _ = store_and_campaign(store)
+    longest = age_s(older) if older else None
+    least = size_bytes(larger) if larger else None
+    found = prunable(place, time.time(), longest, least, other_formats)
+    with stoppable("stopped; the same command goes on from there"):
+        gone = found if dry_run else remove(place, found)
+    _tell_removed(place.folder, gone, dry_run, as_json)
+
+
+@store_app.command("forget")
+def store_forget(
+    key: Annotated[str, typer.Argument(help="Start of a job's key, or a job's folder.")],
+    store: StorePlace = None,
+    as_json: AsJson = False,
+) -> None:
+    """Remove one job's result and folders; it is computed again when it is needed."""
+    from modetune.core.errors import CampaignError
+    from modetune.flows.jobs.store_files import files_of, remove
+    from modetune.flows.updating.lookup import key_start, one_key
+
+    place, _ = store_and_campaign(store)
+    start = key_start(key)
+    whole = one_key(place, start)
+    if whole is None:
+        raise CampaignError(f"nothing is known of a job {start}... in {place.folder}")
+    found = files_of(place, whole)
+    gone = remove(place, found)
+    if len(gone) < len(found):
+        raise CampaignError(f"the job {whole[:SHORT]} is under way; forget it when it has ended")
+    _tell_removed(place.folder, gone, False, as_json)
+
+
+def age_s(text: str) -> float:
+    """Seconds of an age such as 30d. Raises CampaignError."""
+    return _measure(text, AGES_S, "an age", "30d")
+
+
+def size_bytes(text: str) -> int:
+    """Bytes of a size such as 10MB. Raises CampaignError."""
+    return round(_measure(text, SIZES, "a size", "10MB"))
+
+
+def shown_size(size: int) -> str:
+    """A size in the unit that suits it."""
+    unit = max((unit for unit in SIZES if size >= SIZES[unit]), key=SIZES.__getitem__, default="B")
+    return f"{size / SIZES[unit]:.4g} {unit}"
+
+
+def _measure(text: str, units: Mapping[str, float], what: str, example: str) -> float:
+    from modetune.core.errors import CampaignError
+
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?([A-Za-z]+)", text.strip(), re.ASCII)
+    by_name = {unit.lower(): value for unit, value in units.items()}
+    if match is None or match[2].lower() not in by_name:
+        raise CampaignError(
+            f"{text!r} is not {what}: expected a number and one of {', '.join(units)}, as {example}"
+        )
+    return float(match[1]) * by_name[match[2].lower()]
+
+
+def _order(by: By) -> Order:
+    if by is By.newest:
+        return "written_ns DESC"
+    return "written_ns" if by is By.oldest else "size DESC"
+
+
+def _tell_removed(folder: Path, gone: Sequence[StoreFile], dry_run: bool, as_json: bool) -> None:
+    total = sum(item.size for item in gone)
+    if as_json:
+        told = [
+            {"what": item.what, "path": str(item.path), "key": item.key,
+             "size_bytes": item.size, "written": _time(item.written_s)}
+            for item in gone
+        ]  # fmt: skip
+        done = {"store": str(folder), "dry_run": dry_run, "size_bytes": total, "removed": told}
+        typer.echo(json.dumps(done))
+        return
+    for what, count in Counter(item.what for item in gone).most_common():
+        size = sum(item.size for item in gone if item.what == what)
+        typer.echo(f"{count:7} {what}: {shown_size(size)}")
+    said = "would be freed" if dry_run else "freed"
+    typer.echo(f"{shown_size(total)} {said} in {folder}" if gone else "nothing to remove")
+
+
+def _row(entry: IndexedEntry) -> EntryRow:
+    job = entry.job
+    return EntryRow(
+        entry.key[:SHORT],
+        f"{datetime.fromtimestamp(entry.written_s, UTC):%Y-%m-%d %H:%M}",
+        entry.size / 1e3,
+        entry.wall_s if job else float("nan"),
+        f"{job.solver} {job.solver_version}".strip() if job else "",
+        job.kind if job else "cannot be read",
+        job.note.model if job and job.note else "",
+    )
+
+
+def _told(entry: IndexedEntry) -> dict[str, Json]:
+    job = entry.job
+    return {
+        "key": entry.key,
+        "written": _time(entry.written_s),
+        "size_bytes": entry.size,
+        "wall_s": entry.wall_s if job else None,
+        "solver": job.solver if job else None,
+        "solver_version": job.solver_version if job else None,
+        "analysis": job.kind if job else None,
+        "model": job.note.model if job and job.note else None,
+        "values": dict(job.note.values) if job and job.note else None,
+    }
+
+
+def _time(written_s: float) -> str:
+    return datetime.fromtimestamp(written_s, UTC).isoformat()
