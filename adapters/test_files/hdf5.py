@@ -10,6 +10,7 @@
     frfs/               frequencies_hz (n_lines,), values (n_lines, n_functions), nodes, components,
                         signs, reference_nodes, reference_components, reference_signs
                         (n_functions,), coherences (n_lines, n_functions) or empty; attribute kind
+    deviations/         frequencies, shapes (n_modes,), relative, NaN: unknown
 
 Each group may be missing. `core/storage/codec` writes it. The first 512 bytes hold a SHA-256 of all
 that follows, which is looked at before HDF5 sees the file (`core/storage/seal`). Programs other
@@ -26,7 +27,12 @@ from numpy.typing import NDArray
 
 from modetune.adapters.regular_file import largest, read_regular
 from modetune.core.errors import CampaignError, ModesError, StoreDamaged
-from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
+from modetune.core.measurement.measurement import (
+    MeasuredDeviations,
+    MeasuredFrfs,
+    Measurement,
+    TestGeometry,
+)
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, Normalisation
 from modetune.core.storage.codec import read_value, write_value
 from modetune.core.storage.files import writing
@@ -60,6 +66,7 @@ class _File:
     modes: _Modes | None
     geometry: TestGeometry | None
     frfs: MeasuredFrfs | None
+    deviations: MeasuredDeviations | None = None
 
 
 def write_test_hdf5(path: Path, measurement: Measurement) -> None:
@@ -68,7 +75,15 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
     if (measured := measurement.modes) is not None:
         columns = [getattr(measured.modes, item.name) for item in fields(ModeSet)]
         modes = _Modes(np.array(measured.numbers, dtype=np.int64), *columns)
-    form = _File(FORMAT, VERSION, measurement.notes, modes, measurement.geometry, measurement.frfs)
+    form = _File(
+        FORMAT,
+        VERSION,
+        measurement.notes,
+        modes,
+        measurement.geometry,
+        measurement.frfs,
+        measurement.deviations,
+    )
     data = sealed(FORMAT, lambda file: write_value(file, form))
     with writing(path) as part:
         part.write_bytes(data)
@@ -104,7 +119,7 @@ def read_test_hdf5(path: Path) -> Measurement:
             modes = MeasuredModes(tuple(form.modes.numbers.tolist()), ModeSet(**columns))
     except (StoreDamaged, ModesError) as problem:
         raise CampaignError(f"test file {path} is not a readable test ({problem})") from problem
-    return Measurement(modes, form.geometry, form.frfs, form.notes)
+    return Measurement(modes, form.geometry, form.frfs, form.notes, form.deviations)
 
 
 def is_test_hdf5(data: bytes) -> bool:

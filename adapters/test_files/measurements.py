@@ -17,7 +17,7 @@ import numpy as np
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.test_files.geometry_csv import is_geometry_csv, read_geometry_csv
 from modetune.adapters.test_files.hdf5 import is_test_hdf5, read_test_hdf5
-from modetune.adapters.test_files.modes_csv import read_modes_csv
+from modetune.adapters.test_files.modes_csv import read_test_csv
 from modetune.adapters.test_files.universal.axes import Axes
 from modetune.adapters.test_files.universal.file import read_universal
 from modetune.core.correlation.complexity import real_shapes
@@ -133,7 +133,7 @@ def _read_one(path: Path, form: str) -> Measurement:
         return read_test_hdf5(path)
     if form == "points as CSV":
         return Measurement(geometry=read_geometry_csv(path))
-    return Measurement(modes=read_modes_csv(path))
+    return read_test_csv(path)
 
 
 def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
@@ -145,6 +145,10 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
             modes = _joined_modes(whole.modes, modes, (places["modes"], place))
         if whole.geometry is not None and geometry is not None:
             geometry = _joined_points(whole.geometry, geometry, (places["geometry"], place))
+        if whole.deviations is not None and part.deviations is not None:
+            raise CampaignError(
+                f"both {places['modes']} and {place} give deviations; leave them out of one"
+            )
         if whole.frfs is not None and frfs is not None:
             raise CampaignError(
                 f"both {places['frfs']} and {place} hold response functions; leave out one"
@@ -157,6 +161,7 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
             geometry or whole.geometry,
             frfs or whole.frfs,
             whole.notes + part.notes,
+            whole.deviations or part.deviations,
         )
     return whole
 

@@ -4,6 +4,8 @@
     mode,           1,      2,      3
     frequency_hz,   5.51,   15.74,  34.75
     damping_ratio,  0.0042, 0.0031, 0.003       (optional, fraction of critical)
+    frequency_deviation, 0.001, 0.001, 0.004    (optional, standard deviation over the frequency)
+    shape_deviation,     0.02,  0.02,  0.1      (optional, of a shape's entries, over its rms)
     101.x,          0.12,  -0.40,   0.03        (sensor: node.component x y z rx ry rz)
     101.z,          ...
 
@@ -23,8 +25,12 @@ import numpy as np
 
 from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import CampaignError, ModesError
+from modetune.core.measurement.measurement import MeasuredDeviations, Measurement
 from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.storage.files import writing
+
+#: Rows that say how exactly frequencies and shapes were measured.
+DEVIATIONS = ("frequency_deviation", "shape_deviation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +43,14 @@ class CsvRow:
 
 
 def read_modes_csv(path: Path) -> MeasuredModes:
-    """Read a test. Raises CampaignError with every problem, each with file and line."""
+    """The modes of a test. Raises CampaignError with every problem, each with file and line."""
+    found = read_test_csv(path).modes
+    assert found is not None
+    return found
+
+
+def read_test_csv(path: Path) -> Measurement:
+    """The modes of a test and how exactly they were measured. Raises CampaignError likewise."""
     rows = _rows(path)
     if not rows or rows[0].name != "mode":
         raise CampaignError(
@@ -48,6 +61,7 @@ def read_modes_csv(path: Path) -> MeasuredModes:
     numbers = _mode_numbers(path, header, problems)
     frequencies: list[float] | None = None
     damping: list[float] = []
+    deviations: dict[str, list[float]] = {}
     sensors: dict[tuple[int, int], list[float]] = {}
     seen: set[str | tuple[int, int]] = set()
     for row in others:
@@ -61,14 +75,18 @@ def read_modes_csv(path: Path) -> MeasuredModes:
             sensors[dof] = values
         elif row.name == "damping_ratio":
             damping = values
+        elif row.name in DEVIATIONS:
+            deviations[row.name] = values
+            if any(value <= 0.0 for value in values):
+                problems.append(f"{where}: `{row.name}` must be above zero, found {min(values):g}")
         elif row.name == "frequency_hz":
             frequencies = values
             if any(value <= 0.0 for value in values):
                 problems.append(f"{where}: frequencies must be above zero")
         else:
             problems.append(
-                f"{where}: row `{row.name}` is neither frequency_hz, damping_ratio nor a sensor "
-                "such as 101.x"
+                f"{where}: row `{row.name}` is neither frequency_hz, damping_ratio, "
+                f"{', '.join(DEVIATIONS)} nor a sensor such as 101.x"
             )
     if frequencies is None:
         problems.append(f"{path}, line {header.line}: no row `frequency_hz` follows")
@@ -77,7 +95,10 @@ def read_modes_csv(path: Path) -> MeasuredModes:
     shapes = _shapes(path, header.line, numbers, list(sensors.values()))
     places = np.array(list(sensors), dtype=np.int64).reshape(-1, 2)
     modes = mode_set(frequencies or [], shapes, places[:, 0], places[:, 1], damping)
-    return MeasuredModes(numbers, modes)
+    known = [np.array(deviations.get(name, [math.nan] * len(numbers))) for name in DEVIATIONS]
+    return Measurement(
+        MeasuredModes(numbers, modes), deviations=MeasuredDeviations(*known) if deviations else None
+    )
 
 
 def _shapes(path: Path, line: int, numbers: tuple[int, ...], rows: list[list[float]]) -> Floats:
@@ -150,7 +171,11 @@ def _whole(text: str) -> bool:
 
 
 def write_modes_csv(
-    path: Path, numbers: Sequence[int], modes: ModeSet, comment: Sequence[str] = ()
+    path: Path,
+    numbers: Sequence[int],
+    modes: ModeSet,
+    comment: Sequence[str] = (),
+    deviations: MeasuredDeviations | None = None,
 ) -> None:
     """Write real modes in the form that `read_modes_csv` reads.
 
@@ -163,6 +188,13 @@ def write_modes_csv(
     lines.append(_row("frequency_hz", modes.frequencies_hz.tolist()))
     if modes.damping_ratios.size:
         lines.append(_row("damping_ratio", modes.damping_ratios.tolist()))
+    if deviations is not None:
+        columns = (deviations.frequencies, deviations.shapes)
+        lines += [
+            _row(name, values.tolist())
+            for name, values in zip(DEVIATIONS, columns, strict=True)
+            if np.isfinite(values).all()
+        ]
     for row in range(modes.n_dof):
         component = COMPONENTS[modes.components[row] - 1]
         lines.append(_row(f"{modes.nodes[row]}.{component}", modes.mode_shapes[row].tolist()))

@@ -98,18 +98,38 @@ class MeasuredFrfs:
             raise ModesError("a response function holds values that are not finite numbers")
 
 
+@dataclass(frozen=True, slots=True)
+class MeasuredDeviations:
+    """How exactly the modes of a test were measured, NaN where it does not tell.
+
+    frequencies: (n_modes,), relative standard deviations of the frequencies; shapes: (n_modes,), of
+    the entries of each shape, relative to its root mean square.
+    Raises ModesError for values that are not above zero.
+    """
+
+    frequencies: Floats
+    shapes: Floats
+
+    def __post_init__(self) -> None:
+        for values in (self.frequencies, self.shapes):
+            if values.shape != self.frequencies.shape or (values <= 0.0).any():
+                raise ModesError("each mode of a test needs deviations above zero")
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class Measurement:
     """A test as its files give it; each part may be missing.
 
     modes: real shapes at the test's own nodes, in the directions of `geometry.frames`.
     notes: what the reader decided or left out, a sentence each, for people.
+    deviations: of the modes, in their order.
     """
 
     modes: MeasuredModes | None = None
     geometry: TestGeometry | None = None
     frfs: MeasuredFrfs | None = None
     notes: tuple[str, ...] = ()
+    deviations: MeasuredDeviations | None = None
 
     __repr__ = brief
 

@@ -250,10 +250,12 @@ def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Cas
         mapping=mapping,
         surface=display_surface(solver.deck.mesh(), file.report.nodes),
         nodes=pairing_nodes(test, mapping.sensors, solver),
-        weighting=weighting_of(file.residuals, test),
+        weighting=weighting_of(file.residuals, measurement, test),
         held_out=replace(held, modes=held.modes.rows(mapping.rows)) if held else None,
         held_out_deviations=(
-            weighting_of(file.residuals, held).frequency_deviations if held else np.zeros(0)
+            weighting_of(file.residuals, measurement, held).frequency_deviations
+            if held
+            else np.zeros(0)
         ),
         eigensolver=file.model.eigensolver,
     )

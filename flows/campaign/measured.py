@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modetune.adapters.solver import Solver
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.yaml_file import YamlFile
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.repeated import mean_of_tests
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes, mode_set
@@ -36,6 +39,11 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
         problems += [f"{problem} (named in {where})" for problem in error.problems]
         return None
     said = ", ".join(names)
+    if file.test.repeats:
+        again = _with_repeats(source, file, measurement, problems)
+        if again is None:
+            return None
+        measurement = again
     test = measurement.modes
     if test is None:
         problems.append(f"{source.where(('test', 'modes'))}: {said} holds no modes")
@@ -64,8 +72,37 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
             f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
             f"{said} holds frequencies only"
         )
-    problems += weight_problems(source, file, test, used_numbers(file, test), file.test.hold_out)
+    problems += weight_problems(
+        source, file, measurement, used_numbers(file, test), file.test.hold_out
+    )
     return measurement
+
+
+def _with_repeats(
+    source: YamlFile, file: CampaignFile, measurement: Measurement, problems: list[str]
+) -> Measurement | None:
+    """The mean of a test and its repetitions, with the deviations that their scatter tells."""
+    where = source.where(("test", "repeats"))
+    if measurement.modes is None or measurement.deviations is not None:
+        lacks = "no modes" if measurement.modes is None else "deviations of its own"
+        problems.append(f"{where}: `repeats` tell deviations, but the test has {lacks}")
+        return None
+    tests = [measurement.modes]
+    for name in file.test.repeats:
+        try:
+            found = read_measurement([source.path.parent / name])
+            if found.modes is None:
+                raise CampaignError(f"{name} holds no modes")
+            mean_of_tests([measurement.modes, found.modes])
+            tests.append(found.modes)
+        except CampaignError as error:
+            problems += [f"{problem} (named in {where})" for problem in error.problems]
+        except ModesError as error:
+            problems.append(f"{where}: {name} does not repeat the test: {error}")
+    if len(tests) <= len(file.test.repeats):
+        return None
+    modes, deviations = mean_of_tests(tests)
+    return replace(measurement, modes=modes, deviations=deviations)
 
 
 def used_numbers(file: CampaignFile, test: MeasuredModes) -> tuple[int, ...]:

@@ -47,9 +47,11 @@ class ResidualSection(Section):
     shape_weight: Weights = Field(default=0.0, validate_default=True)
     """Emphasis of mode shapes, of all or by mode; 0 leaves them out."""
     frequency_deviation: Deviations = Field(default=0.002, validate_default=True)
-    """Standard deviation of measured frequencies, of all or by mode [of the frequency]"""
+    """Standard deviation of measured frequencies, of all or by mode; without it those of the
+    test, where its file or repetitions tell them [of the frequency]"""
     shape_deviation: Deviations = Field(default=0.05, validate_default=True)
-    """Standard deviation of measured shape entries, of all or by mode [of the shape's rms]"""
+    """Standard deviation of measured shape entries, of all or by mode; without it those of the
+    test, where its file or repetitions tell them [of the shape's rms]"""
     sensor_weight: Annotated[dict[str, NotNegative], BeforeValidator(_by_name)] = Field(default={})
     """Emphasis of sensors by name, `12.z`, or all of a point, `12`; 1 unless given. 0 leaves a
     sensor out altogether, as if it had not been there."""

@@ -70,6 +70,9 @@ class TestSection(Section):
     modes: str | Annotated[tuple[str, ...], Field(min_length=1)]
     """Path of the measured modes (CSV, universal file, HDF5), relative to the campaign file; or a
     list of files that belong together: modes, geometry, response functions."""
+    repeats: tuple[str, ...] = ()
+    """Files of the same test done again: the mean of all is taken, and deviations from how they
+    scatter."""
     length: LengthUnit | None = None
     """Unit of the test's coordinates, where its files do not tell."""
     axes: Literal["auto", "rows", "columns"] = "auto"

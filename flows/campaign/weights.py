@@ -13,6 +13,7 @@ from typing import get_args
 import numpy as np
 
 from modetune.adapters.yaml_file import YamlFile
+from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, dof_name
 from modetune.core.updating.weighting import Weighting
 from modetune.flows.campaign.residual_section import OTHERS, ModeKey, ResidualSection, SensorKey
@@ -22,10 +23,14 @@ from modetune.flows.campaign.schema import CampaignFile
 UNWEIGHTED = ("pseudo_inverse", "minimum_norm")
 
 
-def weighting_of(section: ResidualSection, test: MeasuredModes) -> Weighting:
-    """The weighting of these modes at their sensors."""
+def weighting_of(
+    section: ResidualSection, measurement: Measurement, test: MeasuredModes
+) -> Weighting:
+    """The weighting of modes of a test at their sensors; what the campaign does not say, the test
+    may tell."""
+    told = _told(measurement)
     by_mode = [
-        np.array([section.of_mode(key, number) for number in test.numbers])
+        np.array([section.of_mode(key, n, told.get(key, {}).get(n)) for n in test.numbers])
         for key in ("frequency_deviation", "shape_deviation", "frequency_weight", "shape_weight")
     ]
     by_sensor = [
@@ -33,6 +38,22 @@ def weighting_of(section: ResidualSection, test: MeasuredModes) -> Weighting:
         for values in (section.sensor_deviation, section.sensor_weight)
     ]
     return Weighting(*by_mode, *by_sensor)
+
+
+def _told(measurement: Measurement) -> dict[str, dict[int, float]]:
+    """Deviations that the test tells, by the campaign's key and the mode's number."""
+    modes, known = measurement.modes, measurement.deviations
+    if modes is None or known is None:
+        return {}
+    columns = {"frequency_deviation": known.frequencies, "shape_deviation": known.shapes}
+    return {
+        key: {
+            number: value
+            for number, value in zip(modes.numbers, values.tolist(), strict=True)
+            if np.isfinite(value)
+        }
+        for key, values in columns.items()
+    }
 
 
 def kept_sensors(section: ResidualSection, test: MeasuredModes) -> MeasuredModes:
@@ -46,12 +67,13 @@ def kept_sensors(section: ResidualSection, test: MeasuredModes) -> MeasuredModes
 def weight_problems(
     source: YamlFile,
     file: CampaignFile,
-    test: MeasuredModes,
+    measurement: Measurement,
     used: Sequence[int],
     held_out: Sequence[int],
 ) -> list[str]:
     """Why the `residuals` do not fit the test. used, held_out: numbers of its modes."""
-    section = file.residuals
+    section, test = file.residuals, measurement.modes
+    assert test is not None
     found = []
     for key in get_args(ModeKey):
         judged = (*used, *held_out) if key == "frequency_deviation" else used
@@ -65,7 +87,7 @@ def weight_problems(
             for name in getattr(section, key)
             if (said := _sensor_problem(name, test))
         ]
-    return found or _idle(source, file, test, used)
+    return found or _idle(source, file, measurement, test.use(tuple(used)))
 
 
 def _mode_problem(name: str, numbers: Sequence[int], judged: Sequence[int]) -> str:
@@ -93,12 +115,12 @@ def _sensor_problem(name: str, test: MeasuredModes) -> str:
 
 
 def _idle(
-    source: YamlFile, file: CampaignFile, test: MeasuredModes, used: Sequence[int]
+    source: YamlFile, file: CampaignFile, measurement: Measurement, test: MeasuredModes
 ) -> list[str]:
     """Weights that leave nothing, or that would count for nothing."""
     section, step = file.residuals, file.update.step
     where = source.where(("residuals",))
-    weighting = weighting_of(section, test.use(tuple(used)))
+    weighting = weighting_of(section, measurement, test)
     weights = np.concatenate([weighting.frequency_weights, weighting.shape_weights])
     if not weights.any():
         return [f"{where}: residuals: all weights are 0; one must be above zero"]

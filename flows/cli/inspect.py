@@ -97,7 +97,8 @@ def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path
     comment = [f"from {', '.join(file.name for file in files)}", *measurement.notes]
     written = []
     if measurement.modes is not None:
-        write_modes_csv(path, measurement.modes.numbers, measurement.modes.modes, comment)
+        modes = measurement.modes
+        write_modes_csv(path, modes.numbers, modes.modes, comment, measurement.deviations)
         written.append(path)
     if measurement.geometry is not None:
         points = path.with_name(f"{path.stem}-points.csv") if written else path

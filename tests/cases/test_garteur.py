@@ -52,6 +52,7 @@ def derivatives(campaign: Campaign, method: Exact, columns: list[int]) -> Any:
     return methods.assemble(part.point, chosen, columns), part
 
 
+EMPHASIS = "emphasis.yaml"
 DENSITY = (
     "parameters=[{name: E_wing, quantity: youngs_modulus, material: WING}, "
     "{name: E_fin, quantity: youngs_modulus, material: FIN}, "
@@ -205,6 +206,19 @@ def test_the_thesiss_case_on_the_coarse_mesh_beats_its_errors(folder: Path, watc
     assert (np.abs(record.updated - 1.0) <= 0.3).all()
     assert record.iterations[0].computed.n_modes == 10  # sixteen less the six rigid ones
     assert record.runs.sensitivity == 0
+
+
+def test_emphasis_moves_the_answer_to_the_first_two_frequencies(folder: Path, watcher: Any) -> None:
+    settings = ("model.deck=garteur_coarse.inp", "update.e1.frequency=0.004")
+    even, weighed = (run(folder, watcher, name, *settings) for name in ("thesis.yaml", EMPHASIS))
+    errors = [np.abs(record.best.frequency_errors) for record in (even, weighed)]
+    assert even.status == weighed.status == "stationary"
+    # Thesis Table 21 has 1.6 and 0.4 %, which the fine mesh reaches; without emphasis 1.7 %.
+    assert errors[1][0] < 0.016
+    assert errors[1][1] < 0.005 < 0.015 < errors[0][1]
+    assert errors[1].mean() < 0.024
+    found = weighed.best.residual
+    np.testing.assert_allclose(found.weights * found.variances, [3, 30, 1, 1, 1, 1])
 
 
 def test_the_updated_deck_runs_in_plain_ccx(folder: Path, exact_twin: CampaignRecord) -> None:

@@ -42,6 +42,11 @@ def write_universal(path: Path, measurement: Measurement) -> None:
     """
     if measurement.is_empty:
         raise ModesError(f"{path}: there is nothing to write")
+    if measurement.deviations is not None:
+        raise ModesError(
+            f"{path}: a universal file has no place for deviations; write .csv or .h5, or leave "
+            "them out of the test"
+        )
     with writing(path) as part, part.open("wb") as file, tempfile.TemporaryDirectory() as folder:
         # a file for each dataset: pyuff reads its whole file again after each one it appends
         one = Path(folder) / "one.uff"

@@ -10,8 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from modetune.adapters.test_files.modes_csv import read_modes_csv, write_modes_csv
+from modetune.adapters.test_files.hdf5 import read_test_hdf5, write_test_hdf5
+from modetune.adapters.test_files.modes_csv import read_modes_csv, read_test_csv, write_modes_csv
+from modetune.adapters.test_files.universal.write import write_universal
 from modetune.core.errors import CampaignError, ModesError
+from modetune.core.measurement.measurement import MeasuredDeviations
 from modetune.core.modes import ModeSet, mode_set
 
 #: Files are written, at the speed of a busy machine.
@@ -191,3 +194,17 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(CampaignError) as caught:
         read_modes_csv(tmp_path / name)
     assert str(caught.value).startswith(f"test file {tmp_path / name} cannot be read: ")
+
+
+def test_deviations_come_back_from_csv_and_hdf5(tmp_path: Path) -> None:
+    known = MeasuredDeviations(np.array([0.001, 0.02]), np.array([0.05, 0.1]))
+    modes = mode_set([3.0, 5.0], [[1.0, 2.0]], [7], [3])
+    write_modes_csv(tmp_path / "a.csv", (1, 2), modes, deviations=known)
+    found = read_test_csv(tmp_path / "a.csv")
+    write_test_hdf5(tmp_path / "a.h5", found)
+    for back in (found, read_test_hdf5(tmp_path / "a.h5")):
+        assert back.deviations is not None
+        np.testing.assert_array_equal(back.deviations.frequencies, known.frequencies)
+        np.testing.assert_array_equal(back.deviations.shapes, known.shapes)
+    with pytest.raises(ModesError, match="no place for deviations"):
+        write_universal(tmp_path / "a.unv", found)

@@ -124,3 +124,45 @@ def test_sensors_of_a_test_without_shapes_are_refused(folder: Path) -> None:
     (folder / "measured.csv").write_text("mode,1,2\nfrequency_hz,10,20\n")
     found = problems(folder, "  sensor_deviation: {2.x: 2}\n")
     assert "the test holds frequencies only, no sensors" in found
+
+
+TOLD = SHAPES.replace("2.x", "frequency_deviation,0.001,0.004,0.01\n2.x", 1)
+
+
+def test_what_the_campaign_leaves_open_the_test_file_tells(folder: Path) -> None:
+    (folder / "measured.csv").write_text(TOLD)
+    told = loaded(folder, "  {shape_weight: 1}\n").case.weighting
+    assert told.frequency_deviations.tolist() == [0.001, 0.004, 0.01]
+    assert told.shape_deviations.tolist() == [0.05, 0.05, 0.05]  # of which the file says nothing
+    one = loaded(folder, "  {frequency_deviation: {2: 0.1}}\n").case.weighting
+    assert one.frequency_deviations.tolist() == [0.001, 0.1, 0.01]
+    all_of_them = loaded(folder, "  {frequency_deviation: 0.03}\n").case.weighting
+    assert all_of_them.frequency_deviations.tolist() == [0.03] * 3
+
+
+def test_repeated_tests_tell_mean_and_deviations(folder: Path) -> None:
+    for name, factor in (("b", 1.002), ("c", 0.998)):
+        text = SHAPES.replace("10,20,30", ",".join(str(factor * hz) for hz in (10, 20, 30)))
+        (folder / f"{name}.csv").write_text(text.replace("7.x,1,-1", f"7.x,{factor},-1.1"))
+    case = loaded(folder, "  {shape_weight: 1}\n", "test.repeats=[b.csv, c.csv]").case
+    assert case.test.modes.frequencies_hz == pytest.approx([10.0, 20.0, 30.0])
+    # s = 0.002 of all modes, over the root of three tests
+    assert case.weighting.frequency_deviations == pytest.approx(0.002 / 3**0.5)
+    assert (case.weighting.shape_deviations > 0.0).all()
+
+
+def test_files_that_do_not_repeat_the_test_are_refused(folder: Path) -> None:
+    (folder / "b.csv").write_text(SHAPES.replace("30", "45"))
+    found = problems(folder, "  {shape_weight: 1}\n", "test.repeats=[b.csv, nowhere.csv]")
+    assert "b.csv does not repeat the test: mode 4 at 45 Hz, and at 30 Hz in the first" in found
+    assert "nowhere.csv cannot be read" in found
+    (folder / "measured.csv").write_text(TOLD)
+    found = problems(folder, "  {shape_weight: 1}\n", "test.repeats=[b.csv]")
+    assert "the test has deviations of its own" in found
+
+
+@pytest.mark.parametrize("value", ["0", "-0.1"])
+def test_deviations_of_the_file_are_above_zero(folder: Path, value: str) -> None:
+    (folder / "measured.csv").write_text(TOLD.replace("0.004", value))
+    found = problems(folder, "  {shape_weight: 1}\n")
+    assert f"measured.csv, line 3: `frequency_deviation` must be above zero, found {value}" in found
