@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.zoo.__main__ import Outcome, table, update_twin
 from benchmarks.zoo.structures import FAMILIES
+from benchmarks.zoo.twins import Kind
 
 
 @pytest.mark.parametrize("family", [name for name in FAMILIES if name != "bracket"])
@@ -18,21 +19,49 @@ def test_a_structure_is_its_family_and_seed(family: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "family", ["chain", "mechanism", "polar_masses", "assembly", "tower", "soft_mounts", "stick"]
+    ("family", "kind"),
+    [
+        ("chain", "exact"),
+        ("mechanism", "swapped"),
+        ("polar_masses", "exact"),
+        ("assembly", "missing"),
+        ("tower", "turned"),
+        ("soft_mounts", "exact"),
+        ("stick", "turned"),
+        ("grillage", "swapped"),
+        ("square_bar", "exact"),
+        ("tube", "exact"),
+        ("stiffened_plate", "missing"),
+        ("round_bar", "noisy"),
+    ],
 )
-def test_the_truth_of_an_exact_twin_is_found(family: str) -> None:
-    outcome = update_twin(family, 1, "exact")
+def test_the_truth_of_a_sound_twin_is_found(family: str, kind: Kind) -> None:
+    outcome = update_twin(family, 1, kind)
     assert outcome.ended == "ended", outcome.said
     assert outcome.found, outcome
+    assert outcome.right, outcome
+
+
+@pytest.mark.parametrize("kind", ["reversed", "other"])
+def test_a_fault_of_test_or_model_is_not_trusted_away_from_the_truth(kind: Kind) -> None:
+    outcome = update_twin("chain", 2, kind)
+    assert outcome.ended == "ended", outcome.said
+    assert not outcome.found
+    assert not outcome.trusted
 
 
 def test_the_table_counts_how_updates_ended() -> None:
     outcomes = [
         Outcome("chain", 1, "exact", found=True, trusted=True, ended="ended"),
         Outcome("chain", 2, "exact", trusted=True, accused=True, ended="ended"),
+        Outcome("chain", 3, "other", accused=True, ended="ended"),
         Outcome("chain", 3, "exact", ended="lost"),
         Outcome("chain", 4, "exact", ended="fault"),
     ]
-    assert table(outcomes).splitlines()[1].split() == [
-        "chain", "exact", "4", "1", "1", "1", "1", "0", "1",
-    ]  # fmt: skip
+    lines = [line.split() for line in table(outcomes).splitlines()[1:]]
+    assert lines == [
+        ["chain", "5", "1", "2", "1", "1", "1", "0", "1"],
+        ["exact", "4", "1", "1", "1", "1", "1", "0", "1"],
+        ["other", "1", "0", "1", "0", "0", "0", "0", "0"],
+        ["all", "5", "1", "2", "1", "1", "1", "0", "1"],
+    ]
