@@ -25,6 +25,7 @@ import json
 import logging
 import sys
 import tempfile
+import time
 import traceback
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
@@ -220,6 +221,7 @@ def main() -> None:
     parser.add_argument("--families", nargs="+", choices=list(FAMILIES), default=list(FAMILIES))
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--minutes", type=float, default=np.inf, help="what is done by then counts")
     asked = parser.parse_args()
     each = asked.runs / (len(asked.families) * sum(SHARES[kind] for kind in asked.kinds))
     twins = [
@@ -228,12 +230,15 @@ def main() -> None:
         for place in range(max(1, round(each * SHARES[kind])))
         for family in asked.families
     ]
-    outcomes = []
+    outcomes, began = [], time.monotonic()
     with ProcessPoolExecutor(
         asked.workers, initializer=logging.disable, initargs=(logging.WARNING,)
     ) as pool:
         for outcome in pool.map(update_twin, *zip(*twins, strict=True)):
             outcomes.append(outcome)
+            if time.monotonic() - began > 60.0 * asked.minutes:
+                pool.shutdown(wait=False, cancel_futures=True)
+                break
             if not outcome.found:
                 said = outcome.said.strip().splitlines()
                 shown = said[-1] if outcome.ended == "fault" else said[0]
