@@ -138,11 +138,11 @@ class Field:
 
     def _strike(self, blow: str, pid: int, found: Found) -> bool:
         """Kill what a blow is named for; whether the campaign came to its end all the same."""
-        others = self._processes()
-        if blow != "campaign" and not others:
+        solvers = self._processes(solving=True)
+        if blow != "campaign" and not solvers:
             blow = "campaign"  # no solver runs just now
         found.blows[blow] += 1
-        for victim in [] if blow == "campaign" else others:
+        for victim in {"campaign": [], "all": self._processes(), "solver": solvers}[blow]:
             _kill(victim)
         if blow == "solver":  # it is run again
             self._wait(pid)
@@ -193,12 +193,15 @@ class Field:
             time.sleep(0.005)
         return False
 
-    def _processes(self) -> list[int]:
-        """Programs that campaigns here have started: solvers and their supervisors."""
+    def _processes(self, solving: bool = False) -> list[int]:
+        """Programs that campaigns here have started: solvers and their supervisors, or only
+        solvers at a job."""
         mark, found = f"{MARK}={self.folder}".encode(), []
         for entry in Path("/proc").glob("[0-9]*"):
             try:
-                if mark in (entry / "environ").read_bytes().split(b"\0"):
+                ours = mark in (entry / "environ").read_bytes().split(b"\0")
+                line = (entry / "cmdline").read_bytes()
+                if ours and not (solving and (b"supervisor" in line or b"\0-i\0" not in line)):
                     found.append(int(entry.name))
             except OSError:
                 continue
