@@ -322,7 +322,7 @@ def keep(home: Path, port: int) -> None:
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
     # Below a supervisor with a pipe to this process, so that no end of ours leaves it behind.
     server = subprocess.Popen(
-        [sys.executable, "-I", "-S", supervisor.__file__, "prefect.log",
+        [sys.executable, "-I", "-S", supervisor.__file__, "prefect.log", str(sys.maxsize),
          sys.executable, "-m", "prefect", "server", "start",
          "--host", "127.0.0.1", "--port", str(port)],
         cwd=home, env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
