@@ -10,15 +10,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from modetune.core.errors import ModetuneError
+from modetune.flows.campaign.campaign import cores
 from modetune.flows.jobs import heartbeats
 from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.heartbeats import LABEL, LICENCES, SilentRuns
+from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.prefect_api import PrefectApi, ServerRefused
 from modetune.flows.server import deployed
 from modetune.flows.server.deployment import make_pool
@@ -47,9 +50,13 @@ class Site:
             dirs_exist_ok=True,
             ignore=shutil.ignore_patterns("__pycache__", "*.py"),
         )
-        self.campaign = folder / "campaign.yaml"
-        self.text = self.campaign.read_text()
-        self.environment = {**os.environ, process.HOME_VARIABLE: str(self.base)}
+        self.store = folder / "store"
+        self.environment = {
+            **os.environ,
+            process.HOME_VARIABLE: str(self.base),
+            "MODETUNE_STORE": str(self.store),
+        }
+        self._cores = ExitStack()
         for name in ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING"):
             self.environment.pop(name, None)
         subprocess.run(
@@ -100,13 +107,14 @@ class Site:
         raise AssertionError(f"not in {PATIENCE_S:.0f} s: {found and found['state']}")
 
     def hang(self) -> None:
-        """From now on a run of the campaign waits for ever: its file is a pipe without an end."""
-        self.campaign.unlink()
-        os.mkfifo(self.campaign)
+        """From now on a run of the campaign waits: its jobs want cores, which are all taken."""
+        shutil.rmtree(self.store, ignore_errors=True)
+        every = (Limit(CORES, cores(), cores()),)
+        limits = MachineLimits(self.home / "limits")
+        self._cores.enter_context(limits.held(every, lambda name: time.sleep(0.05)))
 
     def mend(self) -> None:
-        self.campaign.unlink(missing_ok=True)
-        self.campaign.write_text(self.text)
+        self._cores.close()
 
     def kill(self, *kinds: bytes) -> int:
         """Kill the site's processes of these kinds at one blow; how many there were."""
@@ -173,9 +181,7 @@ def killed_server_round(site: Site) -> None:
     site.wait(run, lambda run: run["state_type"] == "RUNNING" and LABEL in run["labels"])
     try:
         assert site.kill(*SERVER) >= 2
-        with site.campaign.open("w") as pipe:  # the run reads from here
-            site.mend()
-            pipe.write(site.text)
+        site.mend()
         found, _ = site.wait(run, lambda run: run["state_type"] in ENDED)
         assert found["state_name"] in ("Converged", "Unchanged"), found["state"]
         assert site.slots() == 0
