@@ -27,7 +27,6 @@ from modetune.adapters.nastran.f06_messages import (
     VERSION,
     FatalMessage,
     fatal_message,
-    licence_denied,
 )
 from modetune.adapters.nastran.f06_tables import (
     EigenvalueTable,
@@ -39,7 +38,7 @@ from modetune.adapters.regular_file import open_regular
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats, Integers
 
-__all__ = ["F06", "FatalMessage", "licence_denied", "read_f06"]
+__all__ = ["F06", "FatalMessage", "read_f06"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,22 +46,6 @@ VERSION = re.compile(
 END = re.compile(r"\* \* \* END OF JOB \* \* \*|>> MYSTRAN END\b")
 BANNER_LINES = 400
 
-#: Sentences of the licence managers themselves. "License" alone is in every banner and manual.
-LICENCE = re.compile(
-    r"FLEX(?:lm|net)\b.*(?:error|denied|fail|cannot|could not)|Licensed number of users already"
-    r"|(?:could not|unable to|cannot|can't|failed to)\s+(?:check ?out|obtain|acquire|get|find"
-    r"|connect to)\b.{0,60}licen[cs]e"
-    r"|could not check ?out|licen[cs]e (?:server|file|manager|key).{0,60}(?:down|not respond"
-    r"|not found|cannot|could not|denied|expired|invalid|unavailable|fail|no such|does not)"
-    r"|licen[cs]e.{0,40}(?:denied|expired|unavailable|check-?out failed)"
-    r"|no (?:such feature|licen[cs]es? (?:available|found|for))|Feature\b.{0,80}(?:not available|"
-    r"expired|denied|does not (?:exist|support)|no licen)"
-    r"|SPLM.{0,80}(?:error|fail|denied|cannot|could not|not )|invalid \(inconsistent\) license key"
-    r"|MSC Licensing.{0,80}(?:error|fail|denied|not )"
-    r"|(?:SYSTEM|USER) FATAL MESSAGE.{0,40}(?:LICEN[CS]E|AUTHORI[SZ]ATION)",
-    re.IGNORECASE,
-)
-
 
 @dataclass(frozen=True, slots=True)
 class FatalMessage:
@@ -102,13 +86,4 @@ def _card_image(lines: list[str], card: str) -> str:
     for before, line in pairwise(lines):
         if re.search(r"(?:card|entry) image|as follows", before, re.IGNORECASE):
             return line
-    return ""
-
-
-def licence_denied(text: str) -> str:
-    """The first line of a log, F04 or F06 that says a licence was refused; empty if none does."""
-    for line in text.splitlines():
-        # A card or comment of the user's deck may speak of licences too.
-        if not line.lstrip().startswith("$") and LICENCE.search(line):
-            return line.strip(" *\t")
     return ""

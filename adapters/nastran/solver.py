@@ -10,16 +10,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from modetune.adapters.licence import licence_refusal
 from modetune.adapters.nastran.deck import read_deck, with_lines
 from modetune.adapters.nastran.design_sensitivity import read_dscm2
 from modetune.adapters.nastran.dialect import DECK, DIALECTS, Dialect, DialectName
-from modetune.adapters.nastran.f06 import F06, FatalMessage, licence_denied, read_f06
+from modetune.adapters.nastran.f06 import F06, FatalMessage, read_f06
 from modetune.adapters.nastran.job import job_text
 from modetune.adapters.nastran.model import EditedNastran, NastranModel, understand
 from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.results import completed, modal_result, mode_derivatives
-from modetune.adapters.process import LOG, as_block, log_tail
-from modetune.adapters.regular_file import open_regular
+from modetune.adapters.process import as_block, log_tail
 from modetune.adapters.solver import (
     Analysis,
     Capabilities,
@@ -52,8 +52,6 @@ RESOURCES = re.compile(
 )
 #: Cards of which MYSTRAN (17, 18) weighs too little; its modes are right.
 MISWEIGHED = ("CHEXA", "CPENTA", "CTETRA", "PCOMP", "PCOMPG")
-#: A licence is refused before anything is computed: within this many bytes of each file.
-HEAD_BYTES = 1 << 20
 #: Messages of one run that an error shows.
 SHOWN = 5
 
@@ -128,7 +126,7 @@ class NastranProgram:
         fatal = [m for file in (printed, *errors) if file for m in file.fatal_messages]
         if printed and printed.ended and not fatal:
             return printed
-        refusal = self._licence_refusal(folder)
+        refusal = licence_refusal(folder)
         if refusal:
             raise LicenceDenied(f"{title} got no licence in {folder}: {refusal}")
         if fatal:
@@ -143,17 +141,6 @@ class NastranProgram:
             f"{title} ended in {folder} with code {return_code} and without {without}\n"
             f"{log_tail(folder)}"
         )
-
-    def _licence_refusal(self, folder: Path) -> str:
-        """What the first file that tells of a refused licence says, empty if none does."""
-        for name in (*self.dialect.logs, LOG, self.dialect.print_file):
-            path = folder / name
-            if path.is_file():
-                with open_regular(path) as file:
-                    said = licence_denied(file.read(HEAD_BYTES).decode("latin-1"))
-                if said:
-                    return said
-        return ""
 
     def _modes(
         self, model: NastranModel, analysis: ModalAnalysis, folder: Path, printed: F06

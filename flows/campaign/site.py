@@ -125,6 +125,8 @@ class RunSection(Section):
     """First pause of a job that got no licence; it grows by half each time [s]"""
     licence_wait_s: Positive = 86400.0
     """After this wait for a licence the job is given up [s]"""
+    licence_messages: tuple[Word, ...] = ()
+    """What a solver prints where no licence is free, besides what is known: parts of lines."""
     keep_jobs: bool = False
     """Keep the folders of good jobs; those of failed ones are always kept."""
     engine: Engine = "local"
@@ -166,6 +168,10 @@ class SiteRun(Section):
     """Threads of each job; 0: shared out."""
     licences: dict[Label, Annotated[int, Field(ge=1, le=10_000)]] = Field(default={})
     """Jobs of a solver that may run at the same time, by the solver's name."""
+    licence_messages: tuple[Word, ...] = ()
+    """What a solver prints where no licence is free, besides what is known: parts of lines."""
+    disk_gb: Positive = 100.0
+    """Disk that the files and the output of one job may take [GB]"""
 
 
 class SiteFile(Section):

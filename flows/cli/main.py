@@ -94,7 +94,9 @@ def _quiet() -> None:
     ours = logging.getLogger("modetune")
     ours.addHandler(handler)
     level = os.environ.get("MODETUNE_LOG", "WARNING").upper()
-    ours.setLevel(level if level in logging.getLevelNamesMapping() else "WARNING")
+    level = level if level in logging.getLevelNamesMapping() else "WARNING"
+    handler.setLevel(level)  # a campaign's log file has more
+    ours.setLevel(level)
     ours.propagate = False
     warnings.simplefilter("ignore")
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from modetune.adapters.licence import licence_refusal
 from modetune.adapters.process import JOB_DISK, disk_full, run_process
 from modetune.adapters.solver import Command, Program, Solver
 from modetune.core.errors import (
@@ -33,6 +34,7 @@ from modetune.core.errors import (
     SolverCancelled,
     SolverCrashed,
     SolverError,
+    SolverRejected,
     SolverTimeout,
     StorageUnavailable,
     StoreDamaged,
@@ -85,6 +87,7 @@ class Policy:
     stopped, timeout, no_result: how often it is tried again when it was killed or broke off, ran
     out of time, or left what is not a result. What the solver rejected, and what was too large for
     the machine, is never tried again. disk_bytes: what a job's files and output may take.
+    licence_messages: what says that no licence was free, besides what is known.
     """
 
     timeout_s: float
@@ -94,6 +97,7 @@ class Policy:
     licence_pause_s: float
     licence_wait_s: float
     disk_bytes: int = JOB_DISK
+    licence_messages: tuple[str, ...] = ()
 
     def chances(self, error: SolverError) -> int:
         """How often a job that ended so may be tried again."""
@@ -322,6 +326,13 @@ class JobEngine:
                 if self.launcher is not None and code != 0:
                     self.launcher.check(folder, code)
                 return finite(self.solver.read(job.values, job.analysis, folder, code))
+            except (SolverCrashed, SolverRejected) as error:
+                refusal = licence_refusal(folder, self.policy.licence_messages)
+                if not refusal:
+                    raise
+                raise LicenceDenied(
+                    f"{self.program.name} got no licence in {folder}: {refusal}"
+                ) from error
             except (ModesError, OSError) as error:  # shapes that do not fit together, files gone
                 raise NoResult(
                     f"{self.program.name} left no result in {folder}: {error}"

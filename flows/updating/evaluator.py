@@ -28,6 +28,7 @@ from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.engine import JobOutcome, Ledger
+from modetune.flows.jobs.first_alone import FirstAlone
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Done, Execution, Work
 from modetune.flows.updating.asked import Ahead, AskedModes, CaseState, ModeTrack, Piece
@@ -97,7 +98,7 @@ class Evaluator:
         self.campaign = campaign
         self.used = [state for state in states if not state.case.aside]
         self.aside = [state for state in states if state.case.aside]
-        self.execution = execution
+        self.execution: Execution = FirstAlone(execution)
         self.ledger = ledger
         self.foresight: Foresight | None = None
         self._runs = RunCounts()

@@ -13,6 +13,7 @@ from pathlib import Path
 from modetune.core.errors import CampaignRunning
 from modetune.core.storage.files import check_writable, storage_errors
 from modetune.core.storage.locks import FileLock
+from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import write_record
 from modetune.flows.campaign.campaign import Campaign, cores
 from modetune.flows.campaign.schema import STORE_REMEDY
@@ -23,6 +24,7 @@ from modetune.flows.jobs.prefect_server import server_home
 from modetune.flows.jobs.slurm import on_slurm
 from modetune.flows.jobs.work import Executes, Execution, ThreadExecution
 from modetune.flows.report.drawing import draw_report
+from modetune.flows.updating.campaign_log import campaign_log, log_iterations
 from modetune.flows.updating.evaluators import engine_of, evaluator_of
 from modetune.flows.updating.forecast import Forecast, Forecaster
 from modetune.flows.updating.prefect import Pages, PagesProgress
@@ -51,6 +53,7 @@ def job_engine(campaign: Campaign) -> JobEngine:
             licence_pause_s=run.licence_pause_s,
             licence_wait_s=run.licence_wait_s,
             disk_bytes=round(1e9 * run.disk_gb),
+            licence_messages=run.licence_messages,
         ),
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,
@@ -86,7 +89,7 @@ def update_campaign(
                 f"another run of this campaign is under way in {folder}; wait for it, or name "
                 "another place for run folders with --runs"
             )
-        with solving_engine(campaign) as engine:
+        with campaign_log(campaign, folder), solving_engine(campaign) as engine:
             return _update(campaign, engine, folder, progress, pages, forecast, executes)
 
 
@@ -113,7 +116,13 @@ def _update(
 ) -> CampaignRun:
     campaign = start_of(campaign, engine, read_earlier(folder))
     # What an earlier run left stays until this one has come to its end.
-    unfinished = folder / "campaign.unfinished.h5"
+    unfinished, logged = folder / "campaign.unfinished.h5", 0
+
+    def keep(record: CampaignRecord) -> None:
+        nonlocal logged
+        write_record(unfinished, record)
+        logged = log_iterations(record, logged)
+
     try:
         if pages is not None:
             engine = _counted(engine, campaign, pages)
@@ -132,9 +141,10 @@ def _update(
             campaign,
             evaluator_of(campaign, engine, execution),
             forecaster or progress,
-            lambda record: write_record(unfinished, record),
+            keep,
         )
         record = updating.run()
+        logger.info("%s: %s", record.status, record.reason)
     except BaseException:
         engine.cancelled.set()  # jobs of other threads end with the campaign
         raise

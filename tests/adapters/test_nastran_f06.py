@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.nastran.f06 import F06, licence_denied, read_f06
+from modetune.adapters.licence import licence_denied
+from modetune.adapters.nastran.f06 import F06, read_f06
 from modetune.adapters.nastran.op2 import read_op2
 from modetune.core.errors import SolverCrashed
 
