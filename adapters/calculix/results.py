@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.calculix.job import ALL
+from modetune.adapters.calculix.job import ALL, NODES
+from modetune.adapters.cross_checks import check_mark
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModesError, NoResult
@@ -65,8 +66,13 @@ def read_messages(log: str) -> list[SolverMessage]:
     return found
 
 
-def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalResult:
-    """The modes of a .dat file. Raises NoResult where it is not whole."""
+def read_modal(
+    dat: Path, analysis: ModalAnalysis, point_mass: float, node_set: str = NODES
+) -> ModalResult:
+    """The modes of a .dat file. Raises NoResult where it is not whole, or another job's.
+
+    node_set: the name that the job gives the nodes whose shapes are wanted.
+    """
     try:
         text = read_regular(dat).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -84,23 +90,27 @@ def read_modal(dat: Path, analysis: ModalAnalysis, point_mass: float) -> ModalRe
             f"{analysis.n_modes}: the run broke off, or the model has fewer unknowns"
         )
     try:
-        return _modal_result(eigenvalues, modes, analysis, point_mass)
+        return _modal_result(eigenvalues, modes, analysis, point_mass, node_set)
     except (ValueError, IndexError, ModesError) as error:
         raise NoResult(f"{dat} holds no whole result: {error}") from error
 
 
 def _modal_result(
-    eigenvalues: Floats, modes: list[str], analysis: ModalAnalysis, point_mass: float
+    eigenvalues: Floats,
+    modes: list[str],
+    analysis: ModalAnalysis,
+    point_mass: float,
+    node_set: str,
 ) -> ModalResult:
-    shapes, numbers, nodes = [], [], np.zeros(0, dtype=np.int64)
+    shapes, numbers, nodes = [], list[int](), np.zeros(0, dtype=np.int64)
     for mode in modes:
         numbers.append(int(mode.split(None, 1)[0]))
-        nodes, shape = _displacements(mode)
+        nodes, shape = _displacements(mode, node_set)
+        if not np.array_equal(np.sort(nodes), np.sort(np.array(analysis.nodes, dtype=np.int64))):
+            raise ValueError(f"mode {numbers[-1]} has shapes at other nodes than were asked for")
         shapes.append(shape)
     if numbers != list(range(1, eigenvalues.size + 1)):
         raise ValueError(f"modes numbered {numbers[:3]}... do not follow the table")
-    if nodes.size != len(analysis.nodes):
-        raise ValueError(f"shapes at {nodes.size} nodes, {len(analysis.nodes)} were asked for")
     energies = {
         name: np.array([_total(mode, "internal energy", name) for mode in modes])
         for name in {ALL, *(name for _, sets in analysis.groups for name in sets)}
@@ -154,9 +164,10 @@ def _eigenvalues(head: str) -> Floats:
     return np.asarray(eigenvalues)
 
 
-def _displacements(mode: str) -> tuple[Integers, Floats]:
+def _displacements(mode: str, node_set: str) -> tuple[Integers, Floats]:
     """Node numbers (n,), and the shape (3 n,) as x, y, z node by node."""
     _, _, block = mode.partition(" displacements (vx,vy,vz)")
+    check_mark(node_set, block.partition("\n")[0])
     numbers = block.split("\n", 1)[1].split(" total ")[0]
     table = np.array([_number(word) for word in numbers.split()]).reshape(-1, 4)
     return table[:, 0].astype(np.int64), table[:, 1:].reshape(-1)

@@ -20,7 +20,7 @@ from modetune.adapters.calculix.deck import read_deck, write_edited
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
 from modetune.adapters.calculix.incidence import Incidence, read_incidence
-from modetune.adapters.calculix.job import job_text
+from modetune.adapters.calculix.job import NODES, job_text
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.results import (
@@ -29,7 +29,9 @@ from modetune.adapters.calculix.results import (
     read_modal,
     read_version,
 )
+from modetune.adapters.cross_checks import check_energies, mark_of
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
+from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import (
     AffectedElements,
     Analysis,
@@ -44,6 +46,7 @@ from modetune.adapters.solver import (
 )
 from modetune.core.algebra.rigid_modes import STRAINED
 from modetune.core.errors import (
+    NoResult,
     SolverCrashed,
     SolverExhausted,
     SolverMissing,
@@ -208,7 +211,8 @@ class CalculixProgram:
                 "reader": self.frames_version,
                 "frames": {str(n): deck.frames[n].tolist() for n in nodes if n in deck.frames},
             }
-        return Rendered.of_texts(content, {f"{JOB}.inp": data})
+        marked = data.replace(NODES.encode(), f"{NODES}{mark_of(data)}".encode())
+        return Rendered.of_texts(content, {f"{JOB}.inp": marked if modal else data})
 
     def command(self, threads: int) -> Command:
         count = str(threads)
@@ -235,7 +239,13 @@ class CalculixProgram:
             )
         if isinstance(analysis, ModalAnalysis):
             point_mass = deck.model.point_mass(deck.changed)
-            result = read_modal(folder / f"{JOB}.dat", analysis, point_mass)
+            dat = folder / f"{JOB}.dat"
+            result = read_modal(dat, analysis, point_mass, _node_set(folder))
+            if not deck.model.preload():
+                try:
+                    check_energies(result.eigenvalues, result.total_strain_energy)
+                except ValueError as error:
+                    raise NoResult(f"{dat} contradicts itself: {error}") from error
             energies = result.total_strain_energy
             if deck.model.hides_energy:
                 told = 2.0 * energies > STRAINED * result.eigenvalues
@@ -256,6 +266,15 @@ def in_frames(modes: ModeSet, frames: Mapping[int, Floats]) -> ModeSet:
         if node in frames:
             shapes[place] = frames[node] @ shapes[place]
     return replace(modes, mode_shapes=np.reshape(shapes, (-1, modes.n_modes)))
+
+
+def _node_set(folder: Path) -> str:
+    """What a job calls the nodes whose shapes it wants. Raises NoResult where its deck is gone."""
+    try:
+        text = read_regular(folder / f"{JOB}.inp").decode("utf-8", "surrogateescape")
+    except OSError as error:
+        raise NoResult(f"{folder / JOB}.inp cannot be read: {error.strerror}") from error
+    return text[text.rfind(NODES) :].partition(",")[0]
 
 
 def _place(messages: list[SolverMessage], model: CalculixModel, changed: Mapping[int, str]) -> str:

@@ -71,13 +71,14 @@ class EigenvalueTable:
 
 
 def _consistent(row: list[float]) -> bool:
-    """Radians and cycles are those of the eigenvalue, to the printed digits.
+    """Radians, cycles and generalised stiffness are those of the eigenvalue, to the printed digits.
 
     Half a unit of the seventh digit is 5e-7 in the worst case; older files print fewer digits.
     """
-    _, eigenvalue, radians, cycles, *_ = row
+    _, eigenvalue, radians, cycles, mass, stiffness = row
     return bool(
-        np.isclose(radians, np.sqrt(abs(eigenvalue)), rtol=1e-5, atol=1e-30)
+        np.isclose(stiffness, eigenvalue * mass, rtol=1e-4, atol=1e-30)
+        and np.isclose(radians, np.sqrt(abs(eigenvalue)), rtol=1e-5, atol=1e-30)
         and np.isclose(2.0 * np.pi * cycles, radians, rtol=1e-5, atol=1e-30)
     )
 

@@ -147,6 +147,17 @@ def _lama(table: Op2Table) -> Floats:
         raise ValueError(f"its table {table.name} has {rows.size} words, 7 belong to a mode")
     rows = rows.reshape(-1, 7)
     rows[:, 0] = record.integers().reshape(-1, 7)[:, 0]
+    stiffness = rows[:, 2] * rows[:, 5]
+    # Single precision; in one program's files radians stand where cycles do in another's.
+    radians = np.abs(rows[:, 3:5]).max(axis=1)
+    if not (
+        np.allclose(radians**2, np.abs(rows[:, 2]), rtol=1e-4, atol=1e-30)
+        and np.allclose(rows[:, 6], stiffness, rtol=1e-4, atol=1e-30)
+    ):
+        raise ValueError(
+            f"its table {table.name} has eigenvalues that its frequencies or generalised "
+            "stiffnesses contradict"
+        )
     if not np.array_equal(rows[:, 0], np.arange(1, len(rows) + 1)):
         raise ValueError(f"its table {table.name} does not number the modes 1 to {len(rows)}")
     return rows

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from modetune.adapters.cross_checks import check_energies
 from modetune.adapters.nastran.design import COMPONENTS, n_rows, response_id
 from modetune.adapters.nastran.design_sensitivity import DesignSensitivities
 from modetune.adapters.nastran.f06 import F06
@@ -66,6 +67,7 @@ def modal_result(
     scale = _scale(modes.generalized_mass[:n_modes])
     rows = shape_rows(modes.nodes, modes.components, analysis.nodes)
     total = modes.total_strain_energy[:n_modes] * scale**2
+    check_energies(eigenvalues, total)
     return ModalResult(
         eigenvalues=eigenvalues,
         modes=mode_set(

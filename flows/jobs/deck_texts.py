@@ -15,6 +15,7 @@ import zlib
 from difflib import SequenceMatcher
 from pathlib import Path
 
+from modetune.adapters.cross_checks import without_mark
 from modetune.adapters.solver import Rendered
 from modetune.core.errors import ModetuneError
 from modetune.core.storage.files import writing
@@ -57,7 +58,7 @@ def deck_text(nominal: Rendered) -> Text | None:
         files = sorted(path for path in Path(name).rglob("*") if path.is_file())
         if sum(path.stat().st_size for path in files) > LARGEST:
             return None
-        data = b"\n".join(path.read_bytes() for path in files)
+        data = without_mark(b"\n".join(path.read_bytes() for path in files))
     return None if b"\0" in data else data.decode("utf-8", "surrogateescape").splitlines()
 
 

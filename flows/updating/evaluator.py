@@ -98,7 +98,8 @@ class Evaluator:
         self.campaign = campaign
         self.used = [state for state in states if not state.case.aside]
         self.aside = [state for state in states if state.case.aside]
-        self.execution: Execution = FirstAlone(execution)
+        runs = all(state.engine.may_run for state in states)
+        self.execution: Execution = FirstAlone(execution) if runs else execution
         self.ledger = ledger
         self.foresight: Foresight | None = None
         self._runs = RunCounts()

@@ -1,0 +1,61 @@
+"""What two places of a result must say alike, and the mark by which a result names its job.
+
+The eigenvalue of a mass-normalised mode is twice its strain energy. Solvers may leave energy out
+(hourglass modes, springs, matrices from elsewhere), so less proves nothing; more does, where no
+preload takes stiffness away.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+
+import numpy as np
+
+from modetune.core.modes import Floats
+
+#: Twice the energy may be so many times the eigenvalue: element energies come from stresses, with
+#: their own rounding and sampling.
+MORE_ENERGY = 2.0
+#: Of the largest eigenvalue: below it rounding of the eigensolution may hide a mode's energy.
+ROUNDING = 1e-4
+#: Where a job's text has its mark, and what a result repeats of it.
+MARK = re.compile(r"_JOB([0-9A-F]{16})")
+
+
+def check_energies(eigenvalues: Floats, total_strain_energy: Floats) -> None:
+    """Raise ValueError where a mode has far more strain energy than its eigenvalue says.
+
+    eigenvalues, total_strain_energy: (n_modes,), energies NaN where not told.
+    """
+    most = MORE_ENERGY * np.abs(eigenvalues) + ROUNDING * np.abs(eigenvalues).max(initial=0.0)
+    wrong = np.flatnonzero(2.0 * total_strain_energy > most)
+    if wrong.size:
+        mode = int(wrong[0])
+        raise ValueError(
+            f"eigenvalue {mode + 1} is {eigenvalues[mode]:g}, but twice the strain energy of its "
+            f"mode is {2.0 * total_strain_energy[mode]:g}"
+        )
+
+
+def mark_of(text: bytes) -> str:
+    """The mark of a job with this text: sixteen digits of its SHA-256."""
+    return f"_JOB{hashlib.sha256(text).hexdigest()[:16].upper()}"
+
+
+def without_mark(text: bytes) -> bytes:
+    """A job's text as it was before it was marked."""
+    return re.sub(MARK.pattern.encode(), b"", text)
+
+
+def check_mark(asked: str, found: str) -> None:
+    """Raise ValueError where a result repeats the mark of another job.
+
+    asked: a text with the job's mark; found: what the result has in its place.
+    """
+    wanted, said = MARK.search(asked), MARK.search(found)
+    if wanted and said and wanted.group() != said.group():
+        raise ValueError(
+            f"the result names job {said.group(1).lower()}, and {wanted.group(1).lower()} was run: "
+            "it is another job's"
+        )
