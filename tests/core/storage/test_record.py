@@ -19,10 +19,9 @@ from modetune.core.modes import MeasuredModes, mode_set
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
 from modetune.core.storage.record_file import CAMPAIGN, is_record, read_record, write_record
-from modetune.core.storage.seal import BLOCK
 from modetune.core.surface import Surface
 from modetune.core.updating.residual import Residual
-from tests.core.storage.test_seal import resealed
+from tests.core.storage.test_seal import refused_when_damaged, resealed
 
 NODES = np.array([3, 7])
 #: Exact in single precision, in which surfaces and fields are kept.
@@ -237,30 +236,8 @@ def test_a_record_without_an_accepted_iteration_is_refused(tmp_path: Path) -> No
         read_record(tmp_path / "none.h5")
 
 
-def test_every_damage_is_one_clear_error_and_hdf5_sees_none_of_it(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    good, noise = file.read_bytes(), np.random.default_rng(11)
-
-    def opened(*_: object) -> None:
-        raise AssertionError("HDF5 opens a damaged record")
-
-    monkeypatch.setattr("h5py.File.__init__", opened)
-    flips = {0, 1, BLOCK - 1, BLOCK, len(good) - 1, *noise.integers(0, len(good), 600).tolist()}
-    damages = [
-        good[:place] + bytes([good[place] ^ 1 << place % 8]) + good[place + 1 :]
-        for place in sorted(flips)
-    ]
-    damages += [good[:size] for size in noise.integers(0, len(good), 200).tolist()]
-    for number, damaged in enumerate(damages):
-        file.write_bytes(damaged)
-        with pytest.raises((StoreDamaged, CampaignError)) as told:
-            read_record(file)
-        assert str(told.value).count("\n") == 0, number
-        assert str(file) in str(told.value)
-    file.write_bytes(good)
-    monkeypatch.undo()
-    read_record(file)
+def test_every_damage_is_one_clear_error_and_hdf5_sees_none_of_it(file: Path) -> None:
+    refused_when_damaged(file, read_record)
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from modetune.core.errors import StoreDamaged
-from modetune.core.storage.seal import content, holds, read_head, sealed, title_of
+from modetune.core.errors import CampaignError, StoreDamaged
+from modetune.core.storage.seal import BLOCK, content, holds, read_head, sealed, title_of
 
 
 def resealed(path: Path, change: Callable[[h5py.File], None]) -> Path:
@@ -29,6 +29,35 @@ def resealed(path: Path, change: Callable[[h5py.File], None]) -> Path:
 
     path.write_bytes(sealed(title, changed, head))
     return path
+
+
+def damages(good: bytes, count: int = 600) -> Iterator[bytes]:
+    """The bytes of a file with one bit flipped, at its ends and all over, or cut short."""
+    noise = np.random.default_rng(11)
+    flips = {0, 1, BLOCK - 1, BLOCK, len(good) - 1, *noise.integers(0, len(good), count).tolist()}
+    for place in sorted(flips):
+        yield good[:place] + bytes([good[place] ^ 1 << place % 8]) + good[place + 1 :]
+    for size in noise.integers(0, len(good), count // 3).tolist():
+        yield good[:size]
+
+
+def refused_when_damaged(file: Path, read: Callable[[Path], object]) -> None:
+    """Assert that no damage to a record is believed, and that HDF5 sees none of it."""
+    good = file.read_bytes()
+
+    def opened(*_: object) -> None:
+        raise AssertionError("HDF5 opens a damaged record")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("h5py.File.__init__", opened)
+        for number, damaged in enumerate(damages(good)):
+            file.write_bytes(damaged)
+            with pytest.raises((StoreDamaged, CampaignError)) as told:
+                read(file)
+            assert str(told.value).count("\n") == 0, number
+            assert str(file) in str(told.value)
+    file.write_bytes(good)
+    read(file)
 
 
 def fill(file: h5py.File) -> None:

@@ -17,6 +17,7 @@ from modetune.flows.studies.sample.record import PosteriorRecord, read_posterior
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.sample.telling import findings, told
 from modetune.flows.updating.running import update_campaign
+from tests.core.storage.test_seal import refused_when_damaged
 
 TRUTH = {"k1": 1.2, "k3": 0.8}
 MODES = (1, 2, 3)
@@ -225,6 +226,13 @@ def test_the_record_reads_as_it_was_written_and_is_drawn(
     assert read.training.names == record.training.names
     for path in write_figures(read, tmp_path / "figures"):
         assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_damage_to_the_record_is_refused_before_hdf5_sees_it(
+    record: PosteriorRecord, tmp_path: Path
+) -> None:
+    write_posterior(tmp_path / "posterior.h5", record)
+    refused_when_damaged(tmp_path / "posterior.h5", read_posterior)
 
 
 def test_a_file_that_is_no_record_is_named(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from modetune.flows.studies.screen.progress import ConsoleScreening
 from modetune.flows.studies.screen.record import Screening, read_screening, write_screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.screen.telling import lines, tables, told
+from tests.core.storage.test_seal import refused_when_damaged
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, chain_modes, recased
 from tests.flows.studies.screen.conftest import ScreenWatcher, series_hz
 
@@ -277,6 +278,14 @@ def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
     assert all(name in shown for name in found.names)
     for figure in write_figures(again, tmp_path / "figures"):
         assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_damage_to_the_record_is_refused_before_hdf5_sees_it(
+    bench: Bench, tmp_path: Path
+) -> None:
+    found = screened(bench.campaign({"k1": 1.3, "k3": 0.9}, modes=(1, 2)), "local")
+    write_screening(tmp_path / "screening.h5", found)
+    refused_when_damaged(tmp_path / "screening.h5", read_screening)
 
 
 def test_several_configurations_are_refused_with_a_remedy(bench: Bench) -> None:
