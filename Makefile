@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench zoo lint format docs clean
+.PHONY: demo test bench zoo kills lint format docs clean
 
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
@@ -25,6 +25,10 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# 300 kills of campaigns and studies, and 20 rounds of deployed ones; KILLS_FLAGS="--rounds 0".
+kills: $(VENV)/.ready-dev
+	$(BIN)/python -m benchmarks.kills $(KILLS_FLAGS)
 
 format: $(VENV)/.ready-dev
 	$(BIN)/ruff check --fix .

@@ -94,8 +94,8 @@ def refuse_poor(learned: Learned, least: int) -> None:
     )
     said = (
         f"misses runs near the posterior: {found} standard deviations of the test"
-        if (learned.near.any())
-        else "has no run near the posterior"
+        if found
+        else f"has {int(learned.near.sum())} runs near the posterior, where {least // 2} are needed"
     )
     raise CampaignError(
         f"after {learned.near.size} solver runs the surrogate {said}; raise --points, start from "
