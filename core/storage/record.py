@@ -153,7 +153,9 @@ class IterationRecord:
 
     @property
     def worst_error(self) -> float:
-        return float(np.max(np.abs(self.frequency_errors)))
+        """The largest error of a frequency that is compared."""
+        used = self.residual.of_used_frequencies(self.frequency_errors)
+        return float(np.max(np.abs(used), initial=0.0))
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -31,7 +31,8 @@ SYSTEMS: dict[str, tuple[str, str, str]] = {
 class ModeRow:
     """A measured mode and its partner before and after; errors are relative, a MAC may be NaN.
 
-    label: what people call it behind the word "mode"; elastic_mode: of the model, from 1.
+    label: what people call it behind the word "mode"; elastic_mode: of the model, from 1;
+    frequency_weight, frequency_deviation: of the measured frequency, 0 leaves it out.
     """
 
     mode: int
@@ -47,6 +48,8 @@ class ModeRow:
     elastic_mode_initial: int
     elastic_mode: Annotated[int, Column("model's elastic mode")]
     pairing: str
+    frequency_weight: Annotated[float, Column("weight", form="g")]
+    frequency_deviation: Annotated[float, Column("deviation", "%", ".3g")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +165,7 @@ def mode_labels(record: CampaignRecord) -> list[str]:
 def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
     """Every measured mode, in the order of the pairs."""
     first, last, rows = record.iterations[0], record.best, []
+    variances = first.residual.variances  # of eigenvalues: twice the frequency's deviation
     for pair, measured in enumerate(first.pairing.measured.tolist()):
         before, after = int(first.pairing.computed[pair]), int(last.pairing.computed[pair])
         rows.append(
@@ -179,18 +183,29 @@ def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
                 elastic_mode_initial=before + 1,
                 elastic_mode=after + 1,
                 pairing=last.pairing.reasons[pair],
+                frequency_weight=float(first.residual.weights[pair] * variances[pair]),
+                frequency_deviation=0.5 * float(np.sqrt(variances[pair])),
             )
         )
     return tuple(rows)
 
 
 def mode_table(record: CampaignRecord) -> Table:
-    """Frequencies, errors and MAC before and after; what e1 does not allow is outside."""
+    """Frequencies, errors and MAC before and after; what e1 does not allow is outside.
+
+    Weights and deviations are shown where they differ.
+    """
     rows = mode_rows(record)
+    alike = [
+        name
+        for name in ("frequency_weight", "frequency_deviation")
+        if np.ptp([getattr(row, name) for row in rows]) <= 1e-9 * getattr(rows[0], name)
+    ]
+    columns = [column for column in columns_of(ModeRow) if column.name not in alike]
     outside = [
         (place, "error_updated")
         for place, row in enumerate(rows)
-        if abs(row.error_updated) > record.e1_frequency
+        if row.frequency_weight > 0.0 and abs(row.error_updated) > record.e1_frequency
     ]
     outside += [
         (place, "mac_updated") for place, row in enumerate(rows) if row.mac_updated < record.e1_mac
@@ -199,8 +214,8 @@ def mode_table(record: CampaignRecord) -> Table:
         f"{100 * np.mean([abs(getattr(row, name)) for row in rows]):.2f}"
         for name in ("error_initial", "error_updated")
     ]
-    foot = ("mean |error|", "", "", means[0], "", means[1], "", "", "")
-    return table_of("Modes", rows, ModeRow, foot=[foot], outside=outside)
+    foot = ("mean |error|", "", "", means[0], "", means[1], *[""] * (len(columns) - 6))
+    return table_of("Modes", rows, columns, foot=[foot], outside=outside)
 
 
 def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:

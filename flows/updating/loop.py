@@ -333,7 +333,11 @@ class Loop:
 
 def _distance(evaluation: Evaluation) -> str:
     """How far a set is from the test, in words."""
-    worst = int(np.argmax(np.abs(evaluation.errors)))
-    text = f"largest frequency error {100 * evaluation.errors[worst]:+.2f} %"
+    errors = evaluation.used_errors
+    if errors.size == 0:
+        text = "no frequency is compared"
+    else:
+        worst = int(np.argmax(np.abs(errors)))
+        text = f"largest frequency error {100 * errors[worst]:+.2f} %"
     mac = evaluation.pairing.judged_mac
     return text + (f", least MAC {mac.min():.3f}" if np.isfinite(mac).all() else "")
