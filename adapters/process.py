@@ -44,7 +44,7 @@ FULL_DISK = 1 << 20
 #: some ten GB of matrices and factors.
 JOB_DISK = 100 * 10**9
 #: Files above this are removed from the folder of a job that took too much disk, bytes.
-KEPT_FILE = 16 << 20
+KEPT_FILE = 32 << 20
 
 
 @dataclass(frozen=True, slots=True)

@@ -345,6 +345,7 @@ def test_a_job_that_takes_too_much_disk_is_killed_and_what_it_took_freed(
     with pytest.raises(SolverExhausted, match=r"more than the 0\.03 GB .*raise `run: disk_gb`"):
         run_process(python(code), tmp_path, 60.0, threading.Event(), 30_000_000)
     assert sum(path.stat().st_size for path in tmp_path.rglob("*")) < 20 << 20
+    assert (tmp_path / LOG).is_file()
 
 
 def test_a_folder_or_log_that_is_removed_meanwhile_is_told(tmp_path: Path) -> None:
