@@ -198,18 +198,28 @@ class Evaluator:
         ]
         self.execution.skip(f"iteration {number}", names, reason)
 
-    def planned(self, theta: Floats) -> list[Work]:
-        """The work of an iteration at a set, with sensitivities, and of its confirmation."""
+    def planned(self, theta: Floats, alone: bool = False) -> list[Work]:
+        """The work of an iteration at a set, with sensitivities unless modes are wanted alone."""
         planned = []
         for state in self.used:
             own, finder = state.own(theta), state.finder
             works = finder.works(own, state.analysis)
-            works += [w for w in finder.sensitivity_works(own, state.analysis) if w not in works]
-            if finder.name != state.case.solver.program.name:
-                job = Job(state.campaign.parameters.values(own), state.analysis)
-                works.append(Work("modal", (job,)))
+            if not alone:
+                more = finder.sensitivity_works(own, state.analysis)
+                works += [work for work in more if work not in works]
             planned += [state.named(work) for work in works]
         return planned
+
+    def confirming(self, theta: Floats) -> list[Work]:
+        """The solvers' own runs at the end, of modes that were found otherwise till then."""
+        return [
+            state.named(
+                Work("modal", (Job(state.campaign.parameters.values(own), state.analysis),))
+            )
+            for state in self.used
+            if state.finder.name != state.case.solver.program.name
+            for own in (state.own(theta),)
+        ]
 
     def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:
         """Modes and whole cases that are only judged by, before and after.

@@ -19,9 +19,8 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, JobNote, analysis_kind
 from modetune.flows.jobs.limits import CORES
 from modetune.flows.jobs.store_index import ask_index
-from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.jobs.work import ThreadExecution, Work
 from modetune.flows.report.tables import json_object
-from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.updating import Progress
 
@@ -64,16 +63,18 @@ class Forecast:
     """What lies before a campaign.
 
     coming: of the first iteration, nothing once that is done; further: of each iteration after
-    it at most; iterations: how many of these there may be.
+    it at most; iterations: how many of these there may be; last: of the solver's own run that
+    looks at modes found from stored matrices, nothing where each iteration runs the solver.
     """
 
     coming: Cost
     further: Cost
     iterations: int
+    last: Cost
 
     @property
     def most(self) -> Cost:
-        return self.coming.plus(self.further, self.iterations)
+        return self.coming.plus(self.further, self.iterations).plus(self.last)
 
     @property
     def known(self) -> bool:
@@ -100,14 +101,15 @@ class Forecaster:
         self._engine = engine
         evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
         # By matrices there are jobs at the start and one at the end, whatever the iterations.
-        self._iterations = campaign.update.max_iterations if evaluator.steps_run else 0
-        first = _jobs(evaluator, campaign, 1.0)
-        if campaign.update.max_iterations == 0:
-            first = first[:1]  # the modal job goes alone
+        most = campaign.update.max_iterations
+        self._iterations = most if evaluator.steps_run else 0
+        start, elsewhere = campaign.start, ELSEWHERE * campaign.start
+        first = _jobs(evaluator.planned(start, alone=most == 0))
+        self._last = _jobs(evaluator.confirming(elsewhere if most else start))
         self._digest = engine.plans.model_digest()
         self._prices: dict[str, Price] = {}
         self._missing = [job for job in first if engine.key(job) not in engine.store]
-        self._further = [job for job in _jobs(evaluator, campaign, ELSEWHERE) if job not in first]
+        self._further = [job for job in _jobs(evaluator.planned(elsewhere)) if job not in first]
         self.first = self._forecast(self._missing, 0)
         tell(self.first)
 
@@ -126,13 +128,14 @@ class Forecaster:
             coming=price(coming),
             further=price(self._further),
             iterations=max(self._iterations - number, 0),
+            last=price(self._last),
         )
 
 
-def _jobs(evaluator: Evaluator, campaign: Campaign, factor: float) -> list[Job]:
-    """The jobs of an iteration, each once."""
+def _jobs(works: Sequence[Work]) -> list[Job]:
+    """The jobs of some works, each once."""
     jobs: list[Job] = []
-    for work in evaluator.planned(factor * campaign.start):
+    for work in works:
         jobs += [job for job in work.jobs if job not in jobs]
     return jobs
 
@@ -206,9 +209,11 @@ def cost_text(cost: Cost) -> str:
 
 def forecast_text(forecast: Forecast) -> str:
     """A forecast in one line."""
+    further = cost_text(NOTHING.plus(forecast.further, forecast.iterations))
+    last = f"; the solver's own run at the end {cost_text(forecast.last)}"
     return (
         f"forecast: first iteration {cost_text(forecast.coming)}; all {forecast.iterations} "
-        f"further ones at most {cost_text(NOTHING.plus(forecast.further, forecast.iterations))}"
+        f"further ones at most {further}{last if forecast.last.jobs else ''}"
     )
 
 
@@ -220,6 +225,7 @@ def told_forecast(forecast: Forecast) -> dict[str, Json]:
         first_iteration=_told(forecast.coming),
         each_further=_told(forecast.further),
         further_iterations=forecast.iterations,
+        last_run=_told(forecast.last),
         most=_told(forecast.most),
     )
 

@@ -286,6 +286,9 @@ class Loop:
         promised = before - stepping.objective(current, step.predicted, step, 1.0)
         kept = gain >= max(KEPT_PROMISE * promised, STATIONARY * before)
         small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
+        ends = self.number == self.campaign.update.max_iterations or trial.evaluation.agrees(
+            self.campaign.tolerances
+        )  # then no sensitivity would follow, and there is none to spare
         spared, skip = None, None
         if self.between.waits:
             left = (before - gain) / before
@@ -298,10 +301,12 @@ class Loop:
         following = trial.matrix
         if spared is not None:
             following = self.between.older(matrix, current, step, trial.evaluation)
-            self.evaluator.skip(self.number, spared)
+            if not ends:
+                self.evaluator.skip(self.number, spared)
         self.last_matrix = following or matrix
-        decision = "" if skip is None else f"e2: slope {skip:.2g}, no new sensitivity next"
-        self._note(trial.evaluation, step, matrix, trial.slope, True, decision, spared is not None)
+        decision = f"e2: slope {skip:.2g}, no new sensitivity next" if skip and not ends else ""
+        skipped = spared is not None and not ends
+        self._note(trial.evaluation, step, matrix, trial.slope, True, decision, skipped)
         share = gain / promised if promised > 0.0 else 0.0
         region = stepping.region_after(current, matrix, step, trial.region, share)
         return State(trial.evaluation, following, skip, region), gain > STATIONARY * before

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.storage.store import Entry
+from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs.job import Job, read_note
 from modetune.flows.jobs.limits import Limit
@@ -25,6 +28,7 @@ from modetune.flows.updating.forecast import (
 )
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.core.storage.test_store import holdings
+from tests.flows.updating.test_by_matrices import BAR, STORED, written
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
 DIFFERENCES = SensitivitySection(method="finite_difference")
@@ -99,6 +103,25 @@ def test_constant_matrices_are_counted_in_the_first_iteration_only(
     told = forecasts(bench, watcher, bench.campaign(TRUTH, shapes=True))
     assert told[0].coming.jobs == 4  # modal, the model's own matrices and one a spring
     assert told[0].further.jobs == 1
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+def test_by_stored_matrices_the_solvers_own_run_at_the_end_is_counted(
+    tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    file = written(BAR, tmp_path / "bar")
+    campaign = load_campaign(file, [f"store={tmp_path / 'store'}", STORED])
+    told: list[Forecast] = []
+    run = update_campaign(campaign, tmp_path / "run", watcher, forecast=told.append)
+    assert (told[0].last.jobs, told[0].iterations) == (1, 0)
+    runs = run.record.runs
+    assert (runs.modal, told[0].most.jobs) == (1, runs.modal + runs.sensitivity)
+    assert (told[1].coming.jobs, told[1].most.jobs) == (0, 1)  # all but that run is done
+    assert "; the solver's own run at the end 1 job" in forecast_text(told[0])
+    last = told_forecast(told[0])["last_run"]
+    assert isinstance(last, dict)
+    assert last["jobs"] == 1
 
 
 def test_an_earlier_state_of_the_deck_gives_prices_until_there_are_own_ones(

@@ -110,6 +110,12 @@ def test_e2_skips_sensitivities_and_ends_at_the_same_values(bench: Any, watcher:
     skipping = run(bench, watcher, campaign, "skipping")
     assert sum(item.sensitivity_skipped for item in skipping.iterations) >= 1
     assert skipping.runs.sensitivity < always.runs.sensitivity
+    # What is counted was spared: each set but the last has a sensitivity, or is counted.
+    assert all(item.accepted for item in skipping.iterations)
+    spared = sum(item.sensitivity_skipped for item in skipping.iterations)
+    taken = len(skipping.iterations) - 1 - spared
+    assert skipping.runs.sensitivity == len(TRUTH) * taken
+    assert not skipping.iterations[-1].sensitivity_skipped
     assert bench.runs() - before == skipping.runs.modal + skipping.runs.sensitivity
     np.testing.assert_allclose(skipping.updated, always.updated, rtol=1e-3)
     assert skipping.status == always.status == "converged"
