@@ -2,7 +2,8 @@
 
 Everything up to the user's frequency step stays (preload steps included), without its requests
 for output. The frequency step keeps what belongs to the model, such as *BOUNDARY, and gets our
-number of modes and our output. A deck without steps gets a plain one.
+number of modes and our output. A deck without steps gets a plain one. A small model gets spare
+unknowns before all else (`spare_unknowns.py`).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from modetune.adapters.calculix.model import CalculixModel
+from modetune.adapters.calculix.spare_unknowns import modes_at_most, spare_unknowns
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.errors import ModelError
 
@@ -29,7 +31,9 @@ def job_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) 
     parts += _sets(model, analysis)
     frequency = "*FREQUENCY"
     if isinstance(analysis, ModalAnalysis):
-        step = [*step, frequency, str(analysis.n_modes), *_requests(analysis)]
+        n_modes = modes_at_most(model, analysis.n_modes)
+        parts = [*spare_unknowns(model, n_modes), *parts]
+        step = [*step, frequency, str(n_modes), *_requests(analysis)]
     else:
         step = [*step, f"{frequency}, SOLVER=MATRIXSTORAGE", "1"]
     kept = [line for line in [*parts, *step, "*END STEP"] if not line.lstrip().startswith("**")]

@@ -29,6 +29,7 @@ from modetune.adapters.calculix.results import (
     read_modal,
     read_version,
 )
+from modetune.adapters.calculix.spare_unknowns import modes_at_most, without_spare
 from modetune.adapters.cross_checks import check_energies, mark_of
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
 from modetune.adapters.regular_file import read_regular
@@ -240,7 +241,8 @@ class CalculixProgram:
         if isinstance(analysis, ModalAnalysis):
             point_mass = deck.model.point_mass(deck.changed)
             dat = folder / f"{JOB}.dat"
-            result = read_modal(dat, analysis, point_mass, _node_set(folder))
+            asked = replace(analysis, n_modes=modes_at_most(deck.model, analysis.n_modes))
+            result = without_spare(read_modal(dat, asked, point_mass, _node_set(folder)))
             if not deck.model.preload():
                 try:
                     check_energies(result.eigenvalues, result.total_strain_energy)

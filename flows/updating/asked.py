@@ -22,6 +22,8 @@ logger = logging.getLogger(__name__)
 
 #: How often the computed range is widened in search of a lost mode.
 WIDENINGS = 2
+#: Programs that give fewer modes than asked for where the model has no more.
+GIVES_ALL = ("matrices", "calculix")
 
 
 @dataclass(slots=True, eq=False)
@@ -61,9 +63,9 @@ class AskedModes:
     def widen(self, error: LostMode, there: int) -> None:
         """Ask for more modes. Raises the error where it is of no use.
 
-        there: modes that were found; matrices of a few unknowns have no more than they gave.
+        there: modes that were found; a model of a few unknowns has no more than it gave.
         """
-        few = there < self.analysis.n_modes and self.state.case.solver.program.name == "matrices"
+        few = there < self.analysis.n_modes and self.state.case.solver.program.name in GIVES_ALL
         if self.widened == WIDENINGS or few:
             raise error
         self.widened += 1

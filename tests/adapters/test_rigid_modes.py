@@ -102,10 +102,12 @@ def hinged(n_hinges: int) -> str:
     return text + "".join(f"*EQUATION\n{item}\n" for item in equations)
 
 
-def solved(deck: str, folder: Path, n_modes: int = 10) -> ModalResult:
+def solved(
+    deck: str, folder: Path, n_modes: int = 10, nodes: tuple[int, ...] = (1, 2)
+) -> ModalResult:
     file = folder / "model.inp"
     file.write_text(deck)
-    solver, analysis = calculix_solver(file, ()), ModalAnalysis(n_modes, (1, 2))
+    solver, analysis = calculix_solver(file, ()), ModalAnalysis(n_modes, nodes)
     job = folder / "job"
     job.mkdir()
     solver.render({}, analysis).write(job)

@@ -1,0 +1,87 @@
+"""Unknowns beside a small model, without which ccx finds few of its modes or none.
+
+ARPACK as ccx calls it takes five vectors for a mode, and refuses more vectors than unknowns: of a
+chain of nine masses ccx finds one mode. So a small model gets masses on springs of their own, tied
+to nothing, far above its modes, and all that it has are found. No more are asked for than its
+nodes have translations that are free; if ties leave it fewer, modes of spare unknowns follow, and
+are taken off again.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from modetune.adapters.calculix.constraints import read_constraints
+from modetune.adapters.calculix.model import CalculixModel
+from modetune.core.errors import ModelError
+from modetune.core.updating.results import ModalResult
+
+#: Unknowns that ccx wants for each mode.
+FOR_A_MODE = 5
+#: Stiffness, mass and eigenvalue of a spare unknown, 1.6 GHz in seconds.
+STIFFNESS, MASS = 1e12, 1e-8
+EIGENVALUE = STIFFNESS / MASS
+#: Models with more nodes have unknowns enough.
+MOST_NODES = 20_000
+
+
+def spare_unknowns(model: CalculixModel, n_modes: int) -> list[str]:
+    """Lines of a deck for a model that may have too few unknowns for so many modes, else none."""
+    wanted, free = FOR_A_MODE * n_modes, _free(model)
+    if not free or sum(count > 0 for count in free.values()) >= wanted:
+        return []
+    first = max(model.mesh.nodes, default=0) + 1
+    element = max(model.mesh.elements, default=0) + 1
+    count = -(-wanted // 3)
+    place = ", ".join(model.deck.fields(model.deck.named("*NODE")[0].data[0])[1:4])
+    spare = range(first, first + count)
+    lines = ["*NODE", *(f"{node}, {place}" for node in spare)]
+    lines += ["*ELEMENT, TYPE=MASS, ELSET=MODETUNE_SPARE"]
+    lines += [f"{element + at}, {node}" for at, node in enumerate(spare)]
+    lines += ["*MASS, ELSET=MODETUNE_SPARE", f"{MASS:.1E}"]
+    for component in (1, 2, 3):
+        name = f"MODETUNE_SPARE{component}"
+        numbers = enumerate(spare, element + component * count)
+        lines += [f"*ELEMENT, TYPE=SPRING1, ELSET={name}", *(f"{at}, {n}" for at, n in numbers)]
+        lines += [f"*SPRING, ELSET={name}", f"{component}", f"{STIFFNESS:.1E}"]
+    return lines
+
+
+def _free(model: CalculixModel) -> Counter[int]:
+    """Translations of each node that are not held, dependent or a rigid body's.
+
+    Empty for large models, and where ties cannot be read, of which ccx says what is wrong.
+    """
+    found: Counter[int] = Counter()
+    if len(model.mesh.element_nodes) > MOST_NODES:
+        return found
+    try:
+        ties = read_constraints(model)
+    except ModelError:
+        return found
+    fixed = ties.held | set(ties.dependent)
+    for node in model.mesh.element_nodes - set(ties.bodies):
+        found[node] = sum((node, component) not in fixed for component in (1, 2, 3))
+    for body in set(ties.bodies.values()):
+        found[body.reference] += 6
+    return found
+
+
+def modes_at_most(model: CalculixModel, n_modes: int) -> int:
+    """So many modes, or as many as the model has freedoms for."""
+    return min(n_modes, _free(model).total() or n_modes)
+
+
+def without_spare(result: ModalResult) -> ModalResult:
+    """The modes of the model itself."""
+    own = int(np.sum(result.eigenvalues < 0.5 * EIGENVALUE))
+    return result if own == result.eigenvalues.size else replace(
+        result,
+        eigenvalues=result.eigenvalues[:own],
+        modes=result.modes.select(np.arange(own)),
+        strain_energies=result.strain_energies[:, :own],
+        total_strain_energy=result.total_strain_energy[:own],
+    )  # fmt: skip
