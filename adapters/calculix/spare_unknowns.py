@@ -9,12 +9,11 @@ are taken off again.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
-from modetune.adapters.calculix.constraints import read_constraints
+from modetune.adapters.calculix.constraints import Dof, read_constraints
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.core.errors import ModelError
 from modetune.core.updating.results import ModalResult
@@ -31,7 +30,7 @@ MOST_NODES = 20_000
 def spare_unknowns(model: CalculixModel, n_modes: int) -> list[str]:
     """Lines of a deck for a model that may have too few unknowns for so many modes, else none."""
     wanted, free = FOR_A_MODE * n_modes, _free(model)
-    if not free or sum(count > 0 for count in free.values()) >= wanted:
+    if not free or len({node for node, _ in free}) >= wanted:
         return []
     first = max(model.mesh.nodes, default=0) + 1
     element = max(model.mesh.elements, default=0) + 1
@@ -50,29 +49,27 @@ def spare_unknowns(model: CalculixModel, n_modes: int) -> list[str]:
     return lines
 
 
-def _free(model: CalculixModel) -> Counter[int]:
-    """Translations of each node that are not held, dependent or a rigid body's.
+def _free(model: CalculixModel) -> set[Dof]:
+    """Translations that are not held, dependent or a rigid body's, and those that stand for others.
 
     Empty for large models, and where ties cannot be read, of which ccx says what is wrong.
     """
-    found: Counter[int] = Counter()
     if len(model.mesh.element_nodes) > MOST_NODES:
-        return found
+        return set()
     try:
         ties = read_constraints(model)
     except ModelError:
-        return found
-    fixed = ties.held | set(ties.dependent)
-    for node in model.mesh.element_nodes - set(ties.bodies):
-        found[node] = sum((node, component) not in fixed for component in (1, 2, 3))
-    for body in set(ties.bodies.values()):
-        found[body.reference] += 6
-    return found
+        return set()
+    nodes = model.mesh.element_nodes - set(ties.bodies)
+    for body in ties.bodies.values():
+        nodes |= {body.reference, body.rotation or -body.reference}
+    found = {(node, component) for node in nodes for component in (1, 2, 3)}
+    return (found | ties.terms) - ties.held - set(ties.dependent)
 
 
 def modes_at_most(model: CalculixModel, n_modes: int) -> int:
     """So many modes, or as many as the model has freedoms for."""
-    return min(n_modes, _free(model).total() or n_modes)
+    return min(n_modes, len(_free(model)) or n_modes)
 
 
 def without_spare(result: ModalResult) -> ModalResult:

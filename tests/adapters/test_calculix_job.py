@@ -10,7 +10,8 @@ import pytest
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.job import job_text
 from modetune.adapters.calculix.model import CalculixModel, understand
-from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.adapters.calculix.spare_unknowns import spare_unknowns
+from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
 
 MODEL = """\
@@ -48,6 +49,16 @@ EMAS
 """
 
 
+def own_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) -> str:
+    """The job of a model of four nodes without its spare unknowns."""
+    text = job_text(model, changed, analysis)
+    if not isinstance(analysis, ModalAnalysis):
+        return text
+    spare = "\n".join(spare_unknowns(model, analysis.n_modes)) + "\n"
+    assert text.startswith(spare)
+    return text.removeprefix(spare)
+
+
 def model_of(folder: Path, text: str) -> CalculixModel:
     path = folder / "main.inp"
     path.write_text(text)
@@ -55,12 +66,12 @@ def model_of(folder: Path, text: str) -> CalculixModel:
 
 
 def test_a_deck_without_steps_gets_a_plain_frequency_step(tmp_path: Path) -> None:
-    text = job_text(model_of(tmp_path, MODEL), {}, MODAL)
+    text = own_text(model_of(tmp_path, MODEL), {}, MODAL)
     assert text == PLAIN + OURS_BEFORE + "*STEP\n" + OURS_INSIDE
 
 
 def test_a_matrix_job_asks_for_the_matrices_and_nothing_else(tmp_path: Path) -> None:
-    text = job_text(model_of(tmp_path, MODEL), {}, MatrixAnalysis())
+    text = own_text(model_of(tmp_path, MODEL), {}, MatrixAnalysis())
     assert text == PLAIN + "*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n1\n*END STEP\n"
 
 
@@ -69,7 +80,7 @@ def test_a_frequency_step_keeps_its_boundary_and_loses_its_own_requests(tmp_path
         "*Step, Perturbation\n** inside\n*Frequency, Solver=ARPACK\n20, 1., 500.\n*Boundary\n"
         "1, 1, 6\n*NodeFile\nU, RF\n*EL FILE\nS\n*Node Print, NSET=NOPE\nU\n*End Step\n"
     )
-    text = job_text(model_of(tmp_path, MODEL + step), {}, MODAL)
+    text = own_text(model_of(tmp_path, MODEL + step), {}, MODAL)
     assert text == PLAIN + OURS_BEFORE + "*Step, Perturbation\n*Boundary\n1, 1, 6\n" + OURS_INSIDE
 
 
@@ -80,7 +91,7 @@ def test_a_preload_step_stays_without_its_requests_and_later_steps_go(tmp_path: 
         + "*STEP, PERTURBATION\n*FREQUENCY\n5\n*END STEP\n"
         + "*STEP\n*MODAL DYNAMIC\n1., 2.\n*END STEP\n"
     )
-    text = job_text(model_of(tmp_path, MODEL + steps), {}, MODAL)
+    text = own_text(model_of(tmp_path, MODEL + steps), {}, MODAL)
     assert text == (
         PLAIN + preload.format("") + OURS_BEFORE + "*STEP, PERTURBATION\n" + OURS_INSIDE
     )
@@ -88,7 +99,7 @@ def test_a_preload_step_stays_without_its_requests_and_later_steps_go(tmp_path: 
 
 def test_requests_before_the_first_step_go_too(tmp_path: Path) -> None:
     step = "*OUTPUT, FREQUENCY=2\n*STEP\n*FREQUENCY\n5\n"  # ends without *END STEP
-    text = job_text(model_of(tmp_path, MODEL + step), {}, MODAL)
+    text = own_text(model_of(tmp_path, MODEL + step), {}, MODAL)
     assert text == PLAIN + OURS_BEFORE + "*STEP\n" + OURS_INSIDE
 
 
@@ -97,7 +108,7 @@ def test_a_deck_whose_steps_have_no_frequency_is_refused_with_its_line(tmp_path:
     line = MODEL.count("\n") + 1
     message = f"{tmp_path / 'main.inp'}, line {line}: the deck has a *STEP but none with *FREQUENCY"
     with pytest.raises(ModelError, match=re.escape(message)):
-        job_text(model, {}, MODAL)
+        own_text(model, {}, MODAL)
 
 
 def test_a_frequency_card_outside_a_step_is_refused_with_its_line(tmp_path: Path) -> None:
@@ -105,25 +116,25 @@ def test_a_frequency_card_outside_a_step_is_refused_with_its_line(tmp_path: Path
     line = MODEL.count("\n") + 1
     message = f"{tmp_path / 'main.inp'}, line {line}: *FREQUENCY stands outside a *STEP"
     with pytest.raises(ModelError, match=re.escape(message)):
-        job_text(model, {}, MODAL)
+        own_text(model, {}, MODAL)
 
 
 def test_edited_lines_are_in_the_job_wherever_they_stand(tmp_path: Path) -> None:
     for steps in ("", "*STEP\n*FREQUENCY\n5\n*END STEP\n"):
         model = model_of(tmp_path, MODEL + steps)
         place = next(i for i, line in enumerate(model.deck.lines) if line.text == "71000., 0.3")
-        text = job_text(model, {place: "80000., 0.3"}, MODAL)
+        text = own_text(model, {place: "80000., 0.3"}, MODAL)
         assert text == (PLAIN.replace("71000.", "80000.") + OURS_BEFORE + "*STEP\n" + OURS_INSIDE)
 
 
 def test_a_set_of_two_groups_is_asked_for_once(tmp_path: Path) -> None:
     analysis = ModalAnalysis(9, (1, 3), (("a", ("PLATE",)), ("b", ("PLATE",))))
-    text = job_text(model_of(tmp_path, MODEL), {}, analysis)
+    text = own_text(model_of(tmp_path, MODEL), {}, analysis)
     assert text.count("*EL PRINT, ELSET=PLATE,") == 1
 
 
 def test_many_nodes_are_wrapped_to_sixteen_a_line(tmp_path: Path) -> None:
     # ccx reads at most sixteen entries of a line.
-    text = job_text(model_of(tmp_path, MODEL), {}, ModalAnalysis(9, tuple(range(1, 34))))
+    text = own_text(model_of(tmp_path, MODEL), {}, ModalAnalysis(9, tuple(range(1, 34))))
     rows = text.partition("NSET=MODETUNE_NODES\n")[2].partition("*")[0].splitlines()
     assert [len(row.split(",")) for row in rows] == [16, 16, 1]
