@@ -229,6 +229,10 @@ class Deck(Protocol):
         """Root of E over density of each material that has both, in the deck's units."""
         return {}
 
+    def material_masses(self) -> dict[str, float]:
+        """About the mass of each material of `wave_speeds`; empty where nothing tells it."""
+        return {}
+
     def largest_eigenvalue(self) -> float:
         """About the largest eigenvalue of the model, (rad/s)^2, 0 where nothing tells it.
 

@@ -38,6 +38,10 @@ NODES: dict[CellKind, int] = {
     **CORNERS, "line3": 3, "triangle6": 6, "quad8": 8, "tetra10": 10, "pyramid13": 13,
     "wedge15": 15, "hexahedron20": 20,
 }  # fmt: skip
+#: In how many directions cells extend, 3 where none is named, and what part of a box of that
+#: spread those that are no boxes fill.
+DIMENSIONS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
+FILLED = {"triangle": 0.65, "tetra": 1.0 / 3.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +103,25 @@ def global_shapes(mesh: Mesh, modes: ModeSet) -> Floats:
         row = int(mesh.rows(np.array([node]))[0])
         shapes[:, row] = shapes[:, row] @ axes  # rows of `axes` are the node's own directions
     return shapes
+
+
+def cell_sizes(mesh: Mesh) -> dict[int, float]:
+    """About the length, area or volume of each element by its number, by the spread of its corners.
+
+    With s the standard deviations of the corners along their principal axes it is the product of
+    2 s, which holds for bars, parallelograms and parallelepipeds, times FILLED for others. Raises
+    ModelError where an element names a node that is not in the mesh.
+    """
+    found: dict[int, float] = {}
+    for cells in mesh.cells:
+        corners = mesh.coordinates[mesh.rows(cells.nodes[:, : CORNERS[cells.kind]])]
+        kind = cells.kind.rstrip("0123456789")
+        across = DIMENSIONS.get(kind, 3)
+        apart = corners - corners.mean(axis=1, keepdims=True)
+        spread = np.linalg.svd(apart, compute_uv=False)[:, :across] / corners.shape[1] ** 0.5
+        sizes = FILLED.get(kind, 1.0) * np.prod(2.0 * spread, axis=1) * (across > 0)
+        found |= dict(zip(cells.elements.tolist(), sizes.tolist(), strict=True))
+    return found
 
 
 def shortest_length(mesh: Mesh) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -155,6 +155,22 @@ class CalculixModel:
                 speeds[name] = (modulus.value / density.value) ** 0.5
         return speeds
 
+    def material_masses(self, sizes: Mapping[int, float]) -> dict[str, float]:
+        """About the mass of each material; sizes: length, area or volume of each element."""
+        found: dict[str, float] = {}
+        for card in self.deck.named("*SOLID SECTION", "*SHELL SECTION", "*BEAM SECTION"):
+            members = self.mesh.element_sets.get(card.option("ELSET"), frozenset())
+            size = sum(sizes.get(number, 0.0) for number in members)
+            rows = [self.deck.fields(position) for position in card.data]
+            layers = [(card.option("MATERIAL"), _across(card, rows))]
+            if "COMPOSITE" in card.options:
+                layers = [(canonical_name(row[2]), _number(row[0])) for row in rows if len(row) > 2]
+            for name, across in layers:
+                with suppress(ModelError):  # a material that has no density
+                    mass = _density(self, name)[0].value * across * size
+                    found[name] = found.get(name, 0.0) + mass
+        return found
+
     def fields(self, parameter: Parameter) -> list[KeywordField]:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
         if parameter.quantity not in _FINDERS or parameter.by not in ("material", "elset"):
@@ -239,6 +255,21 @@ class CalculixModel:
 def understand(deck: KeywordDeck) -> CalculixModel:
     """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
     return CalculixModel(deck, read_mesh(deck))
+
+
+def _number(text: str) -> float:
+    """A number of a section, 0 where it is none, of which ccx says what is wrong."""
+    with suppress(ValueError):
+        return read_number(text)
+    return 0.0
+
+
+def _across(card: KeywordCard, rows: list[list[str]]) -> float:
+    """What a section's size is multiplied with: thickness, area of a beam or truss, or 1."""
+    numbers = [_number(text) for text in rows[0]] if rows else []
+    if card.is_one_of("*BEAM SECTION"):
+        return math.prod(numbers[:2])
+    return numbers[0] if numbers and numbers[0] > 0.0 else 1.0
 
 
 def read_number(text: str) -> float:

@@ -53,7 +53,7 @@ from modetune.core.errors import (
     SolverMissing,
     SolverRejected,
 )
-from modetune.core.mesh import Mesh
+from modetune.core.mesh import Mesh, cell_sizes
 from modetune.core.modes import Floats, Integers, ModeSet
 from modetune.core.parameters import Parameter, Quantity, Values
 from modetune.core.storage.keys import Json
@@ -111,6 +111,9 @@ class CalculixDeck(Deck):
 
     def wave_speeds(self) -> dict[str, float]:
         return self.model.wave_speeds()
+
+    def material_masses(self) -> dict[str, float]:
+        return self.model.material_masses(cell_sizes(self.mesh()))
 
     def least_length(self) -> float:
         return min(super().least_length(), self.model.least_thickness())

@@ -121,6 +121,29 @@ class NastranModel(Deck):
                     speeds[f"MAT1 {number}"] = float(ratio**0.5)
         return speeds
 
+    def material_masses(self) -> dict[str, float]:
+        """About the mass of each material, by `MAT1 30`; plies share that of their element."""
+        found: dict[str, float] = {}
+        for element in self.bulk.elements.values():
+            section = getattr(element, "pid_ref", None) or element
+            plies = list(
+                zip(
+                    getattr(section, "mids_ref", None) or (),
+                    getattr(section, "thicknesses", ()),
+                    strict=False,
+                )
+            )
+            parts = [(ply, ply.rho * thickness) for ply, thickness in plies if ply.type == "MAT1"]
+            single = getattr(section, "mid1_ref", None) or getattr(section, "mid_ref", None)
+            if not plies and single is not None and single.type == "MAT1":
+                parts = [(single, 1.0)]
+            whole = sum(share for _, share in parts)
+            mass = element.Mass() if whole > 0.0 else 0.0
+            for material, share in parts if mass else ():
+                name = f"MAT1 {material.mid}"
+                found[name] = found.get(name, 0.0) + mass * share / whole
+        return found
+
     def places(self, parameter: Parameter) -> list[ValuePlace]:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
         try:

@@ -83,6 +83,9 @@ class TranslatedDeck(Deck):
     def wave_speeds(self) -> dict[str, float]:
         return self.model.wave_speeds()
 
+    def material_masses(self) -> dict[str, float]:
+        return self.model.material_masses()
+
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """The deck's sets, none where CalculiX prints no whole energy of their elements."""
         names = self.model.energy_sets(parameter)

@@ -43,7 +43,6 @@ from modetune.flows.campaign.schema import (
 from modetune.flows.campaign.settings import override
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.campaign.solvers import bind_solver
-from modetune.flows.campaign.units import unit_problems
 from modetune.flows.campaign.weights import weighting_of
 
 
@@ -258,6 +257,7 @@ def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Cas
             else np.zeros(0)
         ),
         eigensolver=file.model.eigensolver,
+        accepted=file.model.checks,
     )
 
 
@@ -296,8 +296,6 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
     if not problems:  # what several parameters do to each other
         place = source.where(("parameters",))
         problems += [f"{place}: {said}" for said in solver.deck.problems(parameters)]
-    if not problems:
-        problems += unit_problems(source.where(("model", "units")), file.model.units, solver)
     number = file.model.rigid_modes
     if number == "auto":
         return solver

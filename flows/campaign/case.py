@@ -20,7 +20,7 @@ from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.surface import Surface
 from modetune.core.updating.weighting import Weighting
 from modetune.flows.campaign.mapping import Mapping
-from modetune.flows.campaign.schema import Eigensolver, Units
+from modetune.flows.campaign.schema import Eigensolver, ModelCheck, Units
 
 #: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
 EXTRA_MODES = 4
@@ -35,7 +35,8 @@ class Case:
     held_out_deviations: (n_held_out,), relative, of their frequencies. nodes: at which pairing and
     derivatives need shapes. name: of the configuration, empty where the campaign has one
     model; columns: positions of its parameters among the campaign's, all of them where None;
-    weight: of its residuals; aside: whether it is only judged by.
+    accepted: doubts about the model that are known; weight: of its residuals; aside: whether it is
+    only judged by.
     """
 
     solver: Solver
@@ -49,6 +50,7 @@ class Case:
     held_out: MeasuredModes | None = None
     held_out_deviations: Floats = field(default_factory=lambda: np.zeros(0))
     eigensolver: Eigensolver = "solver"
+    accepted: tuple[ModelCheck, ...] = ()
     name: str = ""
     columns: tuple[int, ...] | None = None
     weight: float = 1.0

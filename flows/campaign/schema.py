@@ -32,6 +32,7 @@ SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 NastranDialect = Literal["msc", "nx"]
 Eigensolver = Literal["auto", "solver", "pardiso"]
+ModelCheck = Literal["units", "size", "mass"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
 #: Names the store's folder for all campaigns.
 STORE_VARIABLE = "MODETUNE_STORE"
@@ -60,6 +61,9 @@ class ModelSection(Section):
     rigid_modes: Literal["auto"] | Annotated[int, Field(ge=0, le=1000)] = "auto"
     """How many modes are rigid: bodies that are free, and mechanisms; `auto`: those without strain
     energy. A number that the energies contradict is refused."""
+    checks: tuple[ModelCheck, ...] = ()
+    """Doubts about the model that are known and accepted: `units`, by the speed of sound in most of
+    its mass; `size`; `mass`."""
 
 
 class TestSection(Section):

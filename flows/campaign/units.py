@@ -24,16 +24,31 @@ LENGTH_METRES: dict[LengthUnit, float] = {
 }  # fmt: skip
 
 
-def unit_problems(where: str, units: Units, solver: Solver) -> list[str]:
-    """Sound travels at 500 to 20,000 m/s in what structures are made of; wrong units show there."""
-    found = []
-    for material, speed in solver.deck.wave_speeds().items():
-        metres = speed * METRES[units]
-        if not 500.0 <= metres <= 20_000.0:
-            fitting = [name for name, scale in METRES.items() if 500.0 <= speed * scale <= 20_000.0]
-            hint = f"; {' or '.join(fitting)} would fit" if fitting else ""
-            found.append(
-                f"{where}: in units {units} sound would travel at {metres:.3g} m/s in material "
-                f"{material} (root of E over density){hint}"
-            )
-    return found
+#: Sound travels so fast, m/s, in what structures are made of; wrong units show there.
+SPEEDS = (500.0, 20_000.0)
+
+
+def unit_doubt(units: Units, solver: Solver) -> str:
+    """Why a model's units are doubtful by the materials of most of its mass, empty if they are not.
+
+    Films, foams and honeycombs, whose numbers are of their own kind, weigh little.
+    """
+    deck = solver.deck
+    speeds, masses = deck.wave_speeds(), deck.material_masses()
+    weights = {name: masses.get(name, 0.0) if masses else 1.0 for name in speeds}
+    strange = {
+        name: weights[name]
+        for name, speed in speeds.items()
+        if not SPEEDS[0] <= speed * METRES[units] <= SPEEDS[1]
+    }
+    if 2.0 * sum(strange.values()) <= sum(weights.values()):
+        return ""
+    name = max(strange, key=strange.__getitem__)
+    fitting = [
+        unit for unit, scale in METRES.items() if SPEEDS[0] <= speeds[name] * scale <= SPEEDS[1]
+    ]
+    hint = f"; {' or '.join(fitting)} would fit" if fitting else ""
+    return (
+        f"in units {units} sound would travel at {speeds[name] * METRES[units]:.3g} m/s in "
+        f"material {name} (root of E over density), of which most of the mass is{hint}"
+    )

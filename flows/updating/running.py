@@ -17,6 +17,7 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import write_record
 from modetune.flows.campaign.campaign import Campaign, cores
 from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.jobs.engine import JobEngine, Ledger, Policy
 from modetune.flows.jobs.job import Plans
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
@@ -133,6 +134,10 @@ def _update(
         if campaign.sensitivity.method == "auto":
             for said in filter(None, (not_linear(case.solver) for case in campaign.cases)):
                 logger.warning("%s", said)
+        for case in campaign.cases:
+            doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
+            if doubt:
+                logger.warning("%s; `model.checks: [units]` accepts that", doubt)
         # What several models cost side by side nobody has worked out yet.
         if len(campaign.cases) > 1:
             forecast = None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,13 +14,20 @@ from modetune.core.modes import Floats, ModeSet
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
-from modetune.flows.campaign.schema import Units
-from modetune.flows.campaign.units import KILOGRAMS, METRES
+from modetune.flows.campaign.schema import ModelCheck, Units
+from modetune.flows.campaign.units import KILOGRAMS, METRES, unit_doubt
 from modetune.flows.studies.check.findings import Finding
 
 #: Structures that are tested, metres and kilograms; beyond it the units are likely wrong.
 SIZES_M = (1e-3, 1000.0)
 MASSES_KG = (1e-4, 1e7)
+#: What helps where size, units or mass are doubtful, each accepted by its name.
+SIZE = "name the units that the deck is written in; `model.checks: [size]` accepts it"
+UNITS = "name the units that the deck is written in; `model.checks: [units]` accepts them"
+MASS = (
+    "look at densities, point masses and units (Nastran: PARAM,WTMASS); `model.checks: [mass]` "
+    "accepts it"
+)
 #: Nothing is heavier than osmium over its own box, kg/m3.
 DENSEST = 22_600.0
 #: A rigid-body frequency above this share of the first elastic one is not near zero.
@@ -73,10 +81,31 @@ def model_size(campaign: Campaign) -> float:
 
 
 def size_findings(campaign: Campaign) -> list[Finding]:
-    """Whether the model's size fits its units; nothing without geometry."""
-    size = model_size(campaign)
-    if not np.isfinite(size):
-        return []
+    """Whether the model's materials and its size fit its units; no size without geometry."""
+    case, size = campaign.case, model_size(campaign)
+    doubt = unit_doubt(case.units, case.solver)
+    found = [Finding("doubtful", "model", doubt, "model.units", UNITS)] if doubt else []
+    if np.isfinite(size):
+        found += _size(campaign, size)
+    return accepted(campaign, found, {UNITS: "units", SIZE: "size"})
+
+
+def accepted(
+    campaign: Campaign, found: list[Finding], checks: Mapping[str, ModelCheck]
+) -> list[Finding]:
+    """Findings, those that the campaign accepts no longer doubtful.
+
+    checks: the names that doubts are accepted by, by their remedy.
+    """
+    return [
+        replace(item, level="good", what=f"{item.what} (accepted)", remedy="")
+        if checks.get(item.remedy) in campaign.case.accepted
+        else item
+        for item in found
+    ]
+
+
+def _size(campaign: Campaign, size: float) -> list[Finding]:
     if SIZES_M[0] <= size <= SIZES_M[1]:
         return [Finding("good", "model", f"{size:.4g} m across", "model.units")]
     return [
@@ -85,7 +114,7 @@ def size_findings(campaign: Campaign) -> list[Finding]:
             "model",
             f"in units {campaign.case.units} the model is {size:.3g} m across",
             "model.units",
-            "name the units that the deck is written in",
+            SIZE,
         )
     ]
 
@@ -114,9 +143,10 @@ def mass_findings(campaign: Campaign, facts: ModelFacts) -> list[Finding]:
                 f"in units {campaign.case.units} the mass is {mass_kg:.3g} kg"
                 + (f", in a model {facts.size_m:.3g} m across" if heavy else ""),
                 "model.units",
-                "look at densities, point masses and units (Nastran: PARAM,WTMASS)",
+                MASS,
             )
         ]
+    found = accepted(campaign, found, {MASS: "mass"})
     return found + _body_findings(facts, campaign.case.units)
 
 

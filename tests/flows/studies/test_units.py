@@ -1,0 +1,124 @@
+"""Units are judged by the materials of most of the mass, and a doubt is accepted by its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.nastran.solver import mystran_solver
+from modetune.core.errors import CampaignError
+from modetune.core.mesh import Cells, Mesh, cell_sizes
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.campaign.units import unit_doubt
+from modetune.flows.studies.check.judging import check_campaign
+
+#: A steel plate of 100 x 100 x 2 mm with a film of 0.01 mm whose modulus is a dummy.
+PLATE = """\
+*NODE
+1, 0., 0., 0.
+2, 100., 0., 0.
+3, 100., 100., 0.
+4, 0., 100., 0.
+*ELEMENT, TYPE=S4, ELSET=PLATE
+1, 1, 2, 3, 4
+*ELEMENT, TYPE=S4, ELSET=FILM
+2, 1, 2, 3, 4
+*MATERIAL, NAME=STEEL
+*ELASTIC
+210000., 0.3
+*DENSITY
+7.8e-9
+*MATERIAL, NAME=DUMMY
+*ELASTIC
+1e-6, 0.3
+*DENSITY
+7.8e-9
+*SHELL SECTION, ELSET=PLATE, MATERIAL=STEEL
+2.
+*SHELL SECTION, ELSET=FILM, MATERIAL=DUMMY
+0.01
+"""
+NASTRAN = """\
+SOL 103
+CEND
+METHOD = 1
+BEGIN BULK
+EIGRL,1,,,5
+GRID,1,,0.,0.,0.
+GRID,2,,100.,0.,0.
+GRID,3,,100.,100.,0.
+GRID,4,,0.,100.,0.
+CQUAD4,1,1,1,2,3,4
+CQUAD4,2,2,1,2,3,4
+PSHELL,1,1,2.
+PSHELL,2,2,.01
+MAT1,1,210000.,,.3,7.8-9
+MAT1,2,1.-6,,.3,7.8-9
+ENDDATA
+"""
+
+
+@pytest.mark.parametrize("kind", ["inp", "bdf"])
+def test_a_dummy_film_raises_no_doubt_and_wrong_units_do(tmp_path: Path, kind: str) -> None:
+    file = tmp_path / f"plate.{kind}"
+    file.write_text(PLATE if kind == "inp" else NASTRAN)
+    solver = calculix_solver(file, ()) if kind == "inp" else mystran_solver(file, ())
+    masses = sorted(solver.deck.material_masses().values())
+    assert masses == pytest.approx([1e4 * 0.01 * 7.8e-9, 1e4 * 2.0 * 7.8e-9])
+    assert unit_doubt("mm-t-s", solver) == ""
+    doubt = unit_doubt("m-kg-s", solver)
+    # sqrt(210000 / 7.8e-9) = 5.19e6 of the deck's length a second.
+    assert "at 5.19e+06 m/s in material " in doubt
+    assert doubt.endswith("of which most of the mass is; mm-t-s would fit")
+
+
+def test_sizes_of_cells_are_those_of_boxes_and_near_those_of_others() -> None:
+    places = np.array(
+        [[x, y, z] for x in (0.0, 2.0) for y in (0.0, 3.0) for z in (0.0, 5.0)], dtype=np.float64
+    )
+    mesh = Mesh(
+        np.arange(1, 9),
+        places,
+        (
+            Cells("hexahedron", np.array([1]), np.array([[1, 5, 7, 3, 2, 6, 8, 4]])),
+            Cells("quad", np.array([2]), np.array([[1, 5, 7, 3]])),
+            Cells("line", np.array([3]), np.array([[1, 8]])),
+            Cells("triangle", np.array([4]), np.array([[1, 5, 7]])),
+            Cells("vertex", np.array([5]), np.array([[1]])),
+        ),
+    )
+    sizes = cell_sizes(mesh)
+    assert sizes[1] == pytest.approx(30.0)
+    assert sizes[2] == pytest.approx(6.0)
+    assert sizes[3] == pytest.approx(38.0**0.5)
+    assert sizes[4] == pytest.approx(3.0, rel=0.02)
+    assert sizes[5] == 0.0
+
+
+def test_a_doubt_about_units_is_no_error_is_told_and_is_accepted_by_its_name(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "plate.inp").write_text(PLATE)
+    (tmp_path / "test.csv").write_text("mode,1,2\nfrequency_hz,10,20\n")
+    text = (
+        "name: small\nmodel: {deck: plate.inp, solver: calculix, units: m-kg-s}\n"
+        "test: {modes: test.csv}\nparameters:\n"
+        "  - {name: E, quantity: youngs_modulus, material: STEEL}\n"
+    )
+    file = tmp_path / "campaign.yaml"
+    file.write_text(text)
+    settings = [f"store={tmp_path / 'store'}"]
+    found = check_campaign(load_campaign(file, settings), run=False).findings
+    doubts = [item for item in found if "sound would travel" in item.what]
+    assert [(item.level, item.where) for item in doubts] == [("doubtful", "model.units")]
+    assert "`model.checks: [units]`" in doubts[0].remedy
+    file.write_text(text.replace("m-kg-s}", "m-kg-s, checks: [units, size]}"))
+    found = check_campaign(load_campaign(file, settings), run=False).findings
+    levels = {item.level for item in found if item.subject == "model"}
+    assert levels == {"good"}
+    file.write_text(text.replace("m-kg-s}", "m-kg-s, checks: [unit]}"))
+    with pytest.raises(CampaignError, match=r"line 2: model\.checks"):
+        load_campaign(file, settings)
