@@ -36,7 +36,7 @@ from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
 from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.algebra.rigid_modes import DOUBLE, matrix_energies
+from modetune.core.algebra.rigid_modes import GIVEN, matrix_energies
 from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, ModeSet, close_sets
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.observation import observe
@@ -193,7 +193,7 @@ class Model:
         self.reduced = unreduced(affine, -1e-6 * float(largest), observer)
         self.n_modes = min(loaded.case.n_modes, here.nodes.size)
         _, shapes = self.reduced.combinations(loaded.start, self.n_modes)
-        energies = matrix_energies(here.upper_stiffness, shapes, DOUBLE)
+        energies = matrix_energies(here.upper_stiffness, shapes, GIVEN)
         self.n_rigid = int(np.sum(energies == 0.0))
         self.dofs = np.flatnonzero(observer @ np.ones(here.nodes.size))
 

@@ -27,7 +27,7 @@ from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.matrices import upper_triangle
-from modetune.core.algebra.rigid_modes import DOUBLE, matrix_energies
+from modetune.core.algebra.rigid_modes import GIVEN, matrix_energies
 from modetune.core.errors import ModelError, ModesError, NoResult, SolverCrashed, SolverRejected
 from modetune.core.modes import Floats, mode_set
 from modetune.core.updating.results import MatrixResult, ModalResult, Result
@@ -165,7 +165,7 @@ def _solved(
     # A small system has no more modes than unknowns, and a campaign asks for some to spare.
     n_modes = min(job.n_modes, stiffness.shape[0])
     eigenvalues, shapes = solve_modes(stiffness, mass, n_modes)
-    energies = matrix_energies(upper_triangle(stiffness), shapes, DOUBLE)
+    energies = matrix_energies(upper_triangle(stiffness), shapes, GIVEN)
     if (2.0 * energies < -NEGATIVE * np.abs(eigenvalues).max()).any():
         raise ModelError(
             f"the stiffness matrix has a negative eigenvalue ({eigenvalues[0]:.3e}): no structure "

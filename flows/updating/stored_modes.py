@@ -24,7 +24,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.rigid_modes import (
-    DOUBLE,
+    GIVEN,
     PRINTED,
     count_rigid_modes,
     matrix_energies,
@@ -190,7 +190,7 @@ class MatrixModes:
         first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
         self._shift = shift_below(first**2)
         given = campaign.case.solver.deck.summary.matrices is not None
-        rounding = DOUBLE if given else PRINTED
+        rounding = GIVEN if given else PRINTED
         self._solutions = _Solutions(self.affine, engine, self._shift, rounding)
         self._sets: dict[tuple[float, ...], _Set] = {}
         self._first: dict[int, _Set] = {}

@@ -17,7 +17,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.rigid_modes import (
-    DOUBLE,
+    GIVEN,
     RigidByHand,
     count_rigid_modes,
     matrix_energies,
@@ -194,11 +194,11 @@ def chain(n: int, ground: float) -> Floats:
     return np.asarray(k)
 
 
-@pytest.mark.parametrize(("ground", "expected"), [(0.0, 1), (1e-3, 0)])
+@pytest.mark.parametrize(("ground", "expected"), [(0.0, 1), (1e-2, 0)])
 def test_a_stiffness_matrix_tells_a_soft_spring_from_none(ground: float, expected: int) -> None:
     stiffness = sparse.csr_array(chain(20, ground))
     eigenvalues, shapes = solve_modes(stiffness, sparse.csr_array(np.eye(20)), 5)
-    energies = matrix_energies(upper_triangle(stiffness), shapes, DOUBLE)
+    energies = matrix_energies(upper_triangle(stiffness), shapes, GIVEN)
     assert count_rigid_modes(eigenvalues, energies, lambda: 0.0) == expected
     if ground:  # all masses move alike: ground / 20 but for the chain's own flexibility
         assert 2.0 * energies[0] == pytest.approx(ground / 20, rel=1e-3)
