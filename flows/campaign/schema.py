@@ -210,9 +210,9 @@ class UpdateSection(Section):
 
     start: Literal["deck", "last"] = "deck"
     """Begin at the deck's values, or where the run before ended."""
-    starts: Annotated[int, Field(ge=1, le=1000)] = 1
+    starts: Annotated[int, Field(ge=1, le=1000)] | None = None
     """Updates from so many starts, the campaign's own and others within the bounds; the best is
-    the answer."""
+    the answer. Without it one, and others beside where sets cost little."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the starts that are drawn."""
     step: StepForm = "trust_region"

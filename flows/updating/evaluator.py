@@ -121,6 +121,16 @@ class Evaluator:
         return all(state.finder.cheap for state in self.used)
 
     @property
+    def sets_cost_little(self) -> bool:
+        """Whether modes come from matrices or reduced models, so that some sets more are nothing
+        beside what they tell: the least misfit itself, and what other starts lead to."""
+        return all(
+            state.finder.name != (solver := state.case.solver).program.name
+            or solver.deck.summary.matrices is not None
+            for state in self.used
+        )
+
+    @property
     def steps_run(self) -> bool:
         """Whether each step runs the solver."""
         return any(state.finder.name == state.case.solver.program.name for state in self.used)

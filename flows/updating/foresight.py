@@ -89,7 +89,7 @@ class ReducedForesight:
         )
         evaluator = Evaluator(inner, states, self.evaluator.execution, self.evaluator.ledger)
         try:
-            end = Loop(inner, evaluator, _Unwatched(), region, current).run()
+            end = Loop(inner, evaluator, Unwatched(), region, current).run()
         except ModesError as error:
             logger.debug("no reduced step: %s", error)
             return None
@@ -191,7 +191,7 @@ def _length(theta: Floats, previous: Evaluation) -> float:
     return max(float(np.max(np.abs(theta - previous.theta))), float(np.finfo(np.float64).eps))
 
 
-class _Unwatched:
+class Unwatched:
     """A loop that nobody watches."""
 
     def working(self, text: str) -> None:

@@ -1,5 +1,7 @@
 """The updating loop: evaluate, compare with the test, step, until e1 holds or nothing is gained.
 
+Where sets cost little it goes on from where e1 holds to the least misfit, without leaving e1.
+
 Each iteration evaluates one parameter set: its modal job and, unless e2 skips them, its
 sensitivity jobs go to the execution side by side. A set that makes the residual worse is not
 accepted: a step from an older matrix is taken back and the matrix computed anew, one from a
@@ -37,6 +39,8 @@ SHORTENINGS = 5
 STATIONARY = 1e-4
 #: Largest parameter change that counts as none.
 NO_STEP = 1e-8
+#: Largest parameter change that the least misfit is not worth, where e1 holds.
+POLISHED = 1e-4
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
 #: Frequencies by stored matrices and by the solver itself that differ more are not one model's.
@@ -122,7 +126,7 @@ class Loop:
 
     region: lower and upper values that it keeps to within the parameters' bounds, each
     (n_parameters,), where it may not go everywhere. around: an evaluation point that the
-    modes of the start are tracked from.
+    modes of the start are tracked from. first, title: number and name of the first set.
     """
 
     def __init__(
@@ -132,8 +136,11 @@ class Loop:
         watcher: Watcher,
         region: tuple[Floats, Floats] | None = None,
         around: Evaluation | None = None,
+        first: int = 0,
+        title: str = "initial model",
     ) -> None:
         self.around = around
+        self.title = title
         self.campaign = campaign
         self.evaluator = evaluator
         self.watcher = watcher
@@ -144,7 +151,7 @@ class Loop:
         self.between = Between(campaign, evaluator, self.lower, self.upper)
         self.stepping = Stepping(campaign, evaluator, self.lower, self.upper)
         self.last_matrix: Matrix | None = None
-        self.number = 0
+        self.number = self.first = first
 
     def run(self) -> End:
         """Update until e1 holds, nothing more is gained, or the iterations are used up.
@@ -172,16 +179,18 @@ class Loop:
     def _until(self, state: State) -> tuple[str, State]:
         """How the iterations from a state end, and where."""
         while True:
-            if state.current.agrees(self.campaign.tolerances):
+            agrees = state.current.agrees(self.campaign.tolerances)
+            polishes = agrees and self.evaluator.sets_cost_little
+            if agrees and not polishes:
                 return "converged", state
-            if self.number == self.campaign.update.max_iterations:
-                return "max_iterations", state
+            if self.number - self.first == self.campaign.update.max_iterations:
+                return "converged" if agrees else "max_iterations", state
             matrix = state.matrix or self._fresh(state.current)
             self.last_matrix = matrix
-            trial = self._try(state, matrix)
+            trial = self._try(state, matrix, polishes)
             if trial is not None:
                 state, gained = self._accept(state, matrix, trial)
-                if gained or matrix.age > 0 or state.current.agrees(self.campaign.tolerances):
+                if gained or matrix.age > 0 or (not agrees and self._agrees(state)):
                     continue
                 if self.stepping.adapts and not state.region.boldest:
                     state = replace(state, region=state.region.emboldened())
@@ -189,15 +198,19 @@ class Loop:
             elif matrix.age > 0:
                 state = replace(state, matrix=None, skip=None)
                 continue
-            elif self.number == self.campaign.update.max_iterations:
+            elif self.number - self.first == self.campaign.update.max_iterations:
                 continue
-            return "stationary", state
+            return "converged" if self._agrees(state) else "stationary", state
+
+    def _agrees(self, state: State) -> bool:
+        return state.current.agrees(self.campaign.tolerances)
 
     def _reason(self, status: str, last: Evaluation) -> str:
         if status == "converged":
             return f"e1 is met: {_distance(last)}"
         if status == "max_iterations":
-            said = f"all {self.number} iterations are used up and e1 is not met: {_distance(last)}"
+            taken = self.number - self.first
+            said = f"all {taken} iterations are used up and e1 is not met: {_distance(last)}"
             return "; ".join(filter(None, (said, self.stepping.held_back)))
         return (
             "the residual cannot be brought down further within the bounds, and e1 is not met: "
@@ -206,29 +219,30 @@ class Loop:
 
     def _start(self) -> State:
         initial = self.campaign.start
-        self.watcher.working("initial model")
+        self.watcher.working(self.title)
         alone = self.campaign.update.max_iterations == 0
-        current, matrix = self.evaluator.evaluate(0, initial, self.around, alone)
+        current, matrix = self.evaluator.evaluate(self.first, initial, self.around, alone)
         self.last_matrix = matrix
-        self._note(current, None, None, np.nan, True, "initial model", False)
+        self._note(current, None, None, np.nan, True, self.title, False)
         return State(current, matrix, None, self.stepping.first)
 
     def _fresh(self, current: Evaluation) -> Matrix:
         self.watcher.working(f"iteration {self.number}: sensitivities")
         return self.evaluator.matrix(self.number, current)
 
-    def _try(self, state: State, matrix: Matrix) -> Trial | None:
+    def _try(self, state: State, matrix: Matrix, polishes: bool) -> Trial | None:
         """The first set that is better than the current one, or None.
 
         An old matrix gets one chance; with a fresh one the step is made shorter until it helps.
+        polishes: whether e1 holds already, and has to go on holding.
         """
         current, region = state.current, state.region
         step = self.stepping.step(current, matrix, region)
         chances, failures = 1 if matrix.age > 0 else SHORTENINGS + 1, 0
         for chance in range(chances):
-            if np.max(np.abs(step.change)) < NO_STEP:
+            if np.max(np.abs(step.change)) < (POLISHED if polishes else NO_STEP):
                 return None
-            if self.number == self.campaign.update.max_iterations:
+            if self.number - self.first == self.campaign.update.max_iterations:
                 return None
             self.number += 1
             self.watcher.working(f"iteration {self.number}")
@@ -237,13 +251,16 @@ class Loop:
                 trial = self._evaluate(state, step, region, chance)
             except (SolverError, ModesError) as error:
                 never_solved = matrix.age == 0 and failures == chance == chances - 1
+                never_solved = never_solved and not polishes
                 if isinstance(error, SolverMissing | SolverCancelled) or never_solved:
                     raise
                 failures += 1
-                logger.warning("%s; %s", error, ending)
+                level = logging.WARNING if self.evaluator.steps_run else logging.INFO
+                logger.log(level, "%s; %s", error, ending)
             else:
                 better = self.stepping.gain(current, trial.evaluation, step) > 0.0
-                if better or trial.evaluation.agrees(self.campaign.tolerances):
+                agrees = trial.evaluation.agrees(self.campaign.tolerances)
+                if (better and agrees) if polishes else (better or agrees):
                     return trial
                 self._note(
                     trial.evaluation,
@@ -264,7 +281,7 @@ class Loop:
             self.between.waits
             or state.skip is not None
             or chance > 0
-            or self.number == self.campaign.update.max_iterations
+            or self.number - self.first == self.campaign.update.max_iterations
             or expects_agreement(step, current, self.campaign.tolerances)
         )
         theta = current.theta + step.change

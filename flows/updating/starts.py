@@ -16,14 +16,11 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from scipy.sparse.csgraph import connected_components
-
 from modetune.core.errors import ModesError, SolverError
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import Floats
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.storage.record_file import write_record
 from modetune.core.updating.trust import StartSpread, with_spread
@@ -37,42 +34,18 @@ from modetune.flows.updating.forecast import Forecast
 from modetune.flows.updating.prefect import Pages
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.running import solving_engine, update_campaign
+from modetune.flows.updating.start_ends import (
+    StartEnd,
+    chosen_end,
+    drawn_starts,
+    end_of,
+    start_spread,
+    tolerated,
+)
 from modetune.flows.updating.starting import read_earlier, start_of
 from modetune.flows.updating.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
-
-#: Standard errors by which two ends may differ and still be one place.
-SAME_ERRORS = 3.0
-#: ... and the least difference, relative to the deck, that makes two places.
-SAME_LEAST = 0.01
-#: An end whose misfit is no more than this times the answer's fits as well.
-AS_WELL = 1.1
-
-
-@dataclass(frozen=True, slots=True)
-class StartEnd:
-    """How the update from one start ended.
-
-    record: None where it never got to one; error: that broke it off.
-    """
-
-    start: Floats
-    record: CampaignRecord | None
-    error: SolverError | ModesError | None
-
-    @property
-    def outcome(self) -> str:
-        if self.record is None or self.error is not None:
-            return f"failed: {str(self.error).splitlines()[0]}"
-        return self.record.status
-
-    @property
-    def rank(self) -> tuple[int, float]:
-        """Lowest first: those that meet e1, those that ended, by their misfit."""
-        if self.record is None or self.error is not None:
-            return 2, np.inf
-        return int(self.record.status != "converged"), self.record.best.residual.misfit
 
 
 class _Quiet:
@@ -101,21 +74,18 @@ def update_from_starts(
 ) -> CampaignRun:
     """Update a campaign's model from as many starts as it asks for.
 
-    From one start this is `update_campaign`, whose arguments and errors these are. Where updates
-    from some starts fail the others stand; raises where all fail.
+    From one start this is `update_campaign`, whose arguments and errors these are, and which looks
+    at others where sets cost little (`tried_starts.py`). Where updates from some starts fail the
+    others stand; raises where all fail.
     """
-    n = campaign.update.starts
+    n = campaign.update.starts or 1
     if n == 1:
         return update_campaign(campaign, folder, progress, pages, forecast, executes)
-    from scipy.stats import qmc  # takes a third of a second, which one start need not wait for
-
     campaign.solver_version()
     began = time.monotonic()
     with solving_engine(campaign) as engine:
         own = start_of(campaign, engine, read_earlier(folder))
-        draws = qmc.LatinHypercube(len(own.parameters), rng=campaign.update.seed).random(n - 1)
-        lower, upper = own.parameters.lower, own.parameters.upper
-        starts = np.vstack([own.start, lower + draws * (upper - lower)])
+        starts = drawn_starts(own, n)
         ends = _run_starts(own, engine, starts, progress)
         spent = replace(
             _counted(ends), core_s=engine.ledger.core_s, licence_s=engine.ledger.licence_s
@@ -125,7 +95,10 @@ def update_from_starts(
     for number, end in enumerate(ends):
         if end.record is not None:
             write_record(folder / "starts" / f"{number:02d}.h5", end.record)
-    spread = start_spread(campaign, ends)
+    chosen = chosen_end(ends)
+    answer = ends[chosen].record
+    assert answer is not None
+    spread = start_spread(own, ends, chosen, tolerated(own, answer))
     settings = own.update.model_copy(update={"start": "deck", "starts": 1})
     best = replace(
         own,
@@ -166,88 +139,13 @@ def _run_start(campaign: Campaign, engine: JobEngine, start: Floats, share: int)
     evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, share))
     quiet = _Quiet()
     try:
-        return StartEnd(start, Updating(campaign, evaluator, quiet, quiet.save).run(), None)
+        return end_of(start, Updating(campaign, evaluator, quiet, quiet.save).run())
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):
             engine.cancelled.set()
             raise
         logger.warning("an update from another start failed: %s", error)
-        return StartEnd(start, quiet.record, error)
-
-
-def start_spread(campaign: Campaign, ends: list[StartEnd]) -> StartSpread:
-    """Where the updates ended, which is the answer, and what fits as well.
-
-    Raises the first start's error where all failed.
-    """
-    chosen = min(range(len(ends)), key=lambda number: ends[number].rank)
-    answer = ends[chosen].record
-    if ends[chosen].error is not None or answer is None:
-        raise next(end.error for end in ends if end.error is not None)
-    n = len(campaign.parameters)
-    updated, misfits = np.full((len(ends), n), np.nan), np.full(len(ends), np.nan)
-    for number, end in enumerate(ends):
-        if end.record is not None and end.error is None:
-            updated[number], misfits[number] = end.record.updated, end.record.best.residual.misfit
-    tolerated = _tolerated(campaign, answer)
-    minima = _places(updated / tolerated, [end.rank for end in ends])
-    if minima[0] == 0 and ends[0].rank[0] == ends[chosen].rank[0]:
-        chosen = 0  # the same place: the campaign's own start leads there too
-    rivals, differ = [], set()
-    for number, end in enumerate(ends):
-        if minima[number] > 0 and _as_well(end, ends[chosen]):
-            rivals.append(int(minima[number]))
-            apart = np.abs(updated[number] - updated[chosen]) > tolerated
-            differ |= set(np.flatnonzero(apart).tolist())
-    return StartSpread(
-        starts=np.stack([end.start for end in ends]),
-        updated=updated,
-        misfits=misfits,
-        outcomes=tuple(end.outcome for end in ends),
-        minima=minima,
-        rivals=tuple(sorted(set(rivals))),
-        differ=tuple(campaign.parameters.names[place] for place in sorted(differ)),
-        chosen=chosen,
-        seed=campaign.update.seed,
-    )
-
-
-def _tolerated(campaign: Campaign, answer: CampaignRecord) -> Floats:
-    """By how much parameters (n_parameters,) may differ in one place.
-
-    Updating ends as soon as e1 is met, so its ends scatter as if frequencies were measured as
-    loosely as e1 judges them.
-    """
-    weighting = campaign.weighting
-    known = weighting.frequency_deviations[weighting.frequencies_used]
-    least = float(known.min(initial=campaign.tolerances.frequency))
-    loose = campaign.tolerances.frequency / least
-    errors = SAME_ERRORS * loose * answer.standard_errors
-    return np.asarray(np.fmax(SAME_LEAST, errors))
-
-
-def _places(scaled: Floats, ranks: list[tuple[int, float]]) -> Integers:
-    """Number of the place of each end, 0 being that of the best; -1 where there is none.
-
-    scaled: (n_starts, n_parameters), ends over the difference that makes another place.
-    """
-    ended = np.flatnonzero([rank[0] < 2 for rank in ranks])
-    apart = np.abs(np.nan_to_num(scaled[ended, None] - scaled[None, ended])).max(axis=2)
-    _, labels = connected_components(apart <= 1.0, directed=False)
-    order = sorted(range(ended.size), key=lambda place: ranks[int(ended[place])])
-    names = {
-        label: number
-        for number, label in enumerate(dict.fromkeys(int(labels[place]) for place in order))
-    }
-    minima = np.full(len(ranks), -1, dtype=np.int64)
-    minima[ended] = [names[int(label)] for label in labels]
-    return minima
-
-
-def _as_well(end: StartEnd, answer: StartEnd) -> bool:
-    if end.rank[0] == 0 or answer.rank[0] == 0:
-        return end.rank[0] == answer.rank[0]
-    return end.rank[1] <= AS_WELL * answer.rank[1]
+        return StartEnd(start, error=error, record=quiet.record)
 
 
 def _counted(ends: list[StartEnd]) -> RunCounts:

@@ -10,13 +10,15 @@ from typing import Protocol
 import numpy as np
 
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.core.updating.trust import with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.judging import checked
-from modetune.flows.updating.loop import Loop, Noted
+from modetune.flows.updating.loop import End, Loop, Noted
 from modetune.flows.updating.recording import campaign_record
 from modetune.flows.updating.showing import shown_field
+from modetune.flows.updating.tried_starts import TriedStarts, try_starts
 
 
 class Progress(Protocol):
@@ -68,13 +70,29 @@ class Updating:
         """Update until e1 holds, nothing more is gained, or the iterations are used up."""
         end = Loop(self.campaign, self.evaluator, self).run()
         self.matrix = end.matrix
+        tried = try_starts(
+            self.campaign, self.evaluator, self._record(end.status, end.reason), end.last
+        )
+        if tried is not None and tried.chosen:
+            end = self._from(tried)
         held_out = self.evaluator.held_out(self.kept[0], self.kept[-1])
         record = checked(replace(self._record(end.status, end.reason), held_out=held_out))
+        if tried is not None and record.trust is not None:
+            spread = tried.spread(record)
+            record = replace(record, trust=with_spread(record.trust, spread))
         at_bounds = self.campaign.parameters.at_bounds(record.updated)
         if at_bounds:
             record = replace(record, reason=f"{end.reason}; on a bound: {', '.join(at_bounds)}")
         self.save(record)
         return record
+
+    def _from(self, tried: TriedStarts) -> End:
+        """Go on from where another start led that fits better."""
+        campaign = replace(self.campaign, begin=tuple(tried.better.tolist()))
+        title, number = "another start fits better", self.iterations[-1].number + 1
+        end = Loop(campaign, self.evaluator, self, first=number, title=title).run()
+        self.matrix = end.matrix
+        return replace(end, reason=f"{end.reason}; the best of {len(tried.ends)} starts")
 
     def working(self, text: str) -> None:
         self.progress.working(text)

@@ -1,0 +1,182 @@
+"""Other starts, tried without being asked where sets cost little.
+
+Once an update has ended its parameters are sought from other starts within the bounds too, on the
+model itself where it is small matrices, else on reduced models around the answer: milliseconds a
+set. What they find elsewhere that fits as well, or better, is then updated with the campaign's own
+modes, and only what holds there is told. A better place becomes the answer.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modetune.core.algebra.eigen import DENSE
+from modetune.core.errors import ModelError, ModesError, SolverError
+from modetune.core.modes import Floats
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.updating.reduced_basis import unreduced
+from modetune.core.updating.trust import StartSpread
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.updating.asked import CaseState
+from modetune.flows.updating.by_matrices import REDUCED, ByMatrices, ByReduced
+from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.finders import CAMPAIGNS_OWN, BySolver
+from modetune.flows.updating.foresight import ITERATIONS, Unwatched
+from modetune.flows.updating.loop import Loop
+from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.semi_analytic import UnlikeMatrices
+from modetune.flows.updating.start_ends import (
+    StartEnd,
+    drawn_starts,
+    end_of,
+    places,
+    start_spread,
+    tolerated,
+)
+
+logger = logging.getLogger(__name__)
+
+#: Starts in all, the campaign's own among them.
+TRIED = 12
+#: ... where fewer values are left to judge by than there are parameters: second answers that fit
+#: are common then, and one of a twelfth of the starts is found by 63 others in 99 % of all cases.
+MANY = 64
+
+
+@dataclass(frozen=True, slots=True)
+class TriedStarts:
+    """What other starts led to; the first end is the campaign's own."""
+
+    campaign: Campaign
+    ends: tuple[StartEnd, ...]
+    chosen: int
+
+    @property
+    def better(self) -> Floats:
+        """The end of the chosen start, (n_parameters,)."""
+        updated = self.ends[self.chosen].updated
+        assert updated is not None
+        return updated
+
+    def spread(self, answer: CampaignRecord) -> StartSpread:
+        """Where they ended, answer being the record of what was chosen."""
+        ends = list(self.ends)
+        own = end_of(ends[self.chosen].start, answer)
+        ends[self.chosen] = replace(ends[self.chosen], updated=own.updated, misfit=own.misfit)
+        return start_spread(self.campaign, ends, self.chosen, tolerated(self.campaign, answer))
+
+
+def try_starts(
+    campaign: Campaign, evaluator: Evaluator, record: CampaignRecord, last: Evaluation
+) -> TriedStarts | None:
+    """Seek the parameters from other starts after an update has ended.
+
+    record: of the update; last: the evaluation it ended on. None where sets cost too much, or the
+    campaign says from how many starts to update.
+    """
+    if campaign.update.starts is not None or campaign.update.max_iterations == 0:
+        return None
+    states = reduced_states(evaluator, last) if evaluator.sets_cost_little else None
+    if states is None:
+        return None
+    scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
+    starts = drawn_starts(campaign, MANY if scarce else TRIED)
+    ends, allowed = [end_of(starts[0], record)], tolerated(campaign, record)
+    inner = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
+    for start in starts[1:]:
+        ends.append(_updated(campaign, inner, start, start, REDUCED))
+        if len(ends) >= TRIED and _worth_a_look(ends, allowed):
+            break
+    for place in _worth_a_look(ends, allowed):
+        members = [n for n, at in enumerate(_places(ends, allowed)) if at == place]
+        best = min(members, key=lambda n: ends[n].rank)
+        found = ends[best].updated
+        assert found is not None
+        looked = _updated(campaign, evaluator, starts[best], found, "")
+        for n in members:
+            ends[n] = replace(looked, start=starts[n])
+    chosen = min(range(len(ends)), key=lambda n: ends[n].rank)
+    if ends[0].fits_as_well(ends[chosen]):
+        chosen = 0
+    return TriedStarts(campaign, tuple(ends), chosen)
+
+
+def reduced_states(evaluator: Evaluator, last: Evaluation) -> list[CaseState] | None:
+    """The evaluator's cases, each on a model of a few unknowns around an evaluation.
+
+    None where one of them has no such model.
+    """
+    states = []
+    for state, part in zip(evaluator.used, last.parts, strict=True):
+        try:
+            finder = _reduced(state, part)
+        except (UnlikeMatrices, ModelError, ModesError) as error:
+            logger.info("no other starts are tried: %s", error)
+            return None
+        states.append(replace(state, case=replace(state.case, held_out=None), finder=finder))
+    return states
+
+
+def _reduced(state: CaseState, part: CaseEvaluation) -> ByReduced:
+    """Modes of a case from its matrices: all of them where they are few, else reduced."""
+    if isinstance(state.finder, ByReduced):
+        return state.finder
+    if isinstance(state.finder, ByMatrices):
+        return ByReduced(state.finder.reduced(part.point, state.analysis), part)
+    source = MatrixSource(state.engine, state.campaign.parameters, state.campaign.sensitivity.step)
+    given = source.matrices(part.theta, range(part.theta.size))
+    here = given.base
+    if here.nodes.size > DENSE:
+        assert isinstance(state.finder, BySolver)
+        finder = ByMatrices(state.campaign, state.engine, source, state.finder)
+        return ByReduced(finder.reduced(part.point, state.analysis), part)
+    modes = part.modal.modes
+    seen = state.case.solver.deck.observation(here, modes.nodes, modes.components)
+    return ByReduced(unreduced(given, _shift(part), seen.matrix), part)
+
+
+def _shift(part: CaseEvaluation) -> float:
+    """Below the spectrum by a tenth of the first elastic eigenvalue, (rad/s)^2."""
+    return -0.1 * float(part.modal.eigenvalues[part.modal.n_rigid])
+
+
+def _updated(
+    campaign: Campaign, evaluator: Evaluator, start: Floats, begin: Floats, by: str
+) -> StartEnd:
+    """Where updating ends from a set."""
+    update = campaign.update
+    if by:
+        update = update.model_copy(update={"max_iterations": ITERATIONS})
+    inner = replace(campaign, begin=tuple(begin.tolist()), update=update)
+    try:
+        end = Loop(inner, evaluator, Unwatched()).run()
+    except (SolverError, ModesError) as error:
+        if isinstance(error, CAMPAIGNS_OWN):
+            raise
+        return StartEnd(start, error=error)
+    least = end.status in ("converged", "stationary")
+    misfit = end.last.residual.misfit
+    return StartEnd(start, end.last.theta, misfit, end.status, least, by=by)
+
+
+def _places(ends: Sequence[StartEnd], allowed: Floats) -> list[int]:
+    n = allowed.size
+    updated = np.array([np.full(n, np.nan) if e.updated is None else e.updated for e in ends])
+    return [int(at) for at in places(updated / allowed, [end.rank for end in ends], 0)]
+
+
+def _worth_a_look(ends: Sequence[StartEnd], allowed: Floats) -> list[int]:
+    """Places beside the update's own that seem to fit as well, or better."""
+    own = ends[0]
+    return sorted(
+        {
+            at
+            for end, at in zip(ends, _places(ends, allowed), strict=True)
+            if at > 0 and (end.fits_as_well(own) or end.rank < own.rank)
+        }
+    )
