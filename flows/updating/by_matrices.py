@@ -26,14 +26,14 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.work import Done, Work
 from modetune.flows.updating.evaluation import CaseEvaluation, Point
-from modetune.flows.updating.finders import BySolver, Columns, ModeFinder, unless_failed
+from modetune.flows.updating.finders import REDUCED, BySolver, Columns, ModeFinder, unless_failed
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.stored_modes import MatrixModes
 
 logger = logging.getLogger(__name__)
 
 #: Who finds modes, in records.
-MATRICES, REDUCED = "stored matrices", "reduced_model"
+MATRICES = "stored matrices"
 
 
 @dataclass(slots=True)

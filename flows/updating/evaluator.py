@@ -44,6 +44,7 @@ from modetune.flows.updating.evaluation import (
 )
 from modetune.flows.updating.finders import (
     CAMPAIGNS_OWN,
+    REDUCED,
     UNFIT,
     Columns,
     unless_failed,
@@ -54,6 +55,11 @@ logger = logging.getLogger(__name__)
 
 class Foresight(Protocol):
     """What is foreseen of sets that are not solved for, where reduced models are there."""
+
+    @property
+    def states(self) -> list[CaseState]:
+        """The cases on the newest reduced models; none before the first step."""
+        ...
 
     def believed(self, theta: Floats, previous: Evaluation | None) -> Evaluation | None:
         """What is foreseen at a set, if e1 holds there and it can be believed."""
@@ -129,6 +135,14 @@ class Evaluator:
             or solver.deck.summary.matrices is not None
             for state in self.used
         )
+
+    def polishes(self, evaluation: Evaluation) -> bool:
+        """Whether the least misfit is worth going on to from an evaluation that meets e1.
+
+        Steps on reduced models end there, and what was believed of them needs no other solution.
+        """
+        believed = self.foresight is not None and REDUCED in evaluation.solved_by
+        return self.sets_cost_little and not believed
 
     @property
     def steps_run(self) -> bool:

@@ -37,6 +37,8 @@ from modetune.flows.updating.sensitivities import Exact, Sensitivities, Unbalanc
 
 logger = logging.getLogger(__name__)
 
+#: Who finds modes of a reduced model, in records.
+REDUCED = "reduced_model"
 #: Failures that are not of the one job that met them.
 CAMPAIGNS_OWN = (SolverMissing, SolverCancelled, LicenceDenied)
 #: What tells that a finder cannot be believed for a model.

@@ -25,9 +25,10 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Work
 from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.by_matrices import REDUCED, ByMatrices, ByReduced
+from modetune.flows.updating.by_matrices import ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, compare
 from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.loop import CONFIRMED, Loop, Noted
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
 
@@ -61,6 +62,8 @@ class ReducedForesight:
         self._foreseen: Evaluation | None = None
         self._miss: Miss | None = None
         self._foresees = True
+        #: The cases on the newest reduced models; none before the first step.
+        self.states: list[CaseState] = []
 
     def refined(
         self, current: Evaluation, step: Step, region: tuple[Floats, Floats]
@@ -87,6 +90,7 @@ class ReducedForesight:
             begin=tuple(current.theta.tolist()),
             update=self.campaign.update.model_copy(update={"max_iterations": ITERATIONS}),
         )
+        self.states = states
         evaluator = Evaluator(inner, states, self.evaluator.execution, self.evaluator.ledger)
         try:
             end = Loop(inner, evaluator, Unwatched(), region, current).run()

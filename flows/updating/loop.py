@@ -180,7 +180,7 @@ class Loop:
         """How the iterations from a state end, and where."""
         while True:
             agrees = state.current.agrees(self.campaign.tolerances)
-            polishes = agrees and self.evaluator.sets_cost_little
+            polishes = agrees and self.evaluator.polishes(state.current)
             if agrees and not polishes:
                 return "converged", state
             if self.number - self.first == self.campaign.update.max_iterations:

@@ -22,10 +22,10 @@ from modetune.core.updating.reduced_basis import unreduced
 from modetune.core.updating.trust import StartSpread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.by_matrices import REDUCED, ByMatrices, ByReduced
+from modetune.flows.updating.by_matrices import ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.finders import CAMPAIGNS_OWN, BySolver
+from modetune.flows.updating.finders import CAMPAIGNS_OWN, REDUCED, BySolver, ModeFinder
 from modetune.flows.updating.foresight import ITERATIONS, Unwatched
 from modetune.flows.updating.loop import Loop
 from modetune.flows.updating.matrix_source import MatrixSource
@@ -81,8 +81,8 @@ def try_starts(
     """
     if campaign.update.starts is not None or campaign.update.max_iterations == 0:
         return None
-    states = reduced_states(evaluator, last) if evaluator.sets_cost_little else None
-    if states is None:
+    states = reduced_states(evaluator, last) if evaluator.sets_cost_little else []
+    if not states:
         return None
     scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
     starts = drawn_starts(campaign, MANY if scarce else TRIED)
@@ -106,37 +106,36 @@ def try_starts(
     return TriedStarts(campaign, tuple(ends), chosen)
 
 
-def reduced_states(evaluator: Evaluator, last: Evaluation) -> list[CaseState] | None:
-    """The evaluator's cases, each on a model of a few unknowns around an evaluation.
+def reduced_states(evaluator: Evaluator, last: Evaluation) -> list[CaseState]:
+    """The evaluator's cases on models of a few unknowns; none where one of them has no such model.
 
-    None where one of them has no such model.
+    Matrices are solved whole where they are few, else reduced around an evaluation; where modes
+    come from stored matrices the newest reduced models are at hand.
     """
+    if evaluator.foresight is not None:
+        return evaluator.foresight.states
     states = []
     for state, part in zip(evaluator.used, last.parts, strict=True):
         try:
             finder = _reduced(state, part)
         except (UnlikeMatrices, ModelError, ModesError) as error:
             logger.info("no other starts are tried: %s", error)
-            return None
+            return []
         states.append(replace(state, case=replace(state.case, held_out=None), finder=finder))
     return states
 
 
-def _reduced(state: CaseState, part: CaseEvaluation) -> ByReduced:
-    """Modes of a case from its matrices: all of them where they are few, else reduced."""
-    if isinstance(state.finder, ByReduced):
+def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
+    """Modes of a model of matrices: of all unknowns where they are few, else reduced."""
+    if not isinstance(state.finder, BySolver):
         return state.finder
-    if isinstance(state.finder, ByMatrices):
-        return ByReduced(state.finder.reduced(part.point, state.analysis), part)
     source = MatrixSource(state.engine, state.campaign.parameters, state.campaign.sensitivity.step)
     given = source.matrices(part.theta, range(part.theta.size))
-    here = given.base
-    if here.nodes.size > DENSE:
-        assert isinstance(state.finder, BySolver)
+    if given.base.nodes.size > DENSE:
         finder = ByMatrices(state.campaign, state.engine, source, state.finder)
         return ByReduced(finder.reduced(part.point, state.analysis), part)
     modes = part.modal.modes
-    seen = state.case.solver.deck.observation(here, modes.nodes, modes.components)
+    seen = state.case.solver.deck.observation(given.base, modes.nodes, modes.components)
     return ByReduced(unreduced(given, _shift(part), seen.matrix), part)
 
 
