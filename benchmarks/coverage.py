@@ -36,7 +36,7 @@ from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
 from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.algebra.rigid_modes import GIVEN, matrix_energies
+from modetune.core.algebra.rigid_modes import DOUBLE, matrix_energies
 from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, ModeSet, close_sets
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.observation import observe
@@ -75,26 +75,26 @@ def structure(family: str, model: dict[str, Any], sought: Sequence[str], n_modes
     return Structure(family, model, tuple(parameters), tuple(nodes), n_modes, "matrices")
 
 
-def six_mass(_: Generator) -> Structure:
+def six_mass(rng: Generator) -> Structure:
     """The six masses of configs/six_mass, three of its springs."""
     order = ["ground", *system.MASSES]
-    parts = {
-        name: {"stiffness": spring(6, *(order.index(end) - 1 for end in system.BETWEEN[name]), k)}
-        for name, (k, _) in system.SPRINGS.items()
-    }
+    parts = {}
+    for name, (k, _) in system.SPRINGS.items():
+        first, second = (order.index(end) - 1 for end in system.BETWEEN[name])
+        parts[name] = {"stiffness": spring(6, first, second, k)}
     stiffness = sum((part["stiffness"] for part in parts.values()), np.zeros((6, 6)))
     mass = np.diag([value for value, _ in system.MASSES.values()])
     model = {"stiffness": stiffness, "mass": mass, "parts": parts}
     return structure("six_mass", model, ["k1", "k4", "k9"], 6)
 
 
-def chain_18(_: Generator) -> Structure:
+def chain_18(rng: Generator) -> Structure:
     """A frame of 18 storeys, all of its springs."""
     model = storeys(18)
     return structure("chain_18", model, list(model["parts"]), 4)
 
 
-def aircraft(_: Generator) -> Structure:
+def aircraft(rng: Generator) -> Structure:
     """The coarse aircraft, free: its five moduli."""
     with tempfile.TemporaryDirectory(prefix="coverage-") as name:
         folder = Path(name)
@@ -119,8 +119,8 @@ def aircraft(_: Generator) -> Structure:
         6,
         observer,
     )
-    _, order = linalg.qr(basis.T, mode="r", pivoting=True)
-    rows = np.sort(order[: basis.shape[1]])
+    _, pivots = linalg.qr(basis.T, mode="r", pivoting=True)
+    rows = np.sort(pivots[: basis.shape[1]])
     back = np.linalg.inv(basis[rows])
 
     def seen(matrix: Floats) -> Floats:
@@ -194,8 +194,8 @@ class Model:
         largest = np.abs(here.upper_stiffness.diagonal()).max() / here.upper_mass.diagonal().min()
         self.reduced = unreduced(affine, -1e-6 * float(largest), observer)
         self.n_modes = min(loaded.case.n_modes, here.nodes.size)
-        _, shapes = self.reduced.combinations(loaded.start, self.n_modes)
-        energies = matrix_energies(here.upper_stiffness, shapes, GIVEN)
+        _, vectors = self.reduced.combinations(loaded.start, self.n_modes)
+        energies = matrix_energies(here.upper_stiffness, vectors, DOUBLE)
         self.n_rigid = int(np.sum(energies == 0.0))
         self.dofs = np.flatnonzero(observer @ np.ones(here.nodes.size))
 
