@@ -36,7 +36,6 @@ from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
 from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.algebra.rigid_modes import DOUBLE, matrix_energies
 from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, ModeSet, close_sets
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.observation import observe
@@ -144,6 +143,8 @@ NOISY: dict[str, tuple[Callable[[Generator], Structure], bool]] = {
     "chain_18": (chain_18, True),
     "aircraft": (aircraft, False),
 }
+#: Share of the last eigenvalue below which one is rounding.
+ROUNDING = 1e-7
 #: Other starts, which updates try of models of matrices, cost ten times what one does.
 ALONE: dict[str, Any] = {"starts": 1}
 #: What exact twins are made of, each of a structure of its own.
@@ -194,9 +195,8 @@ class Model:
         largest = np.abs(here.upper_stiffness.diagonal()).max() / here.upper_mass.diagonal().min()
         self.reduced = unreduced(affine, -1e-6 * float(largest), observer)
         self.n_modes = min(loaded.case.n_modes, here.nodes.size)
-        _, vectors = self.reduced.combinations(loaded.start, self.n_modes)
-        energies = matrix_energies(here.upper_stiffness, vectors, DOUBLE)
-        self.n_rigid = int(np.sum(energies == 0.0))
+        eigenvalues, _ = self.reduced.combinations(loaded.start, self.n_modes)
+        self.n_rigid = int(np.sum(eigenvalues < ROUNDING * eigenvalues[-1]))
         self.dofs = np.flatnonzero(observer @ np.ones(here.nodes.size))
 
     def modal(self, theta: Floats) -> ModalResult:

@@ -179,18 +179,16 @@ class Loop:
     def _until(self, state: State) -> tuple[str, State]:
         """How the iterations from a state end, and where."""
         while True:
-            agrees = state.current.agrees(self.campaign.tolerances)
-            polishes = agrees and self.evaluator.polishes(state.current)
-            if agrees and not polishes:
-                return "converged", state
-            if self.number - self.first == self.campaign.update.max_iterations:
-                return "converged" if agrees else "max_iterations", state
+            if state.current.agrees(self.campaign.tolerances):
+                return "converged", self._polished(state)
+            if self._used_up():
+                return "max_iterations", state
             matrix = state.matrix or self._fresh(state.current)
             self.last_matrix = matrix
-            trial = self._try(state, matrix, polishes)
+            trial = self._try(state, matrix)
             if trial is not None:
                 state, gained = self._accept(state, matrix, trial)
-                if gained or matrix.age > 0 or (not agrees and self._agrees(state)):
+                if gained or matrix.age > 0 or state.current.agrees(self.campaign.tolerances):
                     continue
                 if self.stepping.adapts and not state.region.boldest:
                     state = replace(state, region=state.region.emboldened())
@@ -198,12 +196,46 @@ class Loop:
             elif matrix.age > 0:
                 state = replace(state, matrix=None, skip=None)
                 continue
-            elif self.number - self.first == self.campaign.update.max_iterations:
+            elif self._used_up():
                 continue
-            return "converged" if self._agrees(state) else "stationary", state
+            return "stationary", state
 
-    def _agrees(self, state: State) -> bool:
-        return state.current.agrees(self.campaign.tolerances)
+    def _polished(self, state: State) -> State:
+        """The least misfit beside a state that meets e1, without leaving e1.
+
+        Where sets cost little, and as far as the test tells: what it does not see stays as it is.
+        """
+        gained = True
+        while gained and self.evaluator.polishes(state.current):
+            matrix = state.matrix or self._fresh(state.current)
+            self.last_matrix, state = matrix, replace(state, matrix=matrix)
+            step, trial = self.stepping.to_least_misfit(state.current, matrix), None
+            while trial is None:
+                if np.max(np.abs(step.change)) < POLISHED or self._used_up():
+                    return state
+                self.number += 1
+                trial = self._polishing(state, matrix, step)
+                step = self.stepping.halved(state.current, matrix, step)
+            state, gained = self._accept(state, matrix, trial)
+        return state
+
+    def _polishing(self, state: State, matrix: Matrix, step: Step) -> Trial | None:
+        """The set of a step, None where it is not better, or e1 does not hold there."""
+        try:
+            trial = self._evaluate(state, step, state.region, 0)
+        except (SolverError, ModesError) as error:
+            if isinstance(error, SolverMissing | SolverCancelled):
+                raise
+            logger.info("%s; shorter step", error)
+            return None
+        better = self.stepping.gain(state.current, trial.evaluation, step) > 0.0
+        if better and trial.evaluation.agrees(self.campaign.tolerances):
+            return trial
+        self._note(trial.evaluation, step, matrix, trial.slope, False, "worse: shorter step", False)
+        return None
+
+    def _used_up(self) -> bool:
+        return self.number - self.first == self.campaign.update.max_iterations
 
     def _reason(self, status: str, last: Evaluation) -> str:
         if status == "converged":
@@ -230,19 +262,16 @@ class Loop:
         self.watcher.working(f"iteration {self.number}: sensitivities")
         return self.evaluator.matrix(self.number, current)
 
-    def _try(self, state: State, matrix: Matrix, polishes: bool) -> Trial | None:
+    def _try(self, state: State, matrix: Matrix) -> Trial | None:
         """The first set that is better than the current one, or None.
 
         An old matrix gets one chance; with a fresh one the step is made shorter until it helps.
-        polishes: whether e1 holds already, and has to go on holding.
         """
         current, region = state.current, state.region
         step = self.stepping.step(current, matrix, region)
         chances, failures = 1 if matrix.age > 0 else SHORTENINGS + 1, 0
         for chance in range(chances):
-            if np.max(np.abs(step.change)) < (POLISHED if polishes else NO_STEP):
-                return None
-            if self.number - self.first == self.campaign.update.max_iterations:
+            if np.max(np.abs(step.change)) < NO_STEP or self._used_up():
                 return None
             self.number += 1
             self.watcher.working(f"iteration {self.number}")
@@ -251,7 +280,6 @@ class Loop:
                 trial = self._evaluate(state, step, region, chance)
             except (SolverError, ModesError) as error:
                 never_solved = matrix.age == 0 and failures == chance == chances - 1
-                never_solved = never_solved and not polishes
                 if isinstance(error, SolverMissing | SolverCancelled) or never_solved:
                     raise
                 failures += 1
@@ -259,8 +287,7 @@ class Loop:
                 logger.log(level, "%s; %s", error, ending)
             else:
                 better = self.stepping.gain(current, trial.evaluation, step) > 0.0
-                agrees = trial.evaluation.agrees(self.campaign.tolerances)
-                if (better and agrees) if polishes else (better or agrees):
+                if better or trial.evaluation.agrees(self.campaign.tolerances):
                     return trial
                 self._note(
                     trial.evaluation,
@@ -281,7 +308,7 @@ class Loop:
             self.between.waits
             or state.skip is not None
             or chance > 0
-            or self.number - self.first == self.campaign.update.max_iterations
+            or self._used_up()
             or expects_agreement(step, current, self.campaign.tolerances)
         )
         theta = current.theta + step.change

@@ -16,7 +16,6 @@ from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.updating.estimation import parameter_covariance
-from modetune.core.updating.identifiability import remaining_step
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import verdict_summary
 from modetune.flows.report.rows import held_out_rows, mode_rows, parameter_rows
@@ -24,6 +23,7 @@ from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
 from modetune.flows.updating.judging import campaign_trust, trust_summary
 from modetune.flows.updating.showing import sensor_places, shown_surface
+from modetune.flows.updating.stepping import prior_weights, used_weights, way_to_least_misfit
 
 #: Packages whose arithmetic a campaign's numbers depend on, beside the solver's.
 PACKAGES = ("numpy", "scipy", "h5py")
@@ -105,28 +105,11 @@ def _scatter(
     Measurement variances leave the least misfit with a covariance C; the parameters, which stand d
     before it, are off the truth by C + d d^T.
     """
-    n, parameters = len(campaign.parameters), campaign.parameters
+    n, found, factor = len(campaign.parameters), last.residual, last.regularisation
     if matrix is None:
         return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan)
-    found, theta, prior = last.residual, last.parameters, None
-    weights, sensitivity, residual = found.weights, matrix.values, found.values
-    if campaign.update.step in ("pseudo_inverse", "minimum_norm"):
-        weights = (weights > 0.0) / np.mean(found.variances[weights > 0.0])
-    stacked = weights
-    if campaign.update.step == "pulled_to_initial":
-        factor = last.regularisation if np.isfinite(last.regularisation) else 1.0
-        prior = factor * parameters.standard_deviations**-2
-        sensitivity = np.vstack([sensitivity, np.eye(n)])
-        residual = np.concatenate([residual, parameters.initial - theta])
-        stacked = np.concatenate([weights, prior])
-    remaining = remaining_step(
-        sensitivity,
-        residual,
-        stacked,
-        parameters.standard_deviations,
-        parameters.lower - theta,
-        parameters.upper - theta,
-    )
+    remaining = way_to_least_misfit(campaign, last.parameters, found, matrix.values, factor)
+    weights, prior = used_weights(campaign, found), prior_weights(campaign, factor)
     covariance = parameter_covariance(matrix.values, found.variances, weights, prior)
     covariance = covariance + np.outer(remaining, remaining)
     errors = np.sqrt(np.diag(covariance))

@@ -14,6 +14,8 @@ import numpy as np
 
 from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step, StepProblem, parameter_step
+from modetune.core.updating.identifiability import remaining_step
+from modetune.core.updating.residual import Residual
 from modetune.core.updating.trust_region import (
     HELD,
     Scale,
@@ -27,6 +29,51 @@ from modetune.flows.updating.evaluator import Evaluator
 
 #: Parameters held back that a sentence names.
 NAMED = 4
+
+
+def used_weights(campaign: Campaign, found: Residual) -> Floats:
+    """The weights by which a campaign's step takes a residual, (n_residuals,), as precisions.
+
+    pseudo_inverse and minimum_norm know none: all that is used counts alike.
+    """
+    if campaign.update.step not in ("pseudo_inverse", "minimum_norm"):
+        return found.weights
+    used = found.weights > 0.0
+    return np.asarray(used / np.mean(found.variances[used]))
+
+
+def prior_weights(campaign: Campaign, regularisation: float) -> Floats | None:
+    """The weights (n_parameters,) of the initial values in what the step brings down, or None.
+
+    regularisation: of the last step, NaN where there was none.
+    """
+    if campaign.update.step != "pulled_to_initial":
+        return None
+    factor = regularisation if np.isfinite(regularisation) else 1.0
+    return np.asarray(factor * campaign.parameters.standard_deviations**-2)
+
+
+def way_to_least_misfit(
+    campaign: Campaign, theta: Floats, found: Residual, sensitivity: Floats, regularisation: float
+) -> Floats:
+    """How far the least misfit of a campaign lies from a set, (n_parameters,), linear.
+
+    theta: (n_parameters,); found, sensitivity: there; regularisation: of the last step.
+    """
+    parameters, residual = campaign.parameters, found.values
+    weights, prior = used_weights(campaign, found), prior_weights(campaign, regularisation)
+    if prior is not None:
+        sensitivity = np.vstack([sensitivity, np.eye(len(parameters))])
+        residual = np.concatenate([residual, parameters.initial - theta])
+        weights = np.concatenate([weights, prior])
+    return remaining_step(
+        sensitivity,
+        residual,
+        weights,
+        parameters.standard_deviations,
+        parameters.lower - theta,
+        parameters.upper - theta,
+    )
 
 
 class Stepping:
@@ -75,6 +122,26 @@ class Stepping:
             step = parameter_step(problem, settings.step, settings.regularisation)
         return self.evaluator.refined(current, step, box) or step
 
+    def to_least_misfit(self, current: Evaluation, matrix: Matrix) -> Step:
+        """The step to the least misfit as far as the test tells, from a set that is near it."""
+        asked = self.campaign.update.regularisation
+        factor = 0.0 if self.campaign.update.step != "pulled_to_initial" else 1.0
+        if factor and asked != "l_curve":
+            factor = asked
+        way = way_to_least_misfit(
+            self.campaign, current.theta, current.residual, matrix.values, factor
+        )
+        change = np.clip(way, self.lower - current.theta, self.upper - current.theta)
+        predicted = current.residual.values - matrix.values @ change
+        step = Step(change, predicted, factor, rank=0, condition=np.nan)
+        return self.evaluator.refined(current, step, (self.lower, self.upper)) or step
+
+    def halved(self, current: Evaluation, matrix: Matrix, step: Step) -> Step:
+        """A step of half the length."""
+        change = 0.5 * step.change
+        predicted = current.residual.values - matrix.values @ change
+        return replace(step, change=change, predicted=predicted)
+
     def shorter(
         self, current: Evaluation, matrix: Matrix, step: Step, region: TrustRegion
     ) -> tuple[Step, TrustRegion]:
@@ -87,9 +154,7 @@ class Stepping:
         refined = self.evaluator.refined(current, step, box)
         if refined is not None:
             return refined, region
-        change = 0.5 * step.change
-        predicted = current.residual.values - matrix.values @ change
-        return replace(step, change=change, predicted=predicted), region
+        return self.halved(current, matrix, step), region
 
     def region_after(
         self, current: Evaluation, matrix: Matrix, step: Step, region: TrustRegion, kept: float
