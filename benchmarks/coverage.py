@@ -223,7 +223,7 @@ class Model:
         own = replace(loaded, cases=(case,))
         name = case.solver.program.name
         modal = self.modal(own.start)
-        around = compare(case, own.weighting, own.start, "", modal, None, name)
+        around = compare(case, own.start, "", modal, None, name)
         state = CaseState(
             case,
             own,
@@ -249,7 +249,9 @@ def update_twin(model: Model, seed: int, noise: bool) -> Twin:
     truth = np.clip(1.0 + SCATTER * rng.standard_normal(n), 0.7, 1.4)
     test = model.measured(truth, rng)
     if noise:
-        test = noisy(test, weighting.frequency_deviation, weighting.shape_deviation, seed)
+        test = noisy(
+            test, weighting.frequency_deviations[0], weighting.shape_deviations[0], seed
+        )
     record = model.update(signed(test))
     verdict, apart = record_verdict(record), np.abs(record.updated - truth)
     return Twin(
