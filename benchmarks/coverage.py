@@ -249,9 +249,7 @@ def update_twin(model: Model, seed: int, noise: bool) -> Twin:
     truth = np.clip(1.0 + SCATTER * rng.standard_normal(n), 0.7, 1.4)
     test = model.measured(truth, rng)
     if noise:
-        test = noisy(
-            test, weighting.frequency_deviations[0], weighting.shape_deviations[0], seed
-        )
+        test = noisy(test, weighting.frequency_deviations[0], weighting.shape_deviations[0], seed)
     record = model.update(signed(test))
     verdict, apart = record_verdict(record), np.abs(record.updated - truth)
     return Twin(

@@ -76,10 +76,10 @@ def try_starts(
 ) -> TriedStarts | None:
     """Seek the parameters from other starts after an update has ended.
 
-    record: of the update; last: the evaluation it ended on. None where sets cost too much, or the
-    campaign says from how many starts to update.
+    record: of the update; last: the evaluation it ended on. None where sets cost too much, the
+    iterations are used up, or the campaign says from how many starts to update.
     """
-    if campaign.update.starts is not None or campaign.update.max_iterations == 0:
+    if campaign.update.starts is not None or record.status == "max_iterations":
         return None
     states = reduced_states(evaluator, last) if evaluator.sets_cost_little else []
     if not states:
