@@ -79,7 +79,8 @@ def try_starts(
     record: of the update; last: the evaluation it ended on. None where sets cost too much, the
     iterations are used up, or the campaign says from how many starts to update.
     """
-    if campaign.update.starts is not None or record.status == "max_iterations":
+    ended = record.status != "max_iterations" and campaign.update.max_iterations > 0
+    if campaign.update.starts is not None or not ended:
         return None
     states = reduced_states(evaluator, last) if evaluator.sets_cost_little else []
     if not states:
