@@ -93,7 +93,7 @@ class ReducedForesight:
         self.states = states
         evaluator = Evaluator(inner, states, self.evaluator.execution, self.evaluator.ledger)
         try:
-            end = Loop(inner, evaluator, Unwatched(), region, current).run()
+            end = Loop(inner, evaluator, Unnoted(), region, current).run()
         except ModesError as error:
             logger.debug("no reduced step: %s", error)
             return None
@@ -195,7 +195,7 @@ def _length(theta: Floats, previous: Evaluation) -> float:
     return max(float(np.max(np.abs(theta - previous.theta))), float(np.finfo(np.float64).eps))
 
 
-class Unwatched:
+class Unnoted:
     """A loop that nobody watches."""
 
     def working(self, text: str) -> None:

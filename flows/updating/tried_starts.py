@@ -26,7 +26,7 @@ from modetune.flows.updating.by_matrices import ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import CAMPAIGNS_OWN, REDUCED, BySolver, ModeFinder
-from modetune.flows.updating.foresight import ITERATIONS, Unwatched
+from modetune.flows.updating.foresight import ITERATIONS, Unnoted
 from modetune.flows.updating.loop import Loop
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
@@ -154,7 +154,7 @@ def _updated(
         update = update.model_copy(update={"max_iterations": ITERATIONS})
     inner = replace(campaign, begin=tuple(begin.tolist()), update=update)
     try:
-        end = Loop(inner, evaluator, Unwatched()).run()
+        end = Loop(inner, evaluator, Unnoted()).run()
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):
             raise
