@@ -41,6 +41,23 @@ TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
     "matrix_factor": ("part",),
 }
 
+#: Powers of a quantity that stiffness and mass hold at most.
+POWERS: dict[Quantity, tuple[int, int]] = {
+    "youngs_modulus": (1, 0),
+    "shear_modulus": (1, 0),
+    "poissons_ratio": (1, 0),
+    "density": (0, 1),
+    "thickness": (3, 1),
+    "area": (1, 1),
+    "inertia_1": (1, 0),
+    "inertia_2": (1, 0),
+    "torsion_constant": (1, 0),
+    "dimension": (4, 2),
+    "spring_stiffness": (1, 0),
+    "mass": (0, 1),
+    "matrix_factor": (1, 1),
+}
+
 #: Values of parameters by name, relative to the deck.
 Values = Mapping[str, float]
 
@@ -102,3 +119,23 @@ class ParameterSet:
         """Names of the parameters that stand on a bound."""
         on = np.isclose(theta, self.lower, atol=1e-9) | np.isclose(theta, self.upper, atol=1e-9)
         return tuple(name for name, hit in zip(self.names, on.tolist(), strict=True) if hit)
+
+
+def frequency_reach(parameters: ParameterSet, theta: Floats) -> tuple[float, float]:
+    """The least and the largest factor of any frequency, from values theta to all in the bounds.
+
+    By Rayleigh's quotient an eigenvalue rises at most by the largest factor of any part of the
+    stiffness over the least of any part of the mass; quantities of one part multiply.
+    """
+    least = largest = 1.0
+    ratios = {
+        "lower": np.minimum(parameters.lower / theta, 1.0),
+        "upper": np.maximum(parameters.upper / theta, 1.0),
+    }
+    for quantity in dict.fromkeys(item.quantity for item in parameters.parameters):
+        own = [item.quantity == quantity for item in parameters.parameters]
+        stiffness, mass = POWERS[quantity]
+        low, high = float(ratios["lower"][own].min()), float(ratios["upper"][own].max())
+        largest *= high**stiffness / low**mass
+        least *= low**stiffness / high**mass
+    return float(np.sqrt(least)), float(np.sqrt(largest))

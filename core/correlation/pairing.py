@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from modetune.core.correlation.correlation import Shapes, mac, subspace_mac
@@ -67,7 +67,14 @@ class Pairing:
 
 
 class LostMode(ModesError):
-    """A measured mode has no counterpart among the computed ones: compute more of them."""
+    """A measured mode has no counterpart among the computed ones: compute more of them.
+
+    above: whether it may lie above those that were computed.
+    """
+
+    def __init__(self, message: str, above: bool = True) -> None:
+        self.above = above
+        super().__init__(message)
 
 
 def pair_by_shape(
@@ -75,14 +82,18 @@ def pair_by_shape(
     computed: ModeSet,
     lost_mac: float = LOST_MAC,
     resolution: float | Floats = RESOLUTION,
+    reach: tuple[float, float] = (0.0, np.inf),
+    drop: bool = False,
 ) -> Pairing:
     """Pair every measured mode with one computed mode by MAC at the common sensors.
 
-    resolution: relative distance of frequencies that the test can split. Raises LostMode where
-    fewer modes were computed than measured, or where a measured shape is found neither in its
-    partner nor in the cluster around it; ModesError without common sensors.
+    resolution: relative distance of frequencies that the test can split; reach: least and largest
+    ratio of a measured to a computed frequency of a pair; drop: leave out modes that are lost.
+    Raises LostMode where fewer modes were computed than measured, or where a measured shape is
+    found neither in its partner nor in the cluster around it; ModesError without common sensors.
     """
-    _enough(measured, computed)
+    if not drop:
+        _enough(measured, computed)
     rows_m, rows_c = common_dofs(measured, computed)
     if rows_m.size == 0:
         raise ModesError("no sensor of the test is a node of the model's results")
@@ -92,34 +103,87 @@ def pair_by_shape(
     likeness = _likeness(table, shapes_m, shapes_c, computed.frequencies_hz)
     apart = np.abs(computed.frequencies_hz[None, :] / measured.frequencies_hz[:, None] - 1.0)
     cost = -(likeness - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
-    columns = linear_sum_assignment(cost)[1]
-    macs = table[np.arange(columns.size), columns]
-    turned: dict[int, float] = {}
-    for unsplit in close_sets(measured.frequencies_hz, resolution):
+    ratios = measured.frequencies_hz[:, None] / computed.frequencies_hz[None, :]
+    impossible = (ratios < reach[0]) | (ratios > reach[1])
+    kept, columns = linear_sum_assignment(np.where(impossible, 1.0, cost))
+    macs, spaces = _cluster_macs(measured, computed, kept, columns, table, resolution)
+    reasons, lost = [], np.zeros(kept.size, dtype=np.bool_)
+    for pair, (row, column) in enumerate(zip(kept.tolist(), columns.tolist(), strict=True)):
+        lost[pair] = max(macs[pair], spaces[pair]) < lost_mac or (
+            impossible[row, column] and lost_mac >= 0.0
+        )
+        if lost[pair] and not drop:
+            raise _lost(measured, computed, row, table[row], impossible[row], lost_mac, reach)
+        cluster = close_modes(computed.frequencies_hz, column)
+        reasons.append(_reason(macs[pair], spaces[pair], row, column, table, cluster))
+    return Pairing(
+        kept[~lost].astype(np.int64),
+        columns[~lost].astype(np.int64),
+        macs[~lost],
+        spaces[~lost],
+        tuple(reason for reason, out in zip(reasons, lost.tolist(), strict=True) if not out),
+    )
+
+
+def _cluster_macs(
+    measured: ModeSet,
+    computed: ModeSet,
+    kept: Integers,
+    columns: Integers,
+    table: Floats,
+    resolution: float | Floats,
+) -> tuple[Floats, Floats]:
+    """MAC of each pair, alone and in the space of its cluster, (n_pairs,) each.
+
+    kept, columns: (n_pairs,), positions of the pairs' modes; close columns are put in the order of
+    frequency, in place, where the test cannot split their modes.
+    """
+    rows_m, rows_c = common_dofs(measured, computed)
+    shapes_m = measured.mode_shapes[rows_m][:, kept]
+    shapes_c = without_rounding(computed.mode_shapes[rows_c])
+    macs, spaces = table[kept, columns], np.zeros(kept.size)
+    for pair, column in enumerate(columns.tolist()):
+        cluster = shapes_c[:, close_modes(computed.frequencies_hz, column)]
+        spaces[pair] = _space_or_zero(shapes_m[:, pair], cluster)
+    widths = np.broadcast_to(resolution, measured.frequencies_hz.shape)[kept]
+    for unsplit in close_sets(measured.frequencies_hz[kept], widths):
         if unsplit.size < 2:
             continue
-        columns[unsplit] = _in_order(measured, computed, unsplit, columns[unsplit])
+        wanted_hz = measured.frequencies_hz[kept[unsplit]]
+        columns[unsplit] = _in_order(wanted_hz, computed.frequencies_hz, columns[unsplit])
         for members in close_sets(computed.frequencies_hz[columns[unsplit]], CLOSE):
-            rows = unsplit[members]
-            value = cluster_mac(shapes_c[:, columns[rows]], shapes_m[:, unsplit])
-            turned |= dict.fromkeys(rows.tolist(), value)
-    macs[list(turned)] = list(turned.values())
-    spaces, reasons = [], []
-    for row, column in enumerate(columns.tolist()):
-        value = float(macs[row])
-        cluster = close_modes(computed.frequencies_hz, column)
-        space = turned.get(row, _space_or_zero(shapes_m[:, row], shapes_c[:, cluster]))
-        if max(value, space) < lost_mac:
-            raise LostMode(
-                f"the measured mode at {measured.frequencies_hz[row]:.4g} Hz is not among "
-                f"the {computed.n_modes} computed modes: the best MAC left for it is {value:.2f}, "
-                f"at least {lost_mac:.2f} is needed; check sensor nodes and directions, or "
-                "compute more modes"
-            )
-        spaces.append(space)
-        reasons.append(_reason(value, space, row, column, table, cluster))
-    positions = np.arange(columns.size, dtype=np.int64)
-    return Pairing(positions, columns.astype(np.int64), macs, np.array(spaces), tuple(reasons))
+            pairs = unsplit[members]
+            own = cluster_mac(shapes_c[:, columns[pairs]], shapes_m[:, unsplit])
+            macs[pairs], spaces[pairs] = own, own
+    return macs, spaces
+
+
+def _lost(
+    measured: ModeSet,
+    computed: ModeSet,
+    row: int,
+    macs: Floats,
+    impossible: NDArray[np.bool_],
+    lost_mac: float,
+    reach: tuple[float, float],
+) -> LostMode:
+    """Why a measured mode has no partner. macs, impossible: (n_computed,), of its row."""
+    wanted, hz = float(measured.frequencies_hz[row]), computed.frequencies_hz
+    possible = np.where(impossible, 0.0, macs)
+    said = (
+        f"the measured mode at {wanted:.4g} Hz is not among the {hz.size} computed modes, to "
+        f"{hz.max():.4g} Hz: the best MAC left for it is {possible.max():.2f}, at least "
+        f"{lost_mac:.2f} is needed"
+    )
+    best = int(np.argmax(macs))
+    if impossible[best] and macs[best] >= lost_mac:
+        said += (
+            f"; the computed mode at {hz[best]:.4g} Hz, with MAC {macs[best]:.2f}, is no pair, as "
+            f"the parameters' bounds and a model's error let it become {reach[0] * hz[best]:.4g} "
+            f"to {reach[1] * hz[best]:.4g} Hz"
+        )
+    said += "; check sensor nodes and directions, or compute more modes"
+    return LostMode(said, above=wanted > reach[0] * hz.max())
 
 
 def _likeness(table: Floats, shapes_m: Shapes, shapes_c: Shapes, frequencies_hz: Floats) -> Floats:
@@ -137,13 +201,13 @@ def _likeness(table: Floats, shapes_m: Shapes, shapes_c: Shapes, frequencies_hz:
     return likeness
 
 
-def _in_order(measured: ModeSet, computed: ModeSet, rows: Integers, columns: Integers) -> Integers:
+def _in_order(wanted_hz: Floats, frequencies_hz: Floats, columns: Integers) -> Integers:
     """Partners (n,) of measured modes that are not split, close ones in the order of frequency."""
     placed = columns.copy()
-    ranks = np.argsort(measured.frequencies_hz[rows], kind="stable")
-    for members in close_sets(computed.frequencies_hz[columns], CLOSE):
+    ranks = np.argsort(wanted_hz, kind="stable")
+    for members in close_sets(frequencies_hz[columns], CLOSE):
         own = ranks[np.isin(ranks, members)]
-        by_frequency = np.argsort(computed.frequencies_hz[columns[members]], kind="stable")
+        by_frequency = np.argsort(frequencies_hz[columns[members]], kind="stable")
         placed[own] = columns[members][by_frequency]
     return placed
 

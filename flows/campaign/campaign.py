@@ -15,9 +15,10 @@ from pydantic import ValidationError
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.core.algebra.rigid_modes import RigidByHand
+from modetune.core.correlation.matching import PairRules
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, MeasuredModes
-from modetune.core.parameters import Parameter, ParameterSet, Values
+from modetune.core.parameters import Parameter, ParameterSet, Values, frequency_reach
 from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
 from modetune.core.updating.criteria import Tolerances
@@ -241,6 +242,7 @@ def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Cas
         return None
     used, held = used_modes(file, measurement), held_out_modes(file, measurement)
     test = replace(used, modes=used.modes.rows(mapping.rows))
+    parameters = ParameterSet(tuple(item.parameter() for item in file.parameters))
     return Case(
         solver=solver,
         units=file.model.units,
@@ -258,6 +260,11 @@ def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Cas
         ),
         eigensolver=file.model.eigensolver,
         accepted=file.model.checks,
+        rules=PairRules(
+            by_hand=file.test.pairs,
+            drop=file.test.unmatched == "drop",
+            reach=frequency_reach(parameters, parameters.initial),
+        ),
     )
 
 

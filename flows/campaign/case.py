@@ -14,6 +14,7 @@ import numpy as np
 
 from modetune.adapters.solver import Solver
 from modetune.core.correlation.held_out import together
+from modetune.core.correlation.matching import PairRules
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
@@ -36,7 +37,7 @@ class Case:
     derivatives need shapes. name: of the configuration, empty where the campaign has one
     model; columns: positions of its parameters among the campaign's, all of them where None;
     accepted: doubts about the model that are known; weight: of its residuals; aside: whether it is
-    only judged by.
+    only judged by; rules: which pairs are allowed.
     """
 
     solver: Solver
@@ -55,6 +56,7 @@ class Case:
     columns: tuple[int, ...] | None = None
     weight: float = 1.0
     aside: bool = False
+    rules: PairRules = field(default_factory=PairRules)
 
     @property
     def sensors(self) -> SensorMap:

@@ -59,7 +59,9 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
                 f"{source.where(('test', key))}: mode {', '.join(missing)} is {asked}, but {said} "
                 f"has modes {has}"
             )
-    if unknown:
+    pairs = _pair_problems(source, file, test)
+    problems += pairs
+    if unknown or pairs:
         return None
     if not used_numbers(file, test):
         problems.append(
@@ -103,6 +105,29 @@ def _with_repeats(
         return None
     modes, deviations = mean_of_tests(tests)
     return replace(measurement, modes=modes, deviations=deviations)
+
+
+def _pair_problems(source: YamlFile, file: CampaignFile, test: MeasuredModes) -> list[str]:
+    """Why `test.pairs` cannot be: modes that are not used, two on one."""
+    used, problems = used_numbers(file, test), []
+    taken: dict[int, int] = {}
+    for number, mode in file.test.pairs.items():
+        where = source.where(("test", "pairs", str(number)))
+        if number not in used:
+            nearest = min(used, key=lambda other: (abs(other - number), other), default=None)
+            kind = "the campaign does not use" if number in test.numbers else "the test has not"
+            near = "" if nearest is None else f"; the nearest of those that are used is {nearest}"
+            problems.append(
+                f"{where}: `pairs` names test mode {number}, which {kind}{near} (used: "
+                f"{', '.join(map(str, used))})"
+            )
+        elif mode in taken:
+            problems.append(
+                f"{where}: `pairs` gives test modes {taken[mode]} and {number} the same elastic "
+                f"mode {mode}; a computed mode answers one of them"
+            )
+        taken.setdefault(mode, number)
+    return problems
 
 
 def used_numbers(file: CampaignFile, test: MeasuredModes) -> tuple[int, ...]:

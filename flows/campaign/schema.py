@@ -88,6 +88,11 @@ class TestSection(Section):
     """Numbers of the modes that are used; without it all of them that are not held out."""
     hold_out: tuple[int, ...] = ()
     """Numbers of modes that are not used, and judged before and after updating."""
+    pairs: dict[int, Annotated[int, Field(ge=1)]] = Field(default_factory=dict)
+    """Pairs by hand, `{4: 5}`: number of a test mode, and of the elastic mode of the first model
+    that answers it, as `check` counts them. Later on it is followed by its computed shape."""
+    unmatched: Literal["stop", "drop"] = "stop"
+    """A test mode that no computed mode answers: the run stops, or goes on without that mode."""
 
     @model_validator(mode="after")
     def _different(self) -> TestSection:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.report.rows import ModeRow, mode_rows
+from modetune.flows.report.rows import ModeRow, mode_rows, unmatched_sentence
 from modetune.flows.report.tables import Column, signed
 
 #: How a campaign's end reads.
@@ -58,6 +58,7 @@ def headline(record: CampaignRecord) -> Headline:
         f"{_count(kept.number, 'iteration')} and "
         f"{_count(record.runs.modal + record.runs.sensitivity, 'solver run')}{stored}."
     )
+    text = " ".join(filter(None, (unmatched_sentence(record), text)))
     return Headline(ending, mood, text, _tiles(record, rows))
 
 

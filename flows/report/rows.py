@@ -162,6 +162,21 @@ def mode_labels(record: CampaignRecord) -> list[str]:
     return [mode_label(record, place) for place in range(len(record.test.numbers))]
 
 
+def unmatched_modes(record: CampaignRecord) -> tuple[int, ...]:
+    """Places of the test's modes that were left out, as no computed mode answers them."""
+    paired = record.iterations[0].pairing.measured
+    return tuple(np.setdiff1d(np.arange(len(record.test.numbers)), paired).tolist())
+
+
+def unmatched_sentence(record: CampaignRecord) -> str:
+    """That modes were left out; empty where none was."""
+    names = [mode_label(record, place) for place in unmatched_modes(record)]
+    if not names:
+        return ""
+    said = "mode " + names[0] if len(names) == 1 else "modes " + ", ".join(names)
+    return f"No computed mode answers {said} of the test: nothing was compared with it."
+
+
 def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
     """Every measured mode, in the order of the pairs."""
     first, last, rows = record.iterations[0], record.best, []

@@ -21,7 +21,7 @@ from modetune.flows.updating.finders import ModeFinder
 logger = logging.getLogger(__name__)
 
 #: How often the computed range is widened in search of a lost mode.
-WIDENINGS = 2
+WIDENINGS = 1
 #: Programs that give fewer modes than asked for where the model has no more.
 GIVES_ALL = ("matrices", "calculix")
 
@@ -60,18 +60,19 @@ class AskedModes:
     analysis: ModalAnalysis
     widened: int = 0
 
-    def widen(self, error: LostMode, there: int) -> None:
-        """Ask for more modes. Raises the error where it is of no use.
+    def widen(self, error: LostMode, there: int) -> bool:
+        """Ask for more modes; false where it is of no use.
 
         there: modes that were found; a model of a few unknowns has no more than it gave.
         """
         few = there < self.analysis.n_modes and self.state.case.solver.program.name in GIVES_ALL
-        if self.widened == WIDENINGS or few:
-            raise error
+        if self.widened == WIDENINGS or few or not error.above:
+            return False
         self.widened += 1
         n_modes = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
         self.analysis = replace(self.analysis, n_modes=n_modes)
         logger.warning("%s; widening the range to %d modes", error, n_modes)
+        return True
 
 
 @dataclass(slots=True)

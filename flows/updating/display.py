@@ -25,6 +25,7 @@ from modetune.flows.report.rows import (
     mode_label,
     mode_table,
     parameter_table,
+    unmatched_sentence,
 )
 from modetune.flows.report.tables import OUTSIDE, columns_of, show_table
 from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text
@@ -131,7 +132,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
     """The end of a campaign: tables, the reason it ended, its cost, and where the files are."""
     record = run.record
     show_table(console, mode_table(record))
-    for line in pairing_lines(record):
+    for line in filter(None, (*pairing_lines(record), unmatched_sentence(record))):
         console.print(Text(line), soft_wrap=True)
     show_held_out(console, record.held_out)
     show_table(console, parameter_table(record, BRIEF_PARAMETERS))

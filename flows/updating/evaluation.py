@@ -18,12 +18,8 @@ from modetune.core.correlation.held_out import (
     pair_held_out,
     track_held_out,
 )
-from modetune.core.correlation.pairing import (
-    Pairing,
-    pair_by_order,
-    pair_by_shape,
-    pair_by_tracking,
-)
+from modetune.core.correlation.matching import first_pairing, next_pairing, refuse_uncertain
+from modetune.core.correlation.pairing import Pairing
 from modetune.core.modes import Floats, Integers, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.updating.estimation import Step
@@ -137,29 +133,24 @@ def compare(
     result: ModalResult,
     previous: CaseEvaluation | None,
     solved_by: str,
+    drop: bool = False,
 ) -> CaseEvaluation:
     """Pair the modes of a model state with the test of its case. Raises LostMode, ModesError.
 
-    solved_by: the program that found them. Measured shapes decide where there are some; else the
+    solved_by: the program that found them; drop: whether modes without a partner are left out,
+    where nothing was paired before. Measured shapes decide where there are some; else the
     pairs of `previous` are tracked, and at first the order of frequencies decides. Where shapes
     count, close modes that the test splits are turned to lie as the test's.
     """
-    test, modal = case.test, result.at(case.nodes)
-    seen = case.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
-    if test.has_shapes:
-        resolution = case.weighting.frequency_deviations
-        pairing = pair_by_shape(test.modes, seen, resolution=resolution)
-        rotation = rotation_to_test(test.modes, seen, pairing, resolution)
-        if rotation is not None and case.weighting.with_shapes:
+    modal = result.at(case.nodes)
+    seen, pairing = _paired(case, modal, previous, drop)
+    test = case.test
+    if test.has_shapes and case.weighting.with_shapes:
+        rotation = rotation_to_test(test.modes, seen, pairing, case.weighting.frequency_deviations)
+        if rotation is not None:
             result = result.turned(rotation)
             modal = result.at(case.nodes)
-            seen = case.sensors.observe(modal.elastic)
-            pairing = pair_by_shape(test.modes, seen, resolution=resolution)
-    elif previous is None:
-        others = () if case.held_out is None else case.held_out.modes.frequencies_hz
-        pairing = pair_by_order(test.modes, seen, others)
-    else:
-        pairing = pair_by_tracking(previous.pairing, previous.modal.elastic, modal.elastic)
+            seen, pairing = _paired(case, modal, previous, drop)
     return CaseEvaluation(
         theta=theta,
         key=key,
@@ -172,6 +163,25 @@ def compare(
         held_out=_held_out(case, seen, pairing, previous),
         solved_by=solved_by,
     )
+
+
+def _paired(
+    case: Case,
+    modal: ModalResult,
+    previous: CaseEvaluation | None,
+    drop: bool,
+) -> tuple[ModeSet, Pairing]:
+    """The elastic modes as the test's sensors see them, and their pairs."""
+    test, rules, resolution = case.test, case.rules, case.weighting.frequency_deviations
+    seen = case.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
+    if previous is not None:
+        before = previous.pairing, previous.modal.elastic
+        return seen, next_pairing(test, seen, modal.elastic, before, rules, resolution)
+    others = np.zeros(0) if case.held_out is None else case.held_out.modes.frequencies_hz
+    drop = drop or (rules.drop and not test.has_shapes)  # more modes would change no order
+    pairing = first_pairing(test, seen, rules, resolution, others, drop)
+    refuse_uncertain(test, seen, pairing, rules)
+    return seen, pairing
 
 
 def _held_out(
@@ -258,7 +268,7 @@ def _all_pairs(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> Pairin
         measured.append(part.pairing.measured + n_measured)
         computed.append(part.pairing.computed + n_computed)
         reasons += [f"{reason} ({case.name})" for reason in part.pairing.reasons]
-        n_measured += part.pairing.measured.size
+        n_measured += case.test.modes.n_modes
         n_computed += part.seen.n_modes
     return Pairing(
         np.concatenate(measured),

@@ -18,9 +18,10 @@ import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.correlation.held_out import HeldOut, join_held_out, judge_held_out, unfound
+from modetune.core.correlation.matching import NotAmongComputed
 from modetune.core.correlation.pairing import LostMode, Pairing
 from modetune.core.errors import ModesError, ModetuneError, SolverError
-from modetune.core.modes import Floats, ModeSet
+from modetune.core.modes import Floats, ModeSet, mode_name
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.estimation import Step
 from modetune.core.updating.residual import residual_sensitivity
@@ -351,19 +352,31 @@ class Evaluator:
         except UNFIT as error:
             state.finder = state.finder.instead(error)
             return None
+        before = previous.parts[self.used.index(state)] if previous else None
         try:
-            before = previous.parts[self.used.index(state)] if previous else None
-            return compare(
-                state.case,
-                item.theta,
-                key,
-                modal,
-                before,
-                state.finder.name,
-            )
+            part = self._compared(item, key, modal, before)
         except LostMode as error:
-            item.widen(error, modal.modes.n_modes)
-            return None
+            if item.widen(error, modal.modes.n_modes):
+                return None
+            if isinstance(error, NotAmongComputed):
+                raise
+            if before is not None or not state.case.rules.drop:
+                raise lost(error) from error
+            part = self._compared(item, key, modal, before, drop=True)
+        if before is None:
+            tell_dropped(state.case, part.pairing)
+        return part
+
+    def _compared(
+        self,
+        item: AskedModes,
+        key: str,
+        modal: ModalResult,
+        before: CaseEvaluation | None,
+        drop: bool = False,
+    ) -> CaseEvaluation:
+        state = item.state
+        return compare(state.case, item.theta, key, modal, before, state.finder.name, drop)
 
     def _modes(
         self, title: str, state: CaseState, theta: Floats, analysis: ModalAnalysis
@@ -481,16 +494,10 @@ class Evaluator:
         while True:
             key, modal = self._modes("held out", state, theta, item.analysis)
             try:
-                return compare(
-                    state.case,
-                    theta,
-                    key,
-                    modal,
-                    before,
-                    state.finder.name,
-                )
+                return self._compared(item, key, modal, before)
             except LostMode as error:
-                item.widen(error, modal.modes.n_modes)
+                if not item.widen(error, modal.modes.n_modes):
+                    raise
 
     def _named(self, held: HeldOut, state: CaseState) -> HeldOut:
         """With the name of the case, where there are several."""
@@ -525,6 +532,25 @@ def _identity(piece: Piece) -> tuple[object, ...]:
     """What a piece of work is told from others by."""
     state, work = piece
     return id(state), work.name, *((*job.values.items(), job.analysis) for job in work.jobs)
+
+
+def lost(error: LostMode) -> LostMode:
+    """A lost mode with what the campaign can say of it."""
+    return LostMode(
+        f"{error}; `test.unmatched: drop` updates without it, and `test.pairs` names its partner "
+        "by hand (see `modetune check`)"
+    )
+
+
+def tell_dropped(case: Case, pairing: Pairing) -> None:
+    """Warn of the modes that are left out."""
+    for row in np.setdiff1d(np.arange(case.test.modes.n_modes), pairing.measured).tolist():
+        logger.warning(
+            "%s at %.4g Hz has no partner among the computed modes and is left out "
+            "(test.unmatched: drop): nothing is compared with it",
+            mode_name(case.test.numbers[row], case.name),
+            case.test.modes.frequencies_hz[row],
+        )
 
 
 def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:

@@ -18,7 +18,7 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCou
 from modetune.core.updating.estimation import parameter_covariance
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import verdict_summary
-from modetune.flows.report.rows import held_out_rows, mode_rows, parameter_rows
+from modetune.flows.report.rows import held_out_rows, mode_rows, parameter_rows, unmatched_modes
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
 from modetune.flows.updating.judging import campaign_trust, trust_summary
@@ -128,6 +128,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         solver_runs=record.runs,
         parameters=parameter_rows(record),
         modes=mode_rows(record),
+        unmatched=[record.test.numbers[place] for place in unmatched_modes(record)],
         mean_error_initial=np.abs(record.iterations[0].frequency_errors).mean(),
         mean_error_updated=np.abs(record.best.frequency_errors).mean(),
         held_out=held_out_rows(record.held_out),

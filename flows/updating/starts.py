@@ -135,17 +135,25 @@ def _run_starts(
 
 
 def _run_start(campaign: Campaign, engine: JobEngine, start: Floats, share: int) -> StartEnd:
-    campaign = replace(campaign, begin=tuple(start.tolist()))
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, share))
-    quiet = _Quiet()
+    own = replace(campaign, begin=tuple(start.tolist()))
+    execution, quiet, around = ThreadExecution(engine, share), _Quiet(), None
     try:
-        return end_of(start, Updating(campaign, evaluator, quiet, quiet.save).run())
+        if _paired_once(campaign) and not np.array_equal(start, campaign.start):
+            first = evaluator_of(campaign, engine, execution)
+            around = first.evaluate(0, campaign.start, None, alone=True)[0]
+        evaluator = evaluator_of(own, engine, execution)
+        return end_of(start, Updating(own, evaluator, quiet, quiet.save, around).run())
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):
             engine.cancelled.set()
             raise
         logger.warning("an update from another start failed: %s", error)
         return StartEnd(start, error=error, record=quiet.record)
+
+
+def _paired_once(campaign: Campaign) -> bool:
+    """Whether pairs are those of the campaign's own start, and tracked from there."""
+    return any(case.rules.by_hand or case.rules.drop for case in campaign.used)
 
 
 def _counted(ends: list[StartEnd]) -> RunCounts:

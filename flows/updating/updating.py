@@ -47,7 +47,10 @@ class Unwatched:
 
 
 class Updating:
-    """A campaign under way. `run` carries it to its end."""
+    """A campaign under way. `run` carries it to its end.
+
+    around: an evaluation point that the modes of the start are tracked from.
+    """
 
     def __init__(
         self,
@@ -55,7 +58,9 @@ class Updating:
         evaluator: Evaluator,
         progress: Progress,
         save: Callable[[CampaignRecord], None],
+        around: Evaluation | None = None,
     ) -> None:
+        self.around = around
         self.campaign = campaign
         self.evaluator = evaluator
         self.progress = progress
@@ -68,7 +73,7 @@ class Updating:
 
     def run(self) -> CampaignRecord:
         """Update until e1 holds, nothing more is gained, or the iterations are used up."""
-        end = Loop(self.campaign, self.evaluator, self).run()
+        end = Loop(self.campaign, self.evaluator, self, around=self.around).run()
         self.matrix = end.matrix
         tried = try_starts(
             self.campaign, self.evaluator, self._record(end.status, end.reason), end.last

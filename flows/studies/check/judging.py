@@ -30,6 +30,7 @@ from modetune.flows.studies.check.pairing import (
     margin_findings,
     pairing_findings,
     preview,
+    uncertain_findings,
     unmeasured,
 )
 from modetune.flows.studies.check.parameters import (
@@ -124,12 +125,13 @@ def judged(
     elastic = campaign.case.sensors.observe(result.elastic) if shapes else result.elastic
     found += margin_findings(test, elastic, result.modes.n_modes < n_asked)
     try:
-        every = preview(test, elastic)
+        every = preview(test, elastic, campaign.case.rules)
+        found += uncertain_findings(test, elastic, campaign.case.rules)
     except ModesError as error:
         return PreCheckReport((*found, Finding("wrong", "pairing", str(error))), facts, runs=runs)
     modes = tuple(mode for mode in every if mode.mode in campaign.test.numbers)
     shares = energy_shares(result, np.array([mode.elastic_mode - 1 for mode in modes]))
-    found += pairing_findings(modes, float(elastic.frequencies_hz.max()))
+    found += pairing_findings(modes, float(elastic.frequencies_hz.max()), campaign.case.rules)
     found += suspected_sensors(test, elastic, every)
     found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
     found += energy_findings(campaign, result, shares)

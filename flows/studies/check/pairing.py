@@ -14,13 +14,14 @@ from typing import Annotated
 import numpy as np
 
 from modetune.core.correlation.correlation import mac, subspace_mac
-from modetune.core.correlation.pairing import (
-    LOST_MAC,
-    Pairing,
-    close_modes,
-    pair_by_order,
-    pair_by_shape,
+from modetune.core.correlation.matching import (
+    PairRules,
+    beyond,
+    first_pairing,
+    reach_text,
+    uncertain_pairs,
 )
+from modetune.core.correlation.pairing import LOST_MAC, RESOLUTION, Pairing, close_modes
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
 from modetune.flows.report.tables import Column
@@ -31,8 +32,6 @@ from modetune.flows.studies.check.measured_modes import ALIKE
 WEAK_MAC = 0.6
 #: A second mode whose MAC comes this near makes a pair ambiguous.
 AMBIGUOUS = 0.2
-#: A relative frequency error of a first model above this is rarely a matter of parameters.
-LARGE_ERROR = 0.4
 #: Computed modes should reach this share above the highest measured frequency.
 MARGIN = 0.1
 #: Frequencies that are all off by one factor, within this share, are off by a unit.
@@ -74,19 +73,42 @@ class ModePreview:
         return float(np.fmax(self.mac, self.subspace_mac))
 
 
-def preview(test: MeasuredModes, elastic: ModeSet) -> tuple[ModePreview, ...]:
-    """Each test mode with its pair. elastic: computed modes as the test's sensors see them.
+def first_pairs(test: MeasuredModes, elastic: ModeSet, rules: PairRules) -> Pairing:
+    """The pairs that updating begins with; low MACs are not refused, as they are to be shown.
 
-    Raises ModesError where there are fewer computed modes than measured, or no common sensor.
+    elastic: computed modes as the test's sensors see them. Raises ModesError where there are fewer
+    computed modes than measured, or no common sensor.
     """
-    measured = test.modes
+    return first_pairing(test, elastic, rules, RESOLUTION, np.zeros(0), lost_mac=-1.0)
+
+
+def preview(
+    test: MeasuredModes, elastic: ModeSet, rules: PairRules | None = None
+) -> tuple[ModePreview, ...]:
+    """Each test mode with its pair, as `first_pairs` has them."""
+    pairing = first_pairs(test, elastic, rules or PairRules())
     if not test.has_shapes:
-        return tuple(_by_order(test, elastic, pair_by_order(measured, elastic)))
-    pairing = pair_by_shape(measured, elastic, lost_mac=-1.0)  # low ones are to be shown
-    table = mac_table(measured, elastic)
+        return tuple(_by_order(test, elastic, pairing))
+    table = mac_table(test.modes, elastic)
     return tuple(
         _by_shape(test, elastic, pairing, place, table) for place in range(pairing.measured.size)
     )
+
+
+def uncertain_findings(test: MeasuredModes, elastic: ModeSet, rules: PairRules) -> list[Finding]:
+    """Pairs without shapes that updating would not begin with unless they are confirmed."""
+    found = uncertain_pairs(test, elastic, first_pairs(test, elastic, rules), rules)
+    return [
+        Finding(
+            "doubtful",
+            "pairing",
+            f"paired by the order of frequencies alone: {reason}",
+            f"test mode {number}",
+            "updating stops at it: name the pairs with `test.pairs`, or leave a mode out with "
+            "`test.use`",
+        )
+        for number, reason in found.items()
+    ]
 
 
 def mac_table(measured: ModeSet, computed: ModeSet) -> Floats:
@@ -148,14 +170,17 @@ def _by_shape(
     )
 
 
-def pairing_findings(modes: tuple[ModePreview, ...], highest_hz: float) -> list[Finding]:
+def pairing_findings(
+    modes: tuple[ModePreview, ...], highest_hz: float, rules: PairRules | None = None
+) -> list[Finding]:
     """What is doubtful in the pairs. highest_hz: of the computed elastic modes."""
+    rules = rules or PairRules()
     factor = _factor(modes)
     found = list(factor)
     for mode in modes:
         where = f"test mode {mode.mode}"
-        if np.isfinite(mode.mac) and mode.judged_mac < LOST_MAC:
-            found.append(_lost(mode, where, highest_hz))
+        if mode.mode not in rules.by_hand and mode.judged_mac < LOST_MAC:
+            found.append(_lost(mode, where, highest_hz, rules))
             continue
         if np.isfinite(mode.mac) and mode.judged_mac < WEAK_MAC:
             found.append(
@@ -179,22 +204,32 @@ def pairing_findings(modes: tuple[ModePreview, ...], highest_hz: float) -> list[
                     "add sensors that tell the two apart, or leave the mode out",
                 )
             )
-        if abs(mode.error) > LARGE_ERROR and not factor:
+        far = beyond(mode.test_hz, mode.computed_hz, rules.reach)
+        told = np.isfinite(mode.mac) or mode.mode in rules.by_hand
+        if far and told and not factor:  # uncertain_findings tells the others
             found.append(
                 Finding(
                     "doubtful",
                     "pairing",
                     f"{mode.computed_hz:.4g} Hz computed, {mode.test_hz:.4g} Hz measured: "
-                    f"{100 * mode.error:+.0f} %",
+                    f"{100 * mode.error:+.0f} %, {reach_text(mode.computed_hz, rules.reach)}",
                     where,
-                    "no parameter may reach so far: look at the model",
+                    "no parameter may reach so far: look at the model, and at the bounds",
                 )
             )
     return found
 
 
-def _lost(mode: ModePreview, where: str, highest_hz: float) -> Finding:
+def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) -> Finding:
     """A mode near the end of the computed range may be beyond it, where updating looks itself."""
+    if rules.drop:
+        return Finding(
+            "doubtful",
+            "pairing",
+            f"no computed mode answers it: the best left has MAC {mode.judged_mac:.2f}",
+            where,
+            "updating leaves it out (`test.unmatched: drop`)",
+        )
     beyond = mode.test_hz > highest_hz / (1.0 + MARGIN)
     return Finding(
         "doubtful" if beyond else "wrong",
@@ -202,10 +237,10 @@ def _lost(mode: ModePreview, where: str, highest_hz: float) -> Finding:
         f"no computed mode answers it: the best left has MAC {mode.judged_mac:.2f}, at least "
         f"{LOST_MAC:.1f} is needed",
         where,
-        "it may lie above the computed range, which updating widens twice"
+        "it may lie above the computed range, which updating widens once"
         if beyond
         else "look at sensor nodes, directions and signs (`modetune correlate` names the worst), "
-        "or leave it out with `test.use`",
+        "or leave it out: `test.unmatched: drop`",
     )
 
 

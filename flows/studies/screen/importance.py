@@ -27,11 +27,15 @@ def importance(
 
 
 def loudest(
-    campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
+    campaign: Campaign,
+    numbers: tuple[int, ...],
+    design: Design,
+    local: LocalSensitivity,
+    found: Indices | None,
 ) -> tuple[str, ...]:
-    """The response that each parameter moves most, for people."""
+    """The response that each parameter moves most, for people; numbers: of the paired modes."""
     moves = seen_moves(campaign, design, local, found)
-    numbers, n = campaign.test.numbers, len(campaign.test.numbers)
+    n = len(numbers)
     return tuple(
         f"{'MAC' if row >= n else 'frequency'} of mode {numbers[row % n]}"
         for row in moves.argmax(axis=0).tolist()
@@ -42,7 +46,7 @@ def seen_moves(
     campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
 ) -> Floats:
     """The same of each response, (n_responses, n_parameters); zero where it is not compared."""
-    weighting, n = campaign.case.weighting, len(campaign.test.numbers)
+    weighting, n = campaign.case.weighting, local.frequencies.shape[0]
     if found is None:
         slopes = np.abs(np.vstack([local.frequencies, local.mac]))
         moves = slopes * (design.upper - design.lower) / campaign.parameters.initial

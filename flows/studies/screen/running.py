@@ -97,7 +97,8 @@ def screen_campaign(
         evaluator = evaluator_of(campaign, engine, _Shown(engine, campaign.parallel, progress))
         nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
         assert matrix is not None
-        responses = _responses(campaign, evaluator.points(POINTS, design.points, [nominal]))
+        points = evaluator.points(POINTS, design.points, [nominal])
+        responses = _responses(campaign, nominal, points)
         runs = evaluator.runs
     local = local_sensitivity(campaign, nominal, matrix)
     found = None
@@ -141,6 +142,7 @@ def _screening(
     version: str,
     wall_s: float,
 ) -> Screening:
+    numbers = tuple(campaign.test.numbers[place] for place in nominal.pairing.measured.tolist())
     values = importance(campaign, design, local, found)
     parameters, start = campaign.parameters, nominal.theta
     allowed = [
@@ -150,7 +152,7 @@ def _screening(
     candidates = CandidateParameters(
         campaign.parameters.names,
         values,
-        loudest(campaign, design, local, found),
+        loudest(campaign, numbers, design, local, found),
         local.missing,
         local.weighted,
         local.weighted_residual,
@@ -166,7 +168,7 @@ def _screening(
         campaign_text=campaign.text,
         names=campaign.parameters.names,
         deviations=campaign.parameters.standard_deviations,
-        numbers=tuple(campaign.test.numbers[place] for place in pairing.measured.tolist()),
+        numbers=numbers,
         test_hz=campaign.test.modes.frequencies_hz[pairing.measured],
         nominal_hz=nominal.seen.frequencies_hz[pairing.computed],
         nominal_mac=pairing.judged_mac,
@@ -188,9 +190,11 @@ def _relative(responses: Responses, nominal: Evaluation) -> Floats:
     return np.hstack([responses.frequencies_hz / here - 1.0, responses.mac])
 
 
-def _responses(campaign: Campaign, found: Sequence[Evaluation | ModetuneError]) -> Responses:
+def _responses(
+    campaign: Campaign, nominal: Evaluation, found: Sequence[Evaluation | ModetuneError]
+) -> Responses:
     """The responses at the points of the design; NaN where one failed."""
-    n, n_modes = len(found), len(campaign.test.numbers)
+    n, n_modes = len(found), nominal.pairing.measured.size
     shaped = n_modes if campaign.test.has_shapes else 0
     frequencies, macs = np.full((n, n_modes), np.nan), np.full((n, shaped), np.nan)
     for place, item in enumerate(found):
