@@ -22,8 +22,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from modetune.core.correlation.pairing import UNSEEN, Pairing
-from modetune.core.modes import CLOSE, Floats, Integers, ModeSet, close_sets, common_dofs
+from modetune.core.correlation.pairing import FINE, UNSEEN, Pairing
+from modetune.core.modes import CLOSE, REPEATED, Floats, Integers, ModeSet, close_sets, common_dofs
 
 
 def rotation_onto(shapes: Floats, wanted: Floats, frequencies_hz: Floats) -> Floats:
@@ -54,14 +54,17 @@ def rotation_to_test(
     """
     rows_m, rows_c = common_dofs(measured, computed)
     alike = _labels(measured.frequencies_hz, resolution)
+    one = _labels(measured.frequencies_hz, FINE * resolution)
     rotation = np.eye(computed.n_modes)
     turned = False
     for members in close_sets(computed.frequencies_hz, CLOSE):
         pairs = np.flatnonzero(np.isin(pairing.computed, members))
         if members.size < 2 or not pairs.size or not rows_m.size:
             continue
-        one = np.unique(alike[pairing.measured[pairs]]).size == 1
-        if one and pairs.size == members.size:
+        # What the model does not split at all may lie as the test's at no cost.
+        repeated = len(close_sets(computed.frequencies_hz[members], 0.5 * REPEATED)) == 1
+        unsplit = (one if repeated else alike)[pairing.measured[pairs]]
+        if np.unique(unsplit).size == 1 and pairs.size == members.size:
             continue
         basis = np.real(computed.mode_shapes[rows_c][:, members])
         wanted = np.real(measured.mode_shapes[rows_m][:, pairing.measured[pairs]])

@@ -11,7 +11,8 @@ little there. A measured shape is assigned to a cluster of close computed modes 
 it and their space, and counts as found there even if no single member resembles it; which member
 it is paired with the MAC decides. Measured modes that the test cannot split (their frequencies are
 closer than they were measured) may have turned too: the MAC of their partners is that of both
-spaces, and close partners are taken in the order of frequency.
+spaces, and close partners are taken in the order of frequency, unless shapes tell each clearly and
+the frequencies are not one and the same.
 """
 
 from __future__ import annotations
@@ -37,6 +38,10 @@ FREQUENCY_TIE_BREAK = 0.05
 #: Singular values of members' shapes at the sensors below this share of the largest: the sensors
 #: see fewer directions than there are members.
 UNSEEN = 1e-3
+#: Share of the distance that a test can split, up to which measured frequencies are one.
+FINE = 0.1
+#: MAC from which each member of a cluster is told by its own shape.
+CLEAR = 0.9
 #: How much a member's own MAC counts beside the angle to the space of its cluster.
 OWN_SHARE = 0.1
 #: Relative distance of measured frequencies that a test can split, unless a campaign tells.
@@ -150,7 +155,9 @@ def _cluster_macs(
         if unsplit.size < 2:
             continue
         wanted_hz = measured.frequencies_hz[kept[unsplit]]
-        columns[unsplit] = _in_order(wanted_hz, computed.frequencies_hz, columns[unsplit])
+        one = len(close_sets(wanted_hz, FINE * widths[unsplit])) == 1
+        if one or macs[unsplit].min() < CLEAR:
+            columns[unsplit] = _in_order(wanted_hz, computed.frequencies_hz, columns[unsplit])
         for members in close_sets(computed.frequencies_hz[columns[unsplit]], CLOSE):
             pairs = unsplit[members]
             own = cluster_mac(shapes_c[:, columns[pairs]], shapes_m[:, unsplit])

@@ -34,7 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.correlation.clusters import paired_clusters, with_neighbours
-from modetune.core.correlation.pairing import UNSEEN, Pairing
+from modetune.core.correlation.pairing import FINE, UNSEEN, Pairing
 from modetune.core.modes import REPEATED, Floats, Integers, ModeSet, close_sets, common_dofs
 from modetune.core.updating.results import ModeDerivatives
 from modetune.core.updating.weighting import Weighting
@@ -195,7 +195,7 @@ def _unsplit(
     model_hz = computed.frequencies_hz[pairing.computed]
     return [
         alike[members]
-        for alike in close_sets(test_hz, weighting.frequency_deviations[pairing.measured])
+        for alike in close_sets(test_hz, FINE * weighting.frequency_deviations[pairing.measured])
         for members in close_sets(model_hz[alike], 0.5 * REPEATED)
         if members.size > 1
     ]

@@ -64,18 +64,27 @@ class ModalResult:
         return self if rows.size == self.modes.n_dof else replace(self, modes=self.modes.rows(rows))
 
     def turned(self, rotation: Floats) -> ModalResult:
-        """The same modes with elastic shapes @ rotation, which mixes repeated modes only.
+        """The same modes with elastic shapes @ rotation, which mixes close modes only.
 
-        rotation: (n_elastic, n_elastic), orthogonal. Of energies that mix only the modes' own are
+        rotation: (n_elastic, n_elastic), orthogonal. Eigenvalues are the Rayleigh quotients of the
+        turned shapes. Of energies that mix only the modes' own are
         known, so those of a group are exact where its parts in the members do not couple.
         """
         whole = np.eye(self.eigenvalues.size)
         whole[self.n_rigid :, self.n_rigid :] = rotation
         shares = whole**2
+        squares = self.modes.frequencies_hz**2 @ shares
+        turned = replace(
+            self.modes,
+            frequencies_hz=np.where(
+                shares.max(axis=0) < 1.0, np.sqrt(squares), self.modes.frequencies_hz
+            ),
+            mode_shapes=self.modes.mode_shapes @ whole,
+        )
         return replace(
             self,
             eigenvalues=self.eigenvalues @ shares,
-            modes=replace(self.modes, mode_shapes=self.modes.mode_shapes @ whole),
+            modes=turned,
             strain_energies=self.strain_energies @ shares,
             total_strain_energy=self.total_strain_energy @ shares,
         )

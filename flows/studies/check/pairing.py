@@ -32,6 +32,8 @@ from modetune.flows.studies.check.measured_modes import ALIKE
 WEAK_MAC = 0.6
 #: A second mode whose MAC comes this near makes a pair ambiguous.
 AMBIGUOUS = 0.2
+#: A relative frequency error of a first model above this is rarely a matter of parameters.
+LARGE_ERROR = 0.4
 #: Computed modes should reach this share above the highest measured frequency.
 MARGIN = 0.1
 #: Frequencies that are all off by one factor, within this share, are off by a unit.
@@ -206,17 +208,13 @@ def pairing_findings(
             )
         far = beyond(mode.test_hz, mode.computed_hz, rules.reach)
         told = np.isfinite(mode.mac) or mode.mode in rules.by_hand
-        if far and told and not factor:  # uncertain_findings tells the others
-            found.append(
-                Finding(
-                    "doubtful",
-                    "pairing",
-                    f"{mode.computed_hz:.4g} Hz computed, {mode.test_hz:.4g} Hz measured: "
-                    f"{100 * mode.error:+.0f} %, {reach_text(mode.computed_hz, rules.reach)}",
-                    where,
-                    "no parameter may reach so far: look at the model, and at the bounds",
-                )
-            )
+        if ((far and told) or abs(mode.error) > LARGE_ERROR) and not factor:
+            what = f"{mode.computed_hz:.4g} Hz computed, {mode.test_hz:.4g} Hz measured: "
+            what += f"{100 * mode.error:+.0f} %"
+            if far:
+                what += f", {reach_text(mode.computed_hz, rules.reach)}"
+            remedy = "no parameter may reach so far: look at the model"
+            found.append(Finding("doubtful", "pairing", what, where, remedy))
     return found
 
 
