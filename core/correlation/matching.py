@@ -171,33 +171,6 @@ def uncertain_pairs(
     return found
 
 
-def refuse_uncertain(
-    test: MeasuredModes, computed: ModeSet, pairing: Pairing, rules: PairRules
-) -> None:
-    """Raise UncertainPairs where there are such."""
-    found = uncertain_pairs(test, computed, pairing, rules)
-    if found:
-        said = "; ".join(f"mode {number}: {reason}" for number, reason in found.items())
-        raise UncertainPairs(
-            "no shapes were measured, and by the order of frequencies alone these pairs are not "
-            f"certain: {said}. {remedy(test, pairing, list(found))}"
-        )
-
-
-def remedy(test: MeasuredModes, pairing: Pairing, numbers: Sequence[int]) -> str:
-    """What confirms pairs, in words. numbers: of the test's modes."""
-    own = {
-        test.numbers[row]: column + 1
-        for row, column in zip(pairing.measured.tolist(), pairing.computed.tolist(), strict=True)
-    }
-    pairs = ", ".join(f"{number}: {own[number]}" for number in numbers if number in own)
-    return (
-        f"Say which elastic mode of the model answers which mode of the test: `test.pairs: "
-        f"{{{pairs}}}` confirms them, other numbers pair them otherwise; a mode that the model "
-        "has not is left out with `test.use`"
-    )
-
-
 def beyond(test_hz: float, hz: float, reach: tuple[float, float]) -> bool:
     """Whether a computed frequency cannot be brought to a measured one."""
     return not reach[0] * hz <= test_hz <= reach[1] * hz

@@ -18,9 +18,15 @@ from modetune.core.correlation.held_out import (
     pair_held_out,
     track_held_out,
 )
-from modetune.core.correlation.matching import first_pairing, next_pairing, refuse_uncertain
+from modetune.core.correlation.matching import (
+    PairRules,
+    UncertainPairs,
+    first_pairing,
+    next_pairing,
+    uncertain_pairs,
+)
 from modetune.core.correlation.pairing import Pairing
-from modetune.core.modes import Floats, Integers, ModeSet
+from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.updating.estimation import Step
 from modetune.core.updating.residual import Residual, residual
@@ -182,6 +188,33 @@ def _paired(
     pairing = first_pairing(test, seen, rules, resolution, others, drop)
     refuse_uncertain(test, seen, pairing, rules)
     return seen, pairing
+
+
+def refuse_uncertain(
+    test: MeasuredModes, computed: ModeSet, pairing: Pairing, rules: PairRules
+) -> None:
+    """Raise UncertainPairs where there are such."""
+    found = uncertain_pairs(test, computed, pairing, rules)
+    if found:
+        said = "; ".join(f"mode {number}: {reason}" for number, reason in found.items())
+        raise UncertainPairs(
+            "no shapes were measured, and by the order of frequencies alone these pairs are not "
+            f"certain: {said}. {_remedy(test, pairing, list(found))}"
+        )
+
+
+def _remedy(test: MeasuredModes, pairing: Pairing, numbers: Sequence[int]) -> str:
+    """What confirms pairs, in words. numbers: of the test's modes."""
+    own = {
+        test.numbers[row]: column + 1
+        for row, column in zip(pairing.measured.tolist(), pairing.computed.tolist(), strict=True)
+    }
+    pairs = ", ".join(f"{number}: {own[number]}" for number in numbers if number in own)
+    return (
+        f"Say which elastic mode of the model answers which mode of the test: `test.pairs: "
+        f"{{{pairs}}}` confirms them, other numbers pair them otherwise; a mode that the model "
+        "has not is left out with `test.use`"
+    )
 
 
 def _held_out(

@@ -56,8 +56,10 @@ def test_pairs_by_the_order_of_frequencies_alone_stop_where_a_neighbour_is_far_n
     wing = campaign(tmp_path, {"frequencies_hz": TEST_HZ}, [0.2, 2.0])
     doubts = [item for item in modetune.check(wing).findings if item.level == "doubtful"]
     assert ["test mode 5"] == [item.where for item in doubts if item.subject == "pairing"]
-    with pytest.raises(UncertainPairs, match=r"elastic mode 4 at 81.3 Hz is far nearer"):
+    with pytest.raises(UncertainPairs, match=r"elastic mode 4 at 81.3 Hz is far nearer") as error:
         modetune.update(wing, tmp_path / "runs")
+    assert "`test.pairs: {5: 5}` confirms them" in str(error.value)
+    assert error.value.exit_code == 2
 
 
 def test_named_pairs_end_at_the_truth(tmp_path: Path) -> None:
