@@ -138,7 +138,7 @@ def _run_start(campaign: Campaign, engine: JobEngine, start: Floats, share: int)
     own = replace(campaign, begin=tuple(start.tolist()))
     execution, quiet, around = ThreadExecution(engine, share), _Quiet(), None
     try:
-        if _paired_once(campaign) and not np.array_equal(start, campaign.start):
+        if _paired_once(campaign) and start.tolist() != campaign.start.tolist():
             first = evaluator_of(campaign, engine, execution)
             around = first.evaluate(0, campaign.start, None, alone=True)[0]
         evaluator = evaluator_of(own, engine, execution)
