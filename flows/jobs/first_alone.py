@@ -2,8 +2,8 @@
 
 A solver that always fails (no licence file, a wrong option, a library that is missing) would fail
 in all jobs of the first iteration at once, each with its retries, and one that hangs would hold
-every core until the time limit. So one piece of work is carried out at a time until a job has been
-run with success; from then on all run side by side.
+every core until the time limit. So one piece of work is carried out at a time until a job has
+succeeded, now or in an earlier run; from then on all run side by side.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class FirstAlone:
             piece = work[len(done)]
             (outcome,) = self._execution.run(iteration, [piece])
             done.append(outcome)
-            if not isinstance(outcome, ModetuneError):
-                self._proven = any(not job.reused for job in outcome)
+            if not isinstance(outcome, ModetuneError):  # a stored result is a success of earlier
+                self._proven = True
             elif isinstance(outcome, SolverError):
                 failures += 1
                 rest = work[len(done) :]

@@ -126,7 +126,8 @@ def affected_elements(
         (plate("S4") + strip(2.0), "thickness", "U"),
         # What the preload does to the stiffness depends on the stiffness.
         (
-            bar("C3D8I") + "*STEP\n*STATIC\n*END STEP\n*STEP\n*FREQUENCY\n5\n*END STEP\n",
+            bar("C3D8I")
+            + "*STEP\n*STATIC\n*END STEP\n*STEP, PERTURBATION\n*FREQUENCY\n5\n*END STEP\n",
             "youngs_modulus",
             "A",
         ),

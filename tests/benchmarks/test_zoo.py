@@ -45,7 +45,7 @@ def test_the_truth_of_a_sound_twin_is_found(family: str, kind: Kind) -> None:
 @pytest.mark.parametrize("kind", ["reversed", "other"])
 def test_a_fault_of_test_or_model_is_not_trusted_away_from_the_truth(kind: Kind) -> None:
     outcome = update_twin("chain", 2, kind)
-    assert outcome.ended == "ended", outcome.said
+    assert outcome.ended in ("ended", "lost"), outcome.said  # lost: told that no mode is a partner
     assert not outcome.found
     assert not outcome.trusted
 

@@ -170,7 +170,6 @@ def test_thirteen_candidates_hold_the_proposed_five_at_1_2_3_5_and_13(folder: Pa
     [
         ("model.solver=nastran", "is not a Nastran deck"),
         ("parameters=[{name: K, quantity: spring_stiffness, elset: FOUNDATION}]", "did you mean"),
-        ("model.units=m-kg-s", "mm-t-s would fit"),
     ],
 )
 def test_what_does_not_fit_the_fixture_is_refused(

@@ -376,7 +376,7 @@ class Bench:
                 tuple(Parameter(n, q, "part", (n,), *bounds, 0.3) for n, q in names.items())
             ),
             cases=(case,),
-            residuals=ResidualSection(),
+            residuals=ResidualSection.model_validate({"shape_deviation": 0.02}),
             tolerances=Tolerances(update.e1.frequency, update.e1.mac),
             update=update,
             sensitivity=sensitivity or SensitivitySection(),

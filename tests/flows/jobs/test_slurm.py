@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +34,7 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.slurm import srun_options
 from modetune.flows.updating.running import job_engine, update_campaign
+from tests.eventually import eventually
 
 NODE = Path(__file__).resolve().parents[3] / "tools" / "slurm_node.sh"
 TRUTH = {"k1": 1.2, "k2": 0.8}
@@ -260,15 +260,6 @@ def queue(node: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]
     return lambda: subprocess.run(
         command, capture_output=True, text=True, check=True
     ).stdout.splitlines()
-
-
-def eventually(condition: Callable[[], object], seconds: float = 60.0) -> bool:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.1)  # asks Slurm, which tells nobody by itself
-    return True
 
 
 def test_a_campaign_runs_on_a_real_slurm_node(bench: Any, watcher: Any, queue: Any) -> None:

@@ -261,7 +261,10 @@ def test_a_very_thin_sheet_is_updated_by_finite_differences(tmp_path: Path, capl
     from types import SimpleNamespace
 
     silent: Any = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
-    campaign = load_campaign(sheet_campaign(tmp_path, sheet(".001")), ["update.max_iterations=1"])
+    campaign = load_campaign(
+        sheet_campaign(tmp_path, sheet(".001")),
+        ["update.max_iterations=1", "test.pairs={1: 1, 2: 2}"],
+    )
     record = update_campaign(campaign, tmp_path / "run", silent).record
     assert "finite_difference is used in place of semi_analytic" in caplog.text
     assert set(record.iterations[1].sensitivity_methods) <= {"strain_energy", "finite_difference"}
