@@ -36,6 +36,7 @@ from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
 from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.correlation.pairing import LostMode
 from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, ModeSet, close_sets
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.observation import observe
@@ -265,7 +266,13 @@ def noisy_twins(name: str, n: int, seed: int, settings: dict[str, Any]) -> list[
     made, shapes = NOISY[name]
     with tempfile.TemporaryDirectory(prefix="coverage-") as folder:
         model = Model(made(np.random.default_rng(seed)), shapes, settings, Path(folder))
-        return [update_twin(model, seed + place, noise=True) for place in range(n)]
+        twins = []
+        for place in range(n):
+            try:
+                twins.append(update_twin(model, seed + place, noise=True))
+            except LostMode as error:  # a mode that no computed one resembles is refused, and told
+                sys.stderr.write(f"{name}, twin {seed + place}, is refused: {error}\n")
+        return twins
 
 
 def exact_twins(family: str, n: int, seed: int, settings: dict[str, Any]) -> list[Twin]:
