@@ -49,7 +49,7 @@ def validate(
 
 def told(found: Validation, one_out: bool) -> dict[str, Json]:
     """The `--json` object of `modetune validate`."""
-    from modetune.flows.report.rows import held_out_rows
+    from modetune.flows.report.held_out_tables import held_out_rows
     from modetune.flows.report.tables import json_object
 
     spread = zip(found.parameters, *found.spread, strict=True)

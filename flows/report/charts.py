@@ -40,8 +40,8 @@ from modetune.flows.report.comparison import (
     scaled_test,
     sensor_agreement,
 )
+from modetune.flows.report.mode_tables import mode_labels, mode_rows
 from modetune.flows.report.responses import UNITS, ResponseCurve, response_pairs
-from modetune.flows.report.rows import mode_labels, mode_rows
 
 PAIR = "test mode {column}, computed mode {row}: MAC {value:.3f}"
 #: Lines of a response function that are drawn; finer ones are left out evenly.

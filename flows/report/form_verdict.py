@@ -22,7 +22,7 @@ from modetune.core.updating.model_form import (
     shares_left,
 )
 from modetune.core.updating.residual import Residual
-from modetune.flows.report.rows import mode_label
+from modetune.flows.report.mode_tables import mode_label
 from modetune.flows.report.tables import json_object
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.report.rows import ModeRow, mode_rows, unmatched_sentence
+from modetune.flows.report.mode_tables import ModeRow, mode_rows, unmatched_sentence
 from modetune.flows.report.tables import Column, signed
 
 #: How a campaign's end reads.

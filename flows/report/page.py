@@ -27,16 +27,12 @@ from modetune.core.updating.judgement import trust_sentences
 from modetune.flows.report.comparison import remarks, sensor_agreement
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.headline import headline, number, percent
-from modetune.flows.report.rows import (
+from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
+from modetune.flows.report.iteration_tables import iteration_table, key_table, run_table
+from modetune.flows.report.mode_tables import mode_table, pair_table
+from modetune.flows.report.parameter_tables import (
     LONG_PARAMETERS,
-    held_out_lines,
-    held_out_table,
-    iteration_table,
-    key_table,
-    mode_table,
-    pair_table,
     parameter_table,
-    run_table,
     start_table,
     trust_table,
 )

@@ -19,7 +19,7 @@ from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.surface import Surface, display_surface
 from modetune.flows.report.comparison import model_scales, scaled_test
-from modetune.flows.report.rows import mode_label
+from modetune.flows.report.mode_tables import mode_label
 
 #: Nodes of a surface that a browser without a graphics card still moves smoothly.
 AT_MOST = 12_000

@@ -20,7 +20,9 @@ import numpy as np
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.report.comparison import mac_table
-from modetune.flows.report.rows import iteration_table, mode_labels, mode_table, parameter_table
+from modetune.flows.report.iteration_tables import iteration_table
+from modetune.flows.report.mode_tables import mode_labels, mode_table
+from modetune.flows.report.parameter_tables import parameter_table
 from modetune.flows.report.tables import Table, artifact_rows
 
 #: A picture travels inside its sheet; larger ones are drawn again at less resolution.

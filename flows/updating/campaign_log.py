@@ -16,7 +16,7 @@ from pathlib import Path
 
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.report.rows import iteration_row
+from modetune.flows.report.iteration_tables import iteration_row
 
 LOG = "campaign.log"
 #: Bytes after which the log starts anew.

@@ -16,17 +16,10 @@ from modetune.core.correlation.held_out import HeldOut
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.judgement import trust_sentences
 from modetune.flows.report.drawing import PAGE
-from modetune.flows.report.rows import (
-    BRIEF_PARAMETERS,
-    IterationRow,
-    held_out_lines,
-    held_out_table,
-    iteration_row,
-    mode_label,
-    mode_table,
-    parameter_table,
-    unmatched_sentence,
-)
+from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
+from modetune.flows.report.iteration_tables import IterationRow, iteration_row
+from modetune.flows.report.mode_tables import mode_label, mode_table, unmatched_sentence
+from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_table
 from modetune.flows.report.tables import OUTSIDE, columns_of, show_table
 from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text
 from modetune.flows.updating.run import CampaignRun

@@ -18,7 +18,9 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCou
 from modetune.core.updating.estimation import parameter_covariance
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import verdict_summary
-from modetune.flows.report.rows import held_out_rows, mode_rows, parameter_rows, unmatched_modes
+from modetune.flows.report.held_out_tables import held_out_rows
+from modetune.flows.report.mode_tables import mode_rows, unmatched_modes
+from modetune.flows.report.parameter_tables import parameter_rows
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
 from modetune.flows.updating.judging import campaign_trust, trust_summary

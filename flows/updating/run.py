@@ -13,13 +13,8 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record
 from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.drawing import PAGE
-from modetune.flows.report.rows import (
-    ModeRow,
-    ParameterRow,
-    mode_labels,
-    mode_rows,
-    parameter_rows,
-)
+from modetune.flows.report.mode_tables import ModeRow, mode_labels, mode_rows
+from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows
 from modetune.flows.report.tables import frame
 from modetune.flows.updating.forecast import Forecast
 from modetune.flows.updating.recording import summary

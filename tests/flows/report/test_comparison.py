@@ -17,7 +17,7 @@ from modetune.flows.report.comparison import (
     scaled_test,
     sensor_agreement,
 )
-from modetune.flows.report.rows import mode_rows
+from modetune.flows.report.mode_tables import mode_rows
 from modetune.flows.report.scene import scene
 
 

@@ -13,15 +13,9 @@ import pytest
 from rich.console import Console
 
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.report.rows import (
-    ModeRow,
-    ParameterRow,
-    mode_rows,
-    mode_table,
-    parameter_rows,
-    parameter_table,
-    run_table,
-)
+from modetune.flows.report.iteration_tables import run_table
+from modetune.flows.report.mode_tables import ModeRow, mode_rows, mode_table
+from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows, parameter_table
 from modetune.flows.report.tables import (
     Column,
     artifact_rows,

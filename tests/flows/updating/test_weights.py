@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from modetune.flows.campaign.schema import E1Section, UpdateSection
-from modetune.flows.report.rows import mode_table
+from modetune.flows.report.mode_tables import mode_table
 from modetune.flows.updating.running import update_campaign
 
 TRUTH = {"k1": 1.2, "k4": 0.85}
