@@ -1,0 +1,208 @@
+"""What becomes of Nastran decks: read, written back, run by MYSTRAN and by CalculiX.
+
+    python -m benchmarks.corpus [FOLDERS]      decks below folders, those of the shared data if none
+
+prints a row a deck (Markdown): whether it is read, whether it is written back byte for byte, how
+many modes each solver gives or the first reason why it gives none, and the largest difference of
+its elastic frequencies: against the OP2 or F06 file beside the deck where there is one with modes,
+else between the two solvers. `--json FILE` keeps the rows, `--counts` prints the sums alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modetune.adapters.nastran.deck import read_deck, write_edited
+from modetune.adapters.nastran.f06 import read_f06
+from modetune.adapters.nastran.model import understand
+from modetune.adapters.nastran.op2 import read_op2
+from modetune.adapters.nastran.solver import mystran_solver
+from modetune.adapters.process import run_process
+from modetune.adapters.solver import ModalAnalysis, Solver
+from modetune.adapters.translation.solver import translated_solver
+from modetune.core.errors import ModetuneError
+from modetune.core.modes import Floats
+from modetune.core.parameters import Parameter
+
+#: Modes asked for; fewer where the model has fewer.
+MODES = (10, 6, 4, 2, 1)
+#: Elastic modes that are compared.
+COMPARED = 6
+#: Nodes whose shapes are asked for, to see that they are read.
+NODES = 3
+TIMEOUT_S = 120.0
+SUFFIXES = (".bdf", ".dat", ".nas")
+BINDERS: dict[str, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
+    "mystran": mystran_solver,
+    "calculix": translated_solver,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What became of a deck. A solver's column holds a number of modes, or the reason."""
+
+    deck: str
+    read: str
+    rewritten: str
+    mystran: str
+    calculix: str
+    difference: str
+
+
+def decks_below(folder: Path) -> list[Path]:
+    """Main decks below a folder: what another one includes has no BEGIN BULK of its own."""
+    found = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
+    return [path for path in found if b"BEGIN" in path.read_bytes().upper()]
+
+
+def look_at(path: Path, name: str) -> Row:
+    """Read, write back and run a deck."""
+    logging.disable(logging.WARNING)
+    try:
+        deck = read_deck(path)
+        understand(deck).mesh()
+    except ModetuneError as error:
+        return Row(name, reason(error), "", "", "", "")
+    with tempfile.TemporaryDirectory() as folder:
+        copy = write_edited(deck, {}, Path(folder) / "copy")
+        same = "yes" if copy.read_bytes() == path.read_bytes() else "no"
+        found: dict[str, str] = {}
+        frequencies: dict[str, Floats] = {}
+        for solver, binder in BINDERS.items():
+            try:
+                frequencies[solver] = solve(binder(path, ()), Path(folder) / solver)
+                found[solver] = str(frequencies[solver].size)
+            except ModetuneError as error:
+                found[solver] = reason(error)
+    said = compared(frequencies, reference(path))
+    return Row(name, "yes", same, found["mystran"], found["calculix"], said)
+
+
+def solve(solver: Solver, folder: Path) -> Floats:
+    """Frequencies in Hz, rigid modes as 0. Raises ModetuneError."""
+    nodes = tuple(sorted(solver.deck.summary.node_ids))[:NODES]
+    for n_modes in MODES:
+        analysis = ModalAnalysis(n_modes, nodes)
+        place = folder / str(n_modes)
+        place.mkdir(parents=True)
+        solver.render({}, analysis).write(place)
+        try:
+            ended = run_process(
+                solver.program.command(1), place, TIMEOUT_S, threading.Event()
+            ).return_code
+            result = solver.read({}, analysis, place, ended)
+        except ModetuneError as error:
+            if n_modes == MODES[-1] or "modes" not in str(error):
+                raise
+            continue
+        frequencies = result.modes.frequencies_hz.copy()
+        frequencies[: result.n_rigid] = 0.0
+        return frequencies
+    raise AssertionError
+
+
+def reference(path: Path) -> Floats:
+    """Frequencies in Hz of the OP2 or F06 file beside a deck, (0,) where there is none."""
+    for other in sorted(path.parent.iterdir()):
+        if other.stem.lower() != path.stem.lower():
+            continue
+        try:
+            if other.suffix.lower() == ".op2":
+                values = read_op2(other).eigenvalues
+            elif other.suffix.lower() == ".f06":
+                values = read_f06(other).eigenvalues
+            else:
+                continue
+        except (ModetuneError, ValueError):
+            continue
+        if values.size:
+            return np.sqrt(np.maximum(values, 0.0)) / (2.0 * np.pi)
+    return np.zeros(0)
+
+
+def compared(found: dict[str, Floats], reference: Floats) -> str:
+    """Largest relative difference of elastic frequencies in order, and of what it is."""
+    pairs = [(f"{name} / reference", values, reference) for name, values in found.items()]
+    if not reference.size and len(found) == 2:
+        pairs = [("calculix / mystran", found["calculix"], found["mystran"])]
+    said = []
+    for name, values, other in pairs:
+        if not other.size:
+            continue
+        rigid = int((values == 0.0).sum())
+        size = min(values.size, other.size, rigid + COMPARED)
+        if size <= rigid:
+            said.append(f"{name}: rigid modes alone")
+            continue
+        ratio = values[rigid:size] / np.maximum(other[rigid:size], 1e-12) - 1.0
+        largest = ratio[np.argmax(np.abs(ratio))]
+        said.append(f"{name}: {100.0 * largest:+.2g} %")
+    return "; ".join(said)
+
+
+def reason(error: Exception) -> str:
+    """The first line that says something, without folders."""
+    lines = [line.strip("- ") for line in str(error).splitlines() if line.strip()]
+    first = lines[1] if len(lines) > 1 and lines[0].endswith(":") else lines[0]
+    return re.sub(r"(/[^\s/:,]+)+/", "", first).replace("|", "/")[:200]
+
+
+def counts(rows: Sequence[Row]) -> str:
+    """How many decks came through, and the reasons of the others by their number."""
+    numbers = [
+        f"decks {len(rows)}",
+        f"read {sum(row.read == 'yes' for row in rows)}",
+        f"written back {sum(row.rewritten == 'yes' for row in rows)}",
+        f"MYSTRAN {sum(row.mystran.isdecimal() for row in rows)}",
+        f"CalculiX {sum(row.calculix.isdecimal() for row in rows)}",
+        f"either {sum(row.mystran.isdecimal() or row.calculix.isdecimal() for row in rows)}",
+    ]
+    return ", ".join(numbers)
+
+
+def table(rows: Iterable[Row]) -> Iterator[str]:
+    """The rows as a Markdown table."""
+    yield "| deck | read | written back | MYSTRAN | CalculiX | largest difference |"
+    yield "| --- | --- | --- | --- | --- | --- |"
+    for row in rows:
+        yield "| " + " | ".join(asdict(row).values()) + " |"
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="*", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--counts", action="store_true")
+    parser.add_argument("--jobs", type=int, default=1)
+    asked = parser.parse_args(arguments)
+    shared = Path(__file__).resolve().parent.parent.parent / "shared" / "data" / "nastran"
+    pairs = [
+        (path, path.relative_to(folder).as_posix())
+        for folder in asked.folders or [shared]
+        for path in decks_below(folder)
+    ]
+    with ProcessPoolExecutor(asked.jobs) as pool:
+        rows = list(pool.map(look_at, *zip(*pairs, strict=True)))
+    if asked.json:
+        asked.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+    if not asked.counts:
+        sys.stdout.write("\n".join(table(rows)) + "\n")
+    sys.stdout.write(counts(rows) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
