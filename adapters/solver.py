@@ -9,7 +9,7 @@ solver, write a folder with the two and name it in `flows/campaign/solvers`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -69,7 +69,8 @@ class Capabilities:
 
     tell_rigid: whether its strain energies of rigid modes are far below the rounding of their
     eigenvalues (stress times strain is, displacements times stiffness is not). matrix_modes:
-    whether modes of its stored matrices may stand for its own.
+    whether modes of its stored matrices may stand for its own. to_confirm: names of those above
+    that count only where the self-test of this installation has passed them (`Solver.offers`).
     """
 
     strain_energies: bool
@@ -78,6 +79,7 @@ class Capabilities:
     frequency_sensitivities: bool = False
     shape_sensitivities: bool = False
     matrix_modes: bool = False
+    to_confirm: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,12 +317,29 @@ class Program(Protocol):
 class Solver:
     """A program bound to a model.
 
-    rigid_modes: how many it has by hand, None where they are counted.
+    rigid_modes: how many it has by hand, None where they are counted. confirmed: names of
+    capabilities that the self-test of this installation has passed.
     """
 
     deck: Deck
     program: Program
     rigid_modes: RigidByHand | None = None
+    confirmed: frozenset[str] = frozenset()
+
+    @property
+    def offers(self) -> Capabilities:
+        """What may be taken of the program unasked: its capabilities without unconfirmed ones."""
+        off: dict[str, Any] = dict.fromkeys(self.unconfirmed, False)
+        return replace(self.program.capabilities, **off)
+
+    @property
+    def unconfirmed(self) -> tuple[str, ...]:
+        """Capabilities that the self-test of this installation has not passed, in their order."""
+        has = self.program.capabilities
+        waiting = has.to_confirm - self.confirmed
+        return tuple(
+            item.name for item in fields(has) if item.name in waiting and getattr(has, item.name)
+        )
 
     def render(self, values: Values, analysis: Analysis) -> Rendered:
         """The job at these values. Raises ModelError, SolverMissing."""

@@ -9,8 +9,9 @@ multiplied with,
 
 Responses are the eigenvalues (EIGN: unlike FREQ it has a derivative where the frequency is zero)
 and, one a node, component and mode, the mass-normalised shapes (DISP with the mode's number).
-Nastran leaves out responses that no constraint keeps; so all but the objective get a constraint
-with Nastran's own bounds of 1e20, and the screening lets every constraint through. The run ends
+Nastran leaves out responses that no constraint keeps; so all get one with Nastran's own bounds of
+1e20, and the screening lets every constraint through. There is no objective: nothing is optimised,
+and one above the subcases would have to be a response of none of them. The run ends
 after the sensitivities (DSAPRT with END=SENS), which go to the OP2 file as DSCM2, their columns
 named by DSCMCOL. (MSC and Simcenter Nastran, Quick Reference Guides: DSAPRT, DRESP1, DVMREL1.)
 """
@@ -46,7 +47,6 @@ def design_commands(analysis: SensitivityAnalysis, method: str) -> list[str]:
     """
     printed = "NOPRINT" if analysis.nodes else "FORMATTED"
     return [
-        f"DESOBJ(MIN) = {analysis.n_modes}",
         f"DSAPRT({printed},EXPORT,END=SENS)",
         "SUBCASE 1",
         "ANALYSIS = MODES",
@@ -133,8 +133,7 @@ def _responses(analysis: SensitivityAnalysis) -> Iterator[str]:
     for mode in modes:
         number = response_id(analysis, mode)
         yield f"DRESP1,{number},L{mode + 1},EIGN,,,{mode + 1}"
-        if number != analysis.n_modes:  # the last one is the objective
-            yield f"DCONSTR,{CONSTRAINTS},{number}"
+        yield f"DCONSTR,{CONSTRAINTS},{number}"
     for row in range(n_rows(analysis)):
         node, component = analysis.nodes[row // COMPONENTS], row % COMPONENTS + 1
         for mode in modes:

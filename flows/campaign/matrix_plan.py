@@ -25,6 +25,7 @@ from modetune.adapters.solver import AffectedElements, Solver
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.schema import Method
+from modetune.flows.campaign.self_test import not_confirmed
 
 #: Factor on a parameter in which the matrices are linear. It is exact anyhow, and as stored
 #: matrices are text of some digits a far one is the most exact.
@@ -121,8 +122,9 @@ def scale_together(one: tuple[Parameter, Sampling], other: tuple[Parameter, Samp
 
 def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method) -> str | None:
     """Why modes cannot be found from stored matrices, None where they can."""
-    if not solver.program.capabilities.matrix_modes:
-        return f"{solver.program.name} does not hand its matrices out"
+    if not solver.offers.matrix_modes:
+        why = not_confirmed(solver) if solver.program.capabilities.matrix_modes else ""
+        return why or f"{solver.program.name} does not hand its matrices out"
     if not solver.deck.summary.matrix_shapes:
         return "the motion of this model's nodes does not follow from its matrices"
     if method not in ("auto", "semi_analytic"):

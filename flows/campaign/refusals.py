@@ -7,6 +7,7 @@ from typing import get_args
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile
 from modetune.flows.campaign.schema import CampaignFile, ModelFile, SolverName
+from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.campaign.site import RunSection
 
 
@@ -40,11 +41,13 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     place = source.where(("sensitivity", "method"))
     offered = {
         "strain_energy": has.strain_energies,
-        "semi_analytic": has.matrices,
+        "semi_analytic": solver.offers.matrices,
         "solver": has.shape_sensitivities if shapes else has.frequency_sensitivities,
     }
     if not offered.get(method, True):
-        return [f"{place}: {solver.program.name} does not offer {method} here; use `auto`"]
+        why = not_confirmed(solver) if method == "semi_analytic" and has.matrices else ""
+        said = f"{solver.program.name} does not offer {method} here"
+        return [f"{place}: {why or said}; use `auto`"]
     if file.model.eigensolver == "pardiso" and isinstance(file, ModelFile):
         where = source.where(("model", "eigensolver"))
         return [

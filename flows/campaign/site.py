@@ -25,6 +25,8 @@ from modetune.flows.campaign.section import Name, Positive, Section
 
 #: Names a site file in another place.
 SITE_VARIABLE = "MODETUNE_SITE"
+#: Names the folder of what is the user's own: the shared server, limits, passed self-tests.
+HOME_VARIABLE = "MODETUNE_HOME"
 #: Jobs handed to Slurm at the same time where the campaign does not say.
 SLURM_QUEUE = 32
 
@@ -179,6 +181,15 @@ class SiteFile(Section):
 
     run: SiteRun = SiteRun()
     """What holds for the jobs of all campaigns of the site."""
+
+
+def user_home() -> Path:
+    """The folder of what is the user's own, on all machines that share it."""
+    named = os.environ.get(HOME_VARIABLE)
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(base) / "modetune"
 
 
 def site_path() -> Path:

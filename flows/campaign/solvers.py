@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from modetune.adapters.regular_file import open_regular
@@ -16,6 +17,7 @@ from modetune.adapters.solver import Solver
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.schema import ModelSection, SolverName
+from modetune.flows.campaign.self_test import passed_here
 
 #: What a Nastran deck starts with: a comment, a statement, or a card.
 NASTRAN_START = re.compile(r"\$|[A-Z][A-Z0-9]*[*,=(\s]|CEND|[A-Z0-9]{1,8}\s*$", re.IGNORECASE)
@@ -23,7 +25,8 @@ NASTRAN_START = re.compile(r"\$|[A-Z][A-Z0-9]*[*,=(\s]|CEND|[A-Z0-9]{1,8}\s*$", 
 
 def bind_solver(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """The campaign's solver bound to its deck. Raises ModelError."""
-    return SOLVERS[model.solver](model, deck, parameters)
+    solver = SOLVERS[model.solver](model, deck, parameters)
+    return replace(solver, confirmed=passed_here(solver.program))
 
 
 def _calculix(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:

@@ -36,13 +36,13 @@ from modetune.adapters import supervisor
 from modetune.core.errors import StorageUnavailable
 from modetune.core.storage.files import machine_user, storage_errors
 from modetune.core.storage.locks import FileLock
+from modetune.flows.campaign.site import HOME_VARIABLE as HOME_VARIABLE
+from modetune.flows.campaign.site import user_home
 from modetune.flows.jobs.heartbeats import BEAT_S, SilentRuns
 from modetune.flows.jobs.prefect_api import PATIENCE_S, PROBE_S, Answer, PrefectApi, ServerRefused
 
 #: What became of a request to end the shared server.
 Stopped = Literal["stopped", "none", "in use"]
-#: Below which the shared server keeps its database, log, login and address.
-HOME_VARIABLE = "MODETUNE_HOME"
 #: Seconds without a user after which the shared server ends.
 IDLE_VARIABLE = "MODETUNE_SERVER_IDLE_S"
 IDLE_S = 900.0
@@ -70,11 +70,7 @@ SETTINGS: Mapping[str, str] = {
 
 def server_home() -> Path:
     """The folder of what is this machine's and this user's own."""
-    named = os.environ.get(HOME_VARIABLE)
-    if named:
-        return machine_home(Path(named))
-    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
-    return machine_home(Path(base) / "modetune")
+    return machine_home(user_home())
 
 
 def machine_home(base: Path) -> Path:

@@ -17,6 +17,7 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import write_record
 from modetune.flows.campaign.campaign import Campaign, cores
 from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.jobs.engine import JobEngine, Ledger, Policy
 from modetune.flows.jobs.job import Plans
@@ -132,7 +133,9 @@ def _update(
         if executes is not None:
             execution = executes(engine, campaign.parallel)
         if campaign.sensitivity.method == "auto":
-            for said in filter(None, (not_linear(case.solver) for case in campaign.cases)):
+            solvers = [case.solver for case in campaign.cases]
+            told = [tell(solver) for solver in solvers for tell in (not_linear, not_confirmed)]
+            for said in dict.fromkeys(filter(None, told)):
                 logger.warning("%s", said)
         for case in campaign.cases:
             doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)

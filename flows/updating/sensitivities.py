@@ -82,13 +82,13 @@ class Sensitivities:
         solver = self.engine.solver
         shapes_found = solver.deck.summary.solid_shapes or not self.with_shapes
         linear = solver.deck.is_linear(parameter)
-        if solver.program.capabilities.matrices and shapes_found and linear:
+        if solver.offers.matrices and shapes_found and linear:
             return "semi_analytic"
         return "solver" if self._by_solver else "finite_difference"
 
     @property
     def _by_solver(self) -> bool:
-        has = self.engine.solver.program.capabilities
+        has = self.engine.solver.offers
         return has.shape_sensitivities if self.with_shapes else has.frequency_sensitivities
 
     def _has_energies(self, parameter: Parameter) -> bool:

@@ -10,6 +10,7 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.studies.check.findings import Finding, Level
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 
@@ -134,9 +135,9 @@ def energy_findings(
                 f"parameter {', '.join(silent)}",
             )
         )
-    said = not_linear(campaign.case.solver)
-    if said and campaign.sensitivity.method == "auto":
-        found.append(Finding("good", "parameters", said))
+    if campaign.sensitivity.method == "auto":
+        reasons = [tell(campaign.case.solver) for tell in (not_linear, not_confirmed)]
+        found += [Finding("good", "parameters", said) for said in reasons if said]
     return found + _balance(campaign, result, bool(shares))
 
 

@@ -234,7 +234,7 @@ def _orthogonality(
 ) -> Orthogonality:
     """One matrix job; sensors along the model's own axes that have an equation are masters."""
     solver = model.campaign.case.solver
-    if not solver.program.capabilities.matrices or not solver.deck.summary.solid_shapes:
+    if not solver.offers.matrices or not solver.deck.summary.solid_shapes:
         raise CampaignError(
             "orthogonality needs a mass matrix at the sensors, which "
             f"{solver.program.name} does not give for {solver.deck.summary.name} (solids without "

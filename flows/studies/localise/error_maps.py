@@ -63,7 +63,7 @@ def why_no_maps(campaign: Campaign) -> str:
     solver = campaign.case.solver
     if not campaign.test.has_shapes:
         return "maps need measured shapes, and the test has none"
-    if not solver.program.capabilities.matrices:
+    if not solver.offers.matrices:
         return f"maps need stiffness and mass matrices, which {solver.program.name} does not give"
     if not solver.deck.summary.solid_shapes:
         return (

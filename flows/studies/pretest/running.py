@@ -192,7 +192,7 @@ def _rigid_rows(model: Ground, modal: ModalResult) -> Floats:
 def _masses(campaign: Campaign, evaluator: Evaluator, candidates: CandidateSensors) -> Floats:
     """Mass along each direction of each candidate, (n, n_directions), from the mass matrix."""
     solver = campaign.case.solver
-    if not solver.program.capabilities.matrices:
+    if not solver.offers.matrices:
         raise CampaignError(
             f"--mass: {solver.program.name} gives no mass matrix here; leave it out"
         )
