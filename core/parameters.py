@@ -17,7 +17,9 @@ from modetune.core.modes import Floats
 
 Quantity = Literal[
     "youngs_modulus", "shear_modulus", "poissons_ratio", "density", "thickness", "area",
-    "inertia_1", "inertia_2", "torsion_constant", "dimension", "spring_stiffness", "mass",
+    "inertia_1", "inertia_2", "inertia_12", "torsion_constant", "dimension", "spring_stiffness",
+    "mass", "rotary_inertia", "nonstructural_mass", "ply_angle", "bending_inertia_ratio",
+    "shear_thickness_ratio", "shear_factor", "offset", "structural_damping", "viscous_damping",
     "matrix_factor",
 ]  # fmt: skip
 
@@ -35,14 +37,25 @@ TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
     "inertia_1": ("property", "element"),
     "inertia_2": ("property", "element"),
     "torsion_constant": ("property", "element"),
-    "dimension": ("property", "element"),
+    "inertia_12": ("property", "element"),
+    "dimension": ("elset", "property", "element"),
     "spring_stiffness": ("elset", "property", "element"),
     "mass": ("elset", "element"),
+    "rotary_inertia": ("element",),
+    "nonstructural_mass": ("property", "element"),
+    "ply_angle": ("elset", "property", "element"),
+    "bending_inertia_ratio": ("property", "element"),
+    "shear_thickness_ratio": ("property", "element"),
+    "shear_factor": ("property", "element"),
+    "offset": ("property", "element"),
+    "structural_damping": ("material", "property", "element"),
+    "viscous_damping": ("property", "element"),
     "matrix_factor": ("part",),
 }
 
-#: Powers of a quantity that stiffness and mass hold at most.
-POWERS: dict[Quantity, tuple[int, int]] = {
+#: Powers of a quantity that bound how stiffness and mass grow with it; infinite where none does
+#: (a ply that turns, an offset or a product of inertia that cancels another one).
+POWERS: dict[Quantity, tuple[float, float]] = {
     "youngs_modulus": (1, 0),
     "shear_modulus": (1, 0),
     "poissons_ratio": (1, 0),
@@ -55,6 +68,16 @@ POWERS: dict[Quantity, tuple[int, int]] = {
     "dimension": (4, 2),
     "spring_stiffness": (1, 0),
     "mass": (0, 1),
+    "rotary_inertia": (0, 1),
+    "nonstructural_mass": (0, 1),
+    "ply_angle": (np.inf, 0),
+    "inertia_12": (np.inf, 0),
+    "bending_inertia_ratio": (1, 0),
+    "shear_thickness_ratio": (1, 0),
+    "shear_factor": (1, 0),
+    "offset": (np.inf, 0),
+    "structural_damping": (0, 0),
+    "viscous_damping": (0, 0),
     "matrix_factor": (1, 1),
 }
 
@@ -127,6 +150,8 @@ def frequency_reach(parameters: ParameterSet, theta: Floats) -> tuple[float, flo
     By Rayleigh's quotient an eigenvalue rises at most by the largest factor of any part of the
     stiffness over the least of any part of the mass; quantities of one part multiply.
     """
+    if any(np.isinf(POWERS[item.quantity]).any() for item in parameters.parameters):
+        return 0.0, np.inf
     least = largest = 1.0
     ratios = {
         "lower": np.minimum(parameters.lower / theta, 1.0),

@@ -46,7 +46,8 @@ class CardField:
     """One field of a card as it stands in the deck.
 
     line: position in the deck's lines. start, stop: the columns of the line's text, blanks of the
-    field included. width: 8, 16, or 0 in free field. text: without blanks round it.
+    field included. width: 8, 16, or 0 in free field. text: without blanks round it. lead: what must
+    be written before it where the line ends earlier.
     """
 
     line: int
@@ -54,6 +55,7 @@ class CardField:
     stop: int
     width: int
     text: str
+    lead: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,12 +243,39 @@ def _fixed_spans(data: str) -> list[tuple[int, int]]:
     return list(pairwise(stops))
 
 
+def blank_field(lines: Sequence[Line], card: NastranCard, number: int) -> CardField | None:
+    """Where a blank field of a card stands; None in a line that the card does not have."""
+    first = 1
+    for position in card.lines:
+        count = len(_row(lines[position], position).data)
+        if number < first + count:
+            return _blank(lines[position].text.partition("$")[0].rstrip(), position, number - first)
+        first += count
+    return None
+
+
+def _blank(data: str, position: int, place: int) -> CardField:
+    """A blank field of a line, by its place among the data fields of that line."""
+    end = len(data)
+    if "," in data[:FREE]:
+        _, *spans = _free_spans(data)
+        if place < len(spans):
+            return CardField(position, *spans[place], 0, "")
+        return CardField(position, end, end, 0, "", "," * (place - len(spans) + 1))
+    _, *spans = _fixed_spans(data)
+    width = LARGE if "*" in data.expandtabs()[:SMALL] else SMALL
+    lead = " " * (SMALL + place * width - len(data.expandtabs()))
+    return CardField(position, *spans[place], width, "", lead)
+
+
 def large_field(name: str, fields: Sequence[str]) -> str:
     """A card in large field: four data fields of 16 columns a line."""
     texts = [
         text if len(text) <= LARGE else format_number(read_number(text), LARGE) for text in fields
     ]
     rows = [texts[start : start + 4] for start in range(0, len(texts), 4)] or [[]]
+    if len(rows) % 2 and len(rows) > 1:
+        rows.append([])  # MYSTRAN takes two lines for one, and breaks off where a ply has no second
     heads = [f"{name}*", *["*"] * (len(rows) - 1)]
     lines = [
         f"{head:<{SMALL}}" + "".join(f"{text:<{LARGE}}" for text in row)
@@ -263,7 +292,7 @@ def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float]) -> d
     stood there before: what is longer is cut by some programs. Raises ModelError.
     """
     changed: dict[int, str] = {}
-    for field in sorted(values, key=lambda field: (field.line, -field.start)):
+    for field in sorted(values, key=lambda field: (field.line, -field.start, len(field.lead))):
         line = lines[field.line]
         text = changed.get(field.line, line.text)
         old = text[field.start : field.stop]
@@ -280,6 +309,11 @@ def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float]) -> d
             )
         except ValueError as error:
             raise ModelError(f"{line.where}: {error}") from None
+        if field.lead:
+            tail = text[field.start : len(text) + field.start - len(line.text)]
+            gap = "" if field.width else field.lead[tail.count(",") :]
+            new = tail.ljust(len(field.lead) if field.width else 0) + gap + new
+            text = text[: field.start] + text[field.start + len(tail) :]
         changed[field.line] = text[: field.start] + new + text[field.stop :]
     return changed
 
@@ -294,6 +328,8 @@ def _free(line: Line, field: CardField, old: str, value: float) -> str:
 def _fixed(field: CardField, old: str, value: float) -> str:
     """The field's columns with another number; a field cut short by the line's end stays so."""
     number = format_number(value, field.width)
+    if not old and not field.lead:  # the line ends where the field begins
+        return number.rjust(field.width)
     columns = old.expandtabs(SMALL)
     length = len(columns)
     lead = length - len(columns.lstrip())

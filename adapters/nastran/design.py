@@ -97,7 +97,8 @@ def _relations(
                 )
             number += 1
             card = cards[place.card.lines[0]]
-            lines += _relation(number, variable, place, _coefficient(card.text(place.field)))
+            text = card.text(place.field) or repr(place.value)  # blank: its default
+            lines += _relation(number, variable, place, _coefficient(text))
     return lines
 
 

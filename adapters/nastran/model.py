@@ -33,7 +33,10 @@ from modetune.core.parameters import Parameter, Values
 logger = logging.getLogger(__name__)
 
 #: Quantities in which stiffness and mass matrices are linear whatever the card.
-LINEAR = ("density", "mass", "spring_stiffness", "torsion_constant")
+LINEAR = (
+    "density", "mass", "rotary_inertia", "nonstructural_mass", "spring_stiffness",
+    "torsion_constant", "structural_damping", "viscous_damping",
+)  # fmt: skip
 #: Case control may hold parameters too, in free field.
 WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
 #: K1 and K2, the shear stiffness factors of a PBAR.
@@ -159,10 +162,10 @@ class NastranModel(Deck):
     def numbers(self, parameter: Parameter) -> list[Number]:
         found = []
         for place in self.places(parameter):
-            field = place.card.fields[place.field]
-            assert field is not None  # a place holds a number
+            field = self.structure.field(place.card, place.field)
             where = self.deck.lines[field.line].where
-            found.append(Number((field.line, field.start), place.value, where))
+            at = field.line, field.start, len(field.lead)
+            found.append(Number(at, place.value, where))
         return found
 
     def written(self, parameter: Parameter, value: float) -> float:
@@ -171,11 +174,11 @@ class NastranModel(Deck):
             return value
         ratios = []
         for place in self.places(parameter):
-            field = place.card.fields[place.field]
-            assert field is not None  # a place holds a number
+            field = self.structure.field(place.card, place.field)
             (text,) = changed_lines(self.deck, {field: place.value * value}).values()
             behind = len(self.deck.lines[field.line].text) - field.stop
-            ratios.append(read_number(text[field.start : len(text) - behind]) / place.value)
+            number = text[field.start + len(field.lead) : len(text) - behind]
+            ratios.append(read_number(number) / place.value)
         return sum(ratios) / len(ratios)
 
     def edit(self, pairs: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
@@ -188,9 +191,7 @@ class NastranModel(Deck):
             if factor == 1.0:
                 continue
             for place in self.places(parameter):
-                field = place.card.fields[place.field]
-                assert field is not None  # a place holds a number
-                values[field] = place.value * factor
+                values[self.structure.field(place.card, place.field)] = place.value * factor
         return changed_lines(self.deck, values)
 
     def edited(self, values: Values) -> EditedNastran:

@@ -11,7 +11,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from modetune.adapters.nastran.deck import NastranCard
-from modetune.adapters.nastran.sections import Entry, section_entries
+from modetune.adapters.nastran.sections import (
+    ACTS_WITH,
+    DEFAULTS,
+    STATION,
+    Entry,
+    check_end,
+    section_entries,
+)
 from modetune.adapters.nastran.structure import Structure
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
@@ -61,20 +68,36 @@ MATERIAL_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
     ("density", "MAT9"): ((0, 23, "RHO"),),
     ("density", "MAT10"): ((0, 3, "RHO"),),
     ("density", "MAT11"): ((0, 11, "RHO"),),
+    ("structural_damping", "MAT1"): ((0, 8, "GE"),),
+    ("structural_damping", "MAT2"): ((0, 12, "GE"),),
+    ("structural_damping", "MAT8"): ((0, 17, "GE"),),
+    ("structural_damping", "MAT9"): ((0, 31, "GE"),),
 }  # fmt: skip
+#: Offsets of both ends of a bar or beam, their fields after the pin flags.
+_ENDS = tuple((place, 10 + place, f"W{place - 3 * (place > 3)}{'AB'[place > 3]}")
+              for place in range(1, 7))  # fmt: skip
+_INERTIA = ((11, 9, "I11"), (21, 10, "I21"), (22, 11, "I22"), (31, 12, "I31"), (32, 13, "I32"),
+            (33, 14, "I33"))  # fmt: skip
+_PLATES = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR")
 #: Numbers that stand on the element itself, by quantity and card.
 ELEMENT_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
     ("area", "CONROD"): ((0, 5, "A"),),
     ("torsion_constant", "CONROD"): ((0, 6, "J"),),
     ("spring_stiffness", "CELAS2"): ((0, 2, "K"),),
     ("spring_stiffness", "CELAS4"): ((0, 2, "K"),),
+    ("structural_damping", "CELAS2"): ((0, 7, "GE"),),
+    ("viscous_damping", "CDAMP2"): ((0, 2, "B"),),
+    ("viscous_damping", "CDAMP4"): ((0, 2, "B"),),
+    ("nonstructural_mass", "CONROD"): ((0, 8, "NSM"),),
+    ("offset", "CBAR"): _ENDS,
+    ("offset", "CBEAM"): _ENDS,
+    **{("offset", plate): ((0, 8 if plate[1] == "Q" else 7, "ZOFFS"),) for plate in _PLATES},
+    ("offset", "CONM2"): ((1, 5, "X1"), (2, 6, "X2"), (3, 7, "X3")),
+    ("rotary_inertia", "CONM2"): _INERTIA,
     ("mass", "CMASS2"): ((0, 2, "M"),),
     ("mass", "CMASS4"): ((0, 2, "M"),),
     # The inertia goes along with the mass: the body keeps its shape.
-    ("mass", "CONM2"): (
-        (0, 4, "M"), (0, 9, "I11"), (0, 10, "I21"), (0, 11, "I22"), (0, 12, "I31"),
-        (0, 13, "I32"), (0, 14, "I33"),
-    ),
+    ("mass", "CONM2"): ((0, 4, "M"), *((0, field, symbol) for _, field, symbol in _INERTIA)),
 }  # fmt: skip
 #: Thicknesses that stand on an element beside its property's: first and last field, and the flag
 #: that makes them fractions of the property's (1) instead.
@@ -82,6 +105,8 @@ OWN_THICKNESS = {
     "CQUAD4": (11, 14, 10), "CQUADR": (11, 14, 10), "CQUAD8": (11, 14, 17),
     "CTRIA3": (11, 13, 10), "CTRIAR": (11, 13, 10), "CTRIA6": (11, 13, 14),
 }  # fmt: skip
+#: Quantities of point masses.
+OF_MASSES = ("mass", "rotary_inertia", "offset")
 REMEDY = {
     "elset": "a Nastran deck has no element sets: name a property or elements instead",
     "part": "a Nastran deck has no matrix parts: name a material, a property or elements instead",
@@ -150,6 +175,19 @@ def _of_property(
         )
     if parameter.quantity == "thickness" and card.name == "PSHELL":
         _check_own_thickness(structure, card, ident)
+    if card.name == "PBEAM" and parameter.quantity in STATION and parameter.item == 1:
+        check_end(structure, card, ident, entries)
+    if card.name == "PBAR" and parameter.quantity == "shear_factor" and structure.number(card, 19):
+        raise ModelError(
+            f"{structure.deck.where(card)}: PBAR {ident} has I12, beside which K1 and K2 have no "
+            "effect"
+        )
+    field, name = ACTS_WITH.get(parameter.quantity, (0, ""))
+    if name and card.text(field) in ("", "0", "-1"):
+        raise ModelError(
+            f"{structure.deck.where(card)}: {card.name} {ident} has no {name}, without which "
+            f"{parameter.quantity} has no effect"
+        )
     return select(structure, parameter, card, ident, entries)
 
 
@@ -168,7 +206,9 @@ def _check_own_thickness(structure: Structure, card: NastranCard, ident: int) ->
 def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]:
     quantity = parameter.quantity
     owners = structure.owners
-    family = owners.masses if quantity == "mass" else owners.elements
+    family = owners.elements
+    if quantity in OF_MASSES:
+        family = owners.masses if quantity != "offset" else {**owners.elements, **owners.masses}
     numbers = structure.element_numbers(family, parameter.targets)
     found: list[ValuePlace] = []
     by_property: list[int] = []
@@ -177,7 +217,12 @@ def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]
         entries = ELEMENT_ENTRIES.get((quantity, card.name))
         if entries is not None:
             found += select(structure, parameter, card, number, entries)
-        elif quantity == "mass":
+        elif quantity in OF_MASSES and number in owners.masses:
+            if quantity != "mass":
+                raise ModelError(
+                    f"{structure.deck.where(card)}: {card.name} {number} has no {quantity} that "
+                    "can be updated"
+                )
             raise ModelError(
                 f"{structure.deck.where(card)}: {card.name} {number} has no mass of its own to "
                 "update; CONM2, CMASS2 and CMASS4 have"
@@ -209,7 +254,11 @@ def select(
         if not picked:
             choice = ", ".join(map(str, items)) or "one alone, so leave the item out"
             raise ModelError(f"{where}: no item {item} of {parameter.quantity}; it has {choice}")
-    numbers = [(entry, structure.number(card, entry[1])) for entry in picked]
+    numbers = [
+        (entry, DEFAULTS.get((card.name, entry[2])) if number is None else number)
+        for entry in picked
+        for number in [structure.number(card, entry[1])]
+    ]
     symbols = ", ".join(symbol for _, _, symbol in picked)
     if all(value is None for _, value in numbers):
         raise ModelError(f"{where}: {symbols} is blank, so there is no {parameter.quantity}")

@@ -9,7 +9,8 @@ from difflib import get_close_matches
 from functools import cached_property
 
 from modetune.adapters.nastran.bulk import Bulk, Cards, Owners
-from modetune.adapters.nastran.deck import NastranCard, NastranDeck
+from modetune.adapters.nastran.cards import blank_field
+from modetune.adapters.nastran.deck import CardField, NastranCard, NastranDeck
 from modetune.adapters.nastran.number import read_number
 from modetune.core.errors import ModelError
 
@@ -70,6 +71,18 @@ class Structure:
             return read_number(found.text)
         except ValueError as error:
             raise ModelError(f"{self.deck.lines[found.line].where}: {error}") from None
+
+    def field(self, card: NastranCard, number: int) -> CardField:
+        """A field of a card, blank or not. Raises ModelError where the card has no such line."""
+        found = card.fields[number] if number < len(card.fields) else None
+        if found is None:
+            found = blank_field(self.deck.lines, card, number)
+        if found is None:
+            raise ModelError(
+                f"{self.deck.where(card)}: field {number + 1} of {card.name} {card.text(1)} is in "
+                "a line that the card does not have: write it out"
+            )
+        return found
 
     def material(self, target: str) -> NastranCard:
         """The card of a material that elements use. Raises ModelError."""

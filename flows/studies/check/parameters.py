@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import Parameter
+from modetune.core.parameters import POWERS, Parameter
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.self_test import not_confirmed
@@ -72,6 +72,15 @@ def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]
             found.append(
                 ("wrong", f"{bounds} let Poisson's ratio reach {reach:.3g}", "keep it below 0.5")
             )
+    if not any(POWERS[item.quantity]):
+        found.append(
+            (
+                "doubtful",
+                f"{item.quantity.replace('_', ' ')} does not change frequencies and shapes of "
+                "undamped modes",
+                "leave it out; no response of this campaign tells it",
+            )
+        )
     if not item.lower <= 1.0 <= item.upper:
         found.append(
             (

@@ -561,6 +561,7 @@ def parameters(bench: Any, **changes: Any) -> list[Finding]:
         ({"lower": 0.01}, "doubtful", "hold nothing back"),
         ({"lower": 0.995, "upper": 1.005}, "doubtful", "leave no room"),
         ({"lower": 1.0}, "doubtful", "it starts on a bound (1)"),
+        ({"quantity": "structural_damping"}, "doubtful", "structural damping does not change freq"),
     ],
 )
 def test_bounds_that_make_no_sense_are_told(
