@@ -59,13 +59,6 @@ def of_point(mass: float, place: Floats, second: Floats | None = None) -> Moment
     return Moments(mass, mass * place, mass * np.outer(place, place) + own)
 
 
-def of_rod(mass: float, ends: Floats, slack: float) -> Moments:
-    """A straight line of uniform mass; ends: (2, 3)."""
-    along = ends[1] - ends[0]
-    body = of_point(mass, ends.mean(axis=0), mass / 12.0 * np.outer(along, along))
-    return Moments(body.mass, body.first, body.second, slack)
-
-
 def of_volume(points: Points, density: Floats) -> Moments:
     """Solids; density: (n_elements,)."""
     return _integrated(points.places, points.measures * density[:, None])

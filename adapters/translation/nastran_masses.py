@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from modetune.adapters.translation.cross_sections import cross_section
+from modetune.adapters.translation.beams import KINDS as BARS
+from modetune.adapters.translation.beams import beam_of
 from modetune.adapters.translation.element_geometry import SHAPES, Points, integration_points
 from modetune.adapters.translation.freedoms import Freedoms
 from modetune.adapters.translation.mass_properties import (
@@ -14,7 +17,6 @@ from modetune.adapters.translation.mass_properties import (
     Moments,
     mass_properties,
     of_point,
-    of_rod,
     of_surface,
     of_volume,
     second_moment,
@@ -24,7 +26,6 @@ from modetune.adapters.translation.shells import KINDS as SHELLS
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.core.modes import Floats
 
-BARS = ("CBAR", "CBEAM", "CROD", "CONROD", "CTUBE")
 CORNERS = {"CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4}
 
 
@@ -50,7 +51,7 @@ def nastran_mass_properties(
                 (corners, *_shell(element, wtmass))
             )
         elif element.type in BARS:
-            parts.append(_bar(element, freedoms, wtmass))
+            parts += _bar(element, freedoms, wtmass)
     for kind, rows in solids.items():
         parts.append(of_volume(_points(kind, [row[0] for row in rows]), _column(rows, 1)))
     for kind, plates in shells.items():
@@ -99,12 +100,13 @@ def _shell(element: Any, wtmass: float) -> tuple[float, float, float]:
     return area / thickness * wtmass, thickness, offset
 
 
-def _bar(element: Any, freedoms: Freedoms, wtmass: float) -> Moments:
-    section = cross_section(element if element.type == "CONROD" else element.pid_ref)
-    ends = np.array([freedoms.builder.coordinates[node] for node in element.node_ids[:2]])
-    for place, name in enumerate(("wa", "wb")):
-        frame = freedoms.frames.get(element.node_ids[place], np.eye(3))
-        ends[place] += np.asarray(getattr(element, name, np.zeros(3))) @ frame
-    length = float(np.linalg.norm(ends[1] - ends[0]))
-    rotary = section.density * (section.inertia_1 + section.inertia_2) * length
-    return of_rod(section.mass_per_length * length * wtmass, ends, rotary * wtmass)
+def _bar(element: Any, freedoms: Freedoms, wtmass: float) -> Iterator[Moments]:
+    """Simpson's rule between stations: exact for linear mass and centre; slack: rotary inertia."""
+    beam = beam_of(element, freedoms)
+    for start, stop in beam.section.stretches:
+        length = (stop - start) * beam.length * wtmass
+        for place, weight in ((start, 1.0), (0.5 * (start + stop), 4.0), (stop, 1.0)):
+            mass, centre, second = beam.section.mass(place)
+            share = weight / 6.0 * length
+            body = of_point(mass * share, beam.place(place, centre))
+            yield replace(body, slack=float(np.trace(second)) * share)
