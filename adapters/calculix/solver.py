@@ -29,8 +29,8 @@ from modetune.adapters.calculix.results import (
     read_modal,
     read_version,
 )
-from modetune.adapters.calculix.spare_unknowns import modes_at_most, without_spare
-from modetune.adapters.cross_checks import check_energies, mark_of
+from modetune.adapters.calculix.spare_unknowns import modes_at_most
+from modetune.adapters.cross_checks import check_energies, mark_of, without_spare
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import (

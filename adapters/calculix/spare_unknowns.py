@@ -9,20 +9,15 @@ are taken off again.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from modetune.adapters.calculix.constraints import Dof, read_constraints
 from modetune.adapters.calculix.model import CalculixModel
+from modetune.adapters.cross_checks import SPARE_EIGENVALUE
 from modetune.core.errors import ModelError
-from modetune.core.updating.results import ModalResult
 
 #: Unknowns that ccx wants for each mode.
 FOR_A_MODE = 5
-#: Stiffness, mass and eigenvalue of a spare unknown, 1.6 GHz in seconds.
-STIFFNESS, MASS = 1e12, 1e-8
-EIGENVALUE = STIFFNESS / MASS
+#: Stiffness and mass of a spare unknown.
+STIFFNESS, MASS = 1e-8 * SPARE_EIGENVALUE, 1e-8
 #: Models with more nodes have unknowns enough.
 MOST_NODES = 20_000
 
@@ -72,15 +67,3 @@ def _free(model: CalculixModel) -> set[Dof]:
 def modes_at_most(model: CalculixModel, n_modes: int) -> int:
     """So many modes, or as many as the model has freedoms for."""
     return min(n_modes, len(_free(model)) or n_modes)
-
-
-def without_spare(result: ModalResult) -> ModalResult:
-    """The modes of the model itself."""
-    own = int(np.sum(result.eigenvalues < 0.5 * EIGENVALUE))
-    return result if own == result.eigenvalues.size else replace(
-        result,
-        eigenvalues=result.eigenvalues[:own],
-        modes=result.modes.select(np.arange(own)),
-        strain_energies=result.strain_energies[:, :own],
-        total_strain_energy=result.total_strain_energy[:own],
-    )  # fmt: skip

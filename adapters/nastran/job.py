@@ -70,7 +70,8 @@ def job_text(
     if isinstance(analysis, SensitivityAnalysis):
         lines += design_cards(model, changed, analysis)
     given = {name for name, _ in case.parameters}
-    return "\n".join([*lines, *_bulk(model, changed, dialect, given), "ENDDATA"]) + "\n"
+    cards = _bulk(model, changed, dialect, given, analysis.n_modes)
+    return "\n".join([*lines, *cards, "ENDDATA"]) + "\n"
 
 
 def requested_elements(model: NastranModel, analysis: ModalAnalysis) -> list[int]:
@@ -127,7 +128,7 @@ def _eigrl(model: NastranModel, case: CaseControl, n_modes: int, dialect: Dialec
 
 
 def _bulk(
-    model: NastranModel, changed: Mapping[int, str], dialect: Dialect, given: set[str]
+    model: NastranModel, changed: Mapping[int, str], dialect: Dialect, given: set[str], n_modes: int
 ) -> list[str]:
     """The user's cards in their order, edited, without comments and parameters given already."""
     own = OWN_PARAMETERS | given
@@ -136,7 +137,8 @@ def _bulk(
         return card.name in LEFT_OUT or (card.name == "PARAM" and card.text(1) in own)
 
     if dialect.name == "mystran":
-        return mystran_cards(with_lines(model.deck, changed) if changed else model.deck, left_out)
+        deck = with_lines(model.deck, changed) if changed else model.deck
+        return mystran_cards(deck, left_out, n_modes)
     kept = {line for card in model.deck.cards if not left_out(card) for line in card.lines}
     return [_text(model.deck, changed, position) for position in sorted(kept)]
 

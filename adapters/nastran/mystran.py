@@ -8,15 +8,16 @@ from modetune.adapters.nastran.bulk import DEFAULTS, filled
 from modetune.adapters.nastran.cards import large_field
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.harmless import HARMLESS
+from modetune.adapters.nastran.mystran_scalars import ELEMENTS, PROPERTIES, Card, Scalars
 from modetune.core.errors import ModelError
 
 #: Cards whose modes by MYSTRAN were compared with another solver's or a closed form. What is
 #: neither here nor harmless is refused: MYSTRAN passes over some cards without a word.
 COMPARED = frozenset({
     "GRID", "CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S", "PARAM", "CQUAD4", "CTRIA3",
-    "CHEXA", "CPENTA", "CTETRA", "CBAR", "CROD", "CONROD", "CELAS1", "CELAS2", "CBUSH", "CONM2",
-    "PSHELL", "PCOMP", "PSOLID", "PBAR", "PBARL", "PROD", "PELAS", "PBUSH", "MAT1", "MAT8", "RBE2",
-    "RBE3", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD",
+    "CHEXA", "CPENTA", "CTETRA", "CBAR", "CROD", "CONROD", "CBUSH", "CONM2", "PSHELL", "PCOMP",
+    "PSOLID", "PBAR", "PBARL", "PROD", "PBUSH", "MAT1", "MAT8", "RBE2", "RBE3", "SPC", "SPC1",
+    "SPCADD", "MPC", "MPCADD", "SPOINT", *ELEMENTS, *PROPERTIES,
 })  # fmt: skip
 #: Cross-sections of PBARL whose stiffness it has right.
 SECTIONS = frozenset({
@@ -28,8 +29,6 @@ PBARL_TYPE, GRID_CD, CONM2_GRID, PLY, PLIES_APART = 4, 6, 2, 9, 4
 TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
 CONM2_BODY = (5, 6, 7, 9, 10, 11, 12, 13, 14)
 DENSITIES = {"MAT1": 5, "MAT8": 8}
-#: Springs and the fields of their two nodes.
-SPRINGS = {"CELAS1": (3, 5), "CELAS2": (3, 5)}
 #: Field of a PSOLID that says how many points a solid is integrated with.
 INTEGRATION = 4
 #: Fields of an EIGRL card: its number, and the shift of the first factorisation.
@@ -48,14 +47,18 @@ def first_shift(deck: NastranDeck, method: int) -> str:
     return SHIFT
 
 
-def mystran_cards(deck: NastranDeck, left_out: Callable[[NastranCard], bool]) -> list[str]:
+def mystran_cards(
+    deck: NastranDeck, left_out: Callable[[NastranCard], bool], n_modes: int = 0
+) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
-    Blank fields that a GRDSET or BAROR fills are filled. MYSTRAN's solids have no default for the
-    integration, so a blank IN of PSOLID becomes 2 (two points a direction). Raises ModelError for
-    all cards it cannot take, with the lines they stand in.
+    n_modes: how many it must be able to find. Blank fields that a GRDSET or BAROR fills are filled.
+    MYSTRAN's solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two
+    points a direction). Raises ModelError for all cards it cannot take, with the lines they stand
+    in.
     """
-    texts: list[str] = []
+    scalars = Scalars(deck)
+    cards: list[Card] = list(scalars.grids())
     problems: dict[str, list[str]] = {}
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
     frames = {
@@ -71,6 +74,8 @@ def mystran_cards(deck: NastranDeck, left_out: Callable[[NastranCard], bool]) ->
         if card.name in HARMLESS or left_out(card):
             continue
         reason = _obstacle(card, frames, densities)
+        if not reason and card.name in ELEMENTS:
+            reason = scalars.obstacle(card)
         if reason:
             problems.setdefault(reason, []).append(deck.where(card))
             continue
@@ -78,7 +83,7 @@ def mystran_cards(deck: NastranDeck, left_out: Callable[[NastranCard], bool]) ->
         if card.name == "PSOLID" and not card.text(INTEGRATION):
             fields += [""] * (INTEGRATION - len(fields))
             fields[INTEGRATION - 1] = "2"
-        texts.append(large_field(card.name, fields))
+        cards += _written(card, fields, scalars)
     if problems:
         raise ModelError(
             "\n".join(
@@ -87,7 +92,20 @@ def mystran_cards(deck: NastranDeck, left_out: Callable[[NastranCard], bool]) ->
                 for reason, places in problems.items()
             )
         )
-    return texts
+    if n_modes:
+        cards += scalars.spare(n_modes)
+    return [large_field(name, fields) for name, fields in cards]
+
+
+def _written(card: NastranCard, fields: list[str], scalars: Scalars) -> list[Card]:
+    """The cards that say to MYSTRAN what a card says; none for what others have in them."""
+    if card.name in PROPERTIES or card.name == "SPOINT":
+        return []
+    if card.name in ELEMENTS:
+        return scalars.spring(card) if card.name.startswith("CELAS") else scalars.mass(card)
+    if card.name in ("SPC", "SPC1", "MPC"):
+        return scalars.constraint(card, fields)
+    return [(card.name, fields)]
 
 
 def _obstacle(
@@ -99,11 +117,6 @@ def _obstacle(
     """
     if card.name not in COMPARED:
         return f"MYSTRAN has no {card.name}, or its modes with it were never compared"
-    if any(card.text(node) in ("", "0") for node in SPRINGS.get(card.name, ())):
-        return (
-            f"in MYSTRAN a {card.name} to ground needs a node there that is held (123456 in field "
-            "8 of its GRID)"
-        )
     if card.name == "PBARL" and card.text(PBARL_TYPE) not in SECTIONS:
         return f"MYSTRAN has the stiffness of a {card.text(PBARL_TYPE)} section of PBARL wrong"
     if card.name in TFLAGS and card.text(TFLAGS[card.name]) not in ("", "0"):

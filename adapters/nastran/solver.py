@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from modetune.adapters.cross_checks import without_spare
 from modetune.adapters.licence import licence_refusal
 from modetune.adapters.nastran.deck import read_deck, with_lines
 from modetune.adapters.nastran.design_sensitivity import read_dscm2
@@ -50,8 +51,11 @@ RESOURCES = re.compile(
     r"CANNOT ALLOCATE|ALLOCATION (?:ERROR|FAILED)",
     re.IGNORECASE,
 )
-#: Cards of which MYSTRAN (17, 18) weighs too little; its modes are right.
-MISWEIGHED = ("CHEXA", "CPENTA", "CTETRA", "PCOMP", "PCOMPG")
+#: Cards of which MYSTRAN (17, 18) weighs too little, and masses that have one direction alone; its
+#: modes are right.
+MISWEIGHED = (
+    "CHEXA", "CPENTA", "CTETRA", "PCOMP", "PCOMPG", "CMASS1", "CMASS2", "CMASS3", "CMASS4",
+)  # fmt: skip
 #: Messages of one run that an error shows.
 SHOWN = 5
 
@@ -149,7 +153,7 @@ class NastranProgram:
         elements = [
             frozenset[int]().union(*map(model.set_elements, sets)) for _, sets in analysis.groups
         ]
-        result = modal_result(modes, analysis, elements, model.wtmass)
+        result = without_spare(modal_result(modes, analysis, elements, model.wtmass))
         doubtful = self.dialect.name == "mystran" and model.deck.named(*MISWEIGHED)
         return replace(result, mass=math.nan) if doubtful else result
 
