@@ -111,8 +111,8 @@ def test_pynastran_reads_the_jobs_of_all_dialects(dialect: Dialect, tmp_path: Pa
     assert bdf.sol == 103
     assert bdf.methods[10].nd == 2
     assert bdf.methods[10].norm == "MASS"
-    assert sorted(bdf.nodes) == [1, 2, 3]
-    assert sorted(bdf.elements) == [11, 12, 13]
+    assert sorted(bdf.nodes)[:3] == [1, 2, 3]  # MYSTRAN gets spare ones beyond
+    assert sorted(bdf.elements)[:3] == [11, 12, 13]
 
 
 def test_a_deck_of_bulk_data_alone_becomes_a_whole_job(tmp_path: Path) -> None:
@@ -264,10 +264,10 @@ def test_mystran_gets_a_shift_and_two_points_in_its_solids(tmp_path: Path) -> No
 
 
 def test_cards_that_mystran_has_not_are_refused_all_at_once(tmp_path: Path) -> None:
-    text = HEAD + BULK + "CELAS2,14,5.,1,1\nNSM1,3,PSHELL,1.,4\n"
+    text = HEAD + BULK + "CMASS2,14,5.,1,1,2,1\nNSM1,3,PSHELL,1.,4\n"
     with pytest.raises(ModelError) as caught:
         job(tmp_path, text, dialect=MYSTRAN)
-    assert "line 24: in MYSTRAN a CELAS2 to ground needs a node" in str(caught.value)
+    assert "line 24: MYSTRAN has no CMASS2 between two points" in str(caught.value)
     assert "line 25: MYSTRAN has no NSM1" in str(caught.value)
 
 
@@ -426,7 +426,7 @@ def test_bulk_data_alone_with_several_constraint_sets_is_ambiguous(tmp_path: Pat
 @pytest.mark.parametrize(
     ("card", "message"),
     [  # what MYSTRAN 18 was seen to get wrong without a word
-        ("CMASS2,40,.5,2,1\n", "CMASS2, or its modes with it were never compared"),
+        ("CELAS1,40,9,2,1\n", "CELAS1: its value is not there .PELAS 9"),
         ("RBAR,40,2,3,123456\n", "RBAR"),
         ("PBARL,4,1,,CHAN1\n,1.,1.,1.,1.\n", "stiffness of a CHAN1 section"),
         ("CORD2R,7,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,9,,3.,0.,0.,7\nCONM2,41,9,,1.,.1\n",
