@@ -112,7 +112,9 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
     if 2 * len(strange) > len(deck.cards):
         refuse(objections[card] for card in strange)
     found = [Objection(card.name, text) for card, text in objections.items()]
-    _add_scalar_points(bulk)
+    points = scalar_points(deck) - set(bulk.nodes) - set(bulk.spoints) - set(bulk.epoints)
+    if points:
+        bulk.add_spoint(sorted(points))
     while missing := list(_missing(deck, bulk, owners)):
         found += missing
     try:
@@ -144,13 +146,16 @@ def _no_card(card: NastranCard) -> str:
     return f"{card.name[:40]!r} is not the name of a card"
 
 
-def _add_scalar_points(bulk: Bulk) -> None:
-    """The scalar points that elements name and no card makes."""
-    items = [*bulk.elements.values(), *bulk.masses.values()]
-    named = {node for item in items if item.type in SCALAR for node in item.node_ids if node}
-    points = named - set(bulk.nodes) - set(bulk.spoints) - set(bulk.epoints)
-    if points:
-        bulk.add_spoint(sorted(points))
+def scalar_points(deck: NastranDeck) -> set[int]:
+    """A deck's scalar points: named by SPOINT, or by elements between such alone."""
+    found = set[int]()
+    for card in deck.named("SPOINT"):
+        texts = [card.text(field) for field in range(1, len(card.fields))]
+        numbers = [int(text) for text in texts if text.isdecimal()]
+        found.update(range(numbers[0], numbers[-1] + 1) if "THRU" in texts else numbers)
+    for card in deck.named(*SCALAR):
+        found.update(int(card.text(end)) for end in (3, 4) if card.text(end).isdecimal())
+    return found - {0}
 
 
 def _add(bulk: Bulk, deck: NastranDeck, card: NastranCard, default: NastranCard | None) -> None:
@@ -162,7 +167,9 @@ def _add(bulk: Bulk, deck: NastranDeck, card: NastranCard, default: NastranCard 
         bulk.add_card_lax(texts, card.name, is_list=False, has_none=False)
         return
     texts = [card.name, *filled(card, default)]
-    bulk.add_card_lax(texts, card.name, is_list=True, has_none=False)
+    if card.name == "CMASS3":  # pyNastran 1.4.1 loses its way where one end is on the ground
+        texts = ["CMASS1", *texts[1:4], "0", card.text(4) or "0", "0"]
+    bulk.add_card_lax(texts, texts[0], is_list=True, has_none=False)
     if card.name == "MAT8":
         # A blank G1Z or G2Z means no transverse shear; pyNastran puts 1e8 there, in any unit.
         material = bulk.materials[int(card.text(1))]

@@ -74,7 +74,7 @@ def mystran_cards(
         if card.name in HARMLESS or left_out(card):
             continue
         reason = _obstacle(card, frames, densities)
-        if not reason and card.name in ELEMENTS:
+        if not reason and card.name in (*ELEMENTS, "CBUSH"):
             reason = scalars.obstacle(card)
         if reason:
             problems.setdefault(reason, []).append(deck.where(card))
@@ -103,6 +103,8 @@ def _written(card: NastranCard, fields: list[str], scalars: Scalars) -> list[Car
         return []
     if card.name in ELEMENTS:
         return scalars.spring(card) if card.name.startswith("CELAS") else scalars.mass(card)
+    if card.name in ("CBUSH", "PBUSH"):
+        return scalars.bush(card, fields)
     if card.name in ("SPC", "SPC1", "MPC"):
         return scalars.constraint(card, fields)
     return [(card.name, fields)]

@@ -10,9 +10,10 @@ nothing, far above its modes, which are taken off again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from modetune.adapters.cross_checks import SPARE_EIGENVALUE
+from modetune.adapters.nastran.bulk import scalar_points
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.number import format_number, read_number
 
@@ -29,8 +30,6 @@ ELEMENTS = {
 #: Their properties, of which a card may hold several: fields of numbers and of values.
 PROPERTIES = {"PELAS": ((1, 2), (5, 6)), "PMASS": ((1, 2), (3, 4), (5, 6), (7, 8))}
 BY_PROPERTY = {"CELAS1": "PELAS", "CELAS3": "PELAS", "CMASS1": "PMASS", "CMASS3": "PMASS"}
-#: Elements whose ends are scalar points.
-POINTS_ALONE = ("CELAS3", "CELAS4", "CMASS3", "CMASS4")
 #: Constraints: the first field of a point, and how far the next one is. A component follows.
 CONSTRAINTS = {"SPC": (2, 3), "MPC": (2, 3)}
 #: Fields of a GRID: of its place (with CP), its frame and what is fixed.
@@ -49,7 +48,7 @@ class Scalars:
 
     def __init__(self, deck: NastranDeck) -> None:
         self._grids = {card.text(1): card for card in deck.named("GRID")}
-        self.points = frozenset(scalar_points(deck) - set(self._grids))
+        self.points = frozenset(map(str, scalar_points(deck))) - set(self._grids)
         self._last = max(
             (int(card.text(1)) for card in deck.cards if card.text(1).isdecimal()), default=0
         )
@@ -60,6 +59,13 @@ class Scalars:
             for name, pairs in PROPERTIES.items()
             for card in deck.named(name)
             for number, value in pairs
+        }
+
+        self._bush_masses = {
+            card.text(1): card.text(row + 1)
+            for card in deck.named("PBUSH")
+            for row in range(2, len(card.fields), 8)
+            if card.text(row) == "M"
         }
 
     def new_number(self) -> str:
@@ -103,6 +109,17 @@ class Scalars:
             ("CONM2", [number, own, *body]),
         ]
 
+    def bush(self, card: NastranCard, fields: list[str]) -> list[Card]:
+        """A bush, and the mass of its property by halves at its ends; of a PBUSH the rest."""
+        if card.name == "PBUSH":
+            rows = range(1, len(fields), 8)
+            kept = [fields[row : row + 8] for row in rows if fields[row] != "M"]
+            return [("PBUSH", [fields[0], *(text for row in kept for text in row)])]
+        mass = self._bush_masses.get(card.text(2), "")
+        half = format_number(0.5 * read_number(mass), 16) if mass else ""
+        ends = [card.text(field) for field in (3, 4)] if half else []
+        return [("CBUSH", fields), *(("CONM2", [self.new_number(), e, "", half]) for e in ends)]
+
     def grids(self) -> Iterator[Card]:
         """A grid point for each scalar point."""
         for point in sorted(self.points, key=int):
@@ -139,7 +156,10 @@ class Scalars:
             yield "CONM2", [self.new_number(), point, "", format_number(SPARE_MASS, 16)]
 
     def obstacle(self, card: NastranCard) -> str:
-        """Why a scalar element cannot be written; empty if it can."""
+        """Why a scalar element or bush cannot be written; empty if it can."""
+        if card.name == "CBUSH":
+            grounded = card.text(2) in self._bush_masses and card.text(4) in ("", "0")
+            return "the mass of a PBUSH on the ground: give it as a CONM2" if grounded else ""
         ends = self._ends(card)
         unknown = [p for p, _ in ends if p not in self.points and p not in self._grids]
         if unknown:
@@ -165,20 +185,3 @@ class Scalars:
                 given = card.text(component) if component else ""
                 found.append((card.text(point), "1" if given in ("", "0") else given))
         return found
-
-
-def scalar_points(deck: NastranDeck) -> set[str]:
-    """Numbers of a deck's scalar points: named by SPOINT, or by elements between such alone."""
-    found = set[str]()
-    for card in deck.named("SPOINT"):
-        found.update(thru([card.text(field) for field in range(1, len(card.fields))]))
-    for card in deck.named(*POINTS_ALONE):
-        found.update(card.text(point) for point, _ in ELEMENTS[card.name])
-    return {point for point in found if point.isdecimal() and point != "0"}
-
-
-def thru(texts: Sequence[str]) -> list[str]:
-    """Numbers of a list in which `a THRU b` stands for all from a to b."""
-    if len(texts) > 2 and texts[1] == "THRU" and texts[0].isdecimal() and texts[2].isdecimal():
-        return [str(number) for number in range(int(texts[0]), int(texts[2]) + 1)]
-    return [text for text in texts if text]

@@ -3,7 +3,7 @@
 A node of shells or beams has rotations 4-6 in ccx, which it makes by tying the expanded nodes to a
 rigid knot. A node of nothing but masses and rigid elements gets a second node, whose displacements
 1-3 are its rotations. A node of solids alone has none: Nastran's AUTOSPC takes them out there, and
-they are left out here.
+they are left out here. A scalar point is a node whose displacement 1 alone is free.
 
 Equations are gathered first and written at the end. Of each block (the equations of one grid
 point's translations, or rotations) Gauss elimination with pivots makes every equation depend on a
@@ -48,6 +48,7 @@ class Freedoms:
         anything with stiffness; rotating: anything with stiffness against rotation.
         """
         self.frames = output_frames(bulk)
+        self.points = frozenset(bulk.spoints)
         self.builder = builder
         self.turning = turning
         self.solid = solid
@@ -60,16 +61,18 @@ class Freedoms:
 
     def turns(self, node: int) -> bool:
         """Whether the node has rotations."""
-        return node in self.turning or node not in self.solid
+        return node in self.turning or node not in self.solid | self.points
 
     def translations(self, node: int) -> list[Freedom]:
+        if node in self.points:
+            return [(node, 1)]
         return [(node, 1), (node, 2), (node, 3)]
 
     def rotations(self, node: int) -> list[Freedom]:
         """Where the node's rotations about the basic axes are; empty where it has none."""
         if node in self.turning:
             return [(node, 4), (node, 5), (node, 6)]
-        if node in self.solid:
+        if node in self.solid or node in self.points:
             return []
         if node not in self.turn_nodes:
             self.turn_nodes[node] = self.builder.new_node(self.builder.coordinates[node])
@@ -77,7 +80,12 @@ class Freedoms:
         return [(other, 1), (other, 2), (other, 3)]
 
     def form(self, node: int, component: int, factor: float = 1.0) -> Form:
-        """A component 1..6 of a grid point in its output frame; empty for a missing rotation."""
+        """A component 1..6 of a grid point in its output frame; empty for a missing rotation.
+
+        Of a scalar point it is 0 or 1.
+        """
+        if node in self.points:
+            return {(node, 1): factor}
         freedoms = self.translations(node) if component <= 3 else self.rotations(node)
         if not freedoms:
             return {}

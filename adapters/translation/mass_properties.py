@@ -23,6 +23,8 @@ from modetune.core.modes import Floats
 #: Both sides integrate alike; what is left is rounding of the deck's numbers and the small boxes
 #: that stand for point masses.
 TOLERANCE = 1e-3
+#: What the sets of scalar masses begin with, which have no place.
+SCALAR_MASS = "SCALAR_"
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,8 @@ def check_masses(expected: MassProperties, found: MassProperties, size: float) -
 def calculix_mass_properties(builder: CalculixText, text: str) -> MassProperties:
     """Mass properties of the model; text: of the deck, whose sections and densities count.
 
-    Springs and the stubs of knots have no mass to speak of.
+    Springs and the stubs of knots have no mass to speak of; scalar masses are left out, as they are
+    on the other side.
     """
     deck = parse_deck(Path("translation"), text)
     densities = _densities(deck)
@@ -127,6 +130,8 @@ def calculix_mass_properties(builder: CalculixText, text: str) -> MassProperties
     parts: list[Moments] = []
     for card in deck.named("*MASS", "*SOLID SECTION", "*SHELL SECTION"):
         groups: dict[str, list[Floats]] = {}
+        if card.option("ELSET").startswith(SCALAR_MASS):
+            continue
         for number in builder.sets.get(card.option("ELSET"), []):
             kind, nodes = kinds[number]
             places = np.array([builder.coordinates[node] for node in nodes])

@@ -11,7 +11,7 @@ mass, takes a second box of negative mass.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +19,16 @@ import numpy as np
 
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.freedoms import Freedoms
+from modetune.adapters.translation.freedoms import (
+    NOTHING,
+    Form,
+    Freedoms,
+    difference,
+    total,
+)
+from modetune.adapters.translation.mass_properties import SCALAR_MASS
 from modetune.adapters.translation.shells import SetsOf
+from modetune.adapters.translation.springs import scalar_form
 from modetune.core.modes import Floats
 
 #: Corners of a C3D8 in ccx's order, as signs of the half sides; the axes are right-handed.
@@ -43,6 +51,11 @@ class PointMass:
     centre: Floats
     inertia: Floats
 
+    @property
+    def name(self) -> str:
+        """Of its set and material in CalculiX."""
+        return f"CONM2_{self.eid}_{self.node}"
+
 
 def point_masses(bulk: Any, problems: list[str]) -> list[PointMass]:
     """All concentrated masses of the model."""
@@ -50,9 +63,104 @@ def point_masses(bulk: Any, problems: list[str]) -> list[PointMass]:
     for element in bulk.masses.values():
         if element.type == "CONM2":
             found.append(_conm2(element))
-        else:
-            problems.append(f"{element.type} {element.eid}: concentrated masses need a CONM2")
+        elif element.type == "CONM1":
+            body = _body_of(element)
+            found += [body] if body else []
+    for element in bulk.elements.values():
+        if element.type == "CBUSH" and getattr(element.pid_ref, "mass", None):
+            found += _bush_masses(element, problems)
     return found
+
+
+def _bush_masses(element: Any, problems: list[str]) -> list[PointMass]:
+    """The mass of a PBUSH, half of it at each end."""
+    if len(set(filter(None, element.node_ids))) < 2:
+        problems.append(
+            f"CBUSH {element.eid}: the mass of its PBUSH with one end on the ground is not "
+            "translated; give it as a CONM2"
+        )
+        return []
+    half, zero = 0.5 * element.pid_ref.mass, np.zeros((3, 3))
+    places = [np.asarray(node.get_position()) for node in element.nodes_ref]
+    return [
+        PointMass(element.eid, node, half, place, zero)
+        for node, place in zip(element.node_ids, places, strict=True)
+    ]
+
+
+def _body_of(element: Any) -> PointMass | None:
+    """The rigid body whose mass matrix a CONM1 gives, None where it gives another one.
+
+    With m the mass, S the cross-product matrix of the centre and I the inertia about it, the matrix
+    is [[m, -m S], [m S, I - m S S]].
+    """
+    matrix = _symmetric(element)
+    mass, coupling = matrix[0, 0], matrix[3:, :3]
+    skew = 0.5 * (coupling - coupling.T)
+    size = NOTHING * float(np.abs(matrix[:3, :3]).max() + np.abs(coupling).max())
+    same = np.abs(matrix[:3, :3] - mass * np.eye(3)).max() <= size
+    if not mass or not same or np.abs(coupling - skew).max() > size:
+        return None
+    cross = skew / mass
+    offset = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
+    inertia = matrix[3:, 3:] + mass * cross @ cross
+    place = np.asarray(element.nid_ref.get_position(), dtype=np.float64)
+    axes = local_axes(element.cid_ref, place)
+    node = element.node_ids[0]
+    return PointMass(element.eid, node, mass, place + offset @ axes, axes.T @ inertia @ axes)
+
+
+def _symmetric(element: Any) -> Floats:
+    """The mass matrix of a CONM1, (6, 6), of which the card has the lower triangle."""
+    lower = np.tril(np.asarray(element.mass_matrix, dtype=np.float64))
+    return np.asarray(lower + np.tril(lower, -1).T)
+
+
+def translate_scalar_masses(
+    bulk: Any,
+    builder: CalculixText,
+    freedoms: Freedoms,
+    problems: list[str],
+    wtmass: float,
+    sets_of: SetsOf,
+) -> None:
+    """Add all masses that are not a body's; after all equations."""
+    side, origin = 1e-3 * builder.size, next(iter(builder.coordinates.values()))
+    for element in bulk.masses.values():
+        try:
+            parts = list(_scalar_masses(element, freedoms))
+        except ValueError as reason:
+            problems.append(f"{element.type} {element.eid}: {reason}")
+            continue
+        for count, (form, mass) in enumerate(parts):
+            nodes = [builder.new_node(origin + 0.5 * side * signs) for signs in CORNER_SIGNS]
+            for node in nodes:
+                own = (node, 1)
+                freedoms.tie([difference({own: 1.0}, form)], [own], f"node {node}")
+                for component in (2, 3):
+                    builder.fixed(node, component)
+            name = f"{SCALAR_MASS}{element.eid}_{count}"
+            _add_brick(builder, nodes, name, mass * wtmass / side**3, sets_of(element))
+
+
+def _scalar_masses(element: Any, freedoms: Freedoms) -> Iterator[tuple[Form, float]]:
+    """Linear forms and their masses. Raises ValueError."""
+    if element.type.startswith("CMASS"):
+        mass = element.mass if element.type in ("CMASS2", "CMASS4") else element.pid_ref.mass
+        form = scalar_form(element, freedoms)
+        if mass and form:
+            yield form, float(mass)
+    elif element.type == "CONM1" and _body_of(element) is None:
+        node = element.node_ids[0]
+        axes = local_axes(element.cid_ref, freedoms.builder.coordinates[node])
+        known = [freedoms.translations(node), freedoms.rotations(node)]
+        masses, directions = np.linalg.eigh(_symmetric(element))
+        for mass, direction in zip(masses.tolist(), directions.T, strict=True):
+            shares = (direction[:3] @ axes, direction[3:] @ axes)
+            parts = zip(known, shares, strict=True)
+            form = total(freedoms.along(three, share) for three, share in parts if three)
+            if form and abs(mass) > NOTHING * float(np.abs(masses).max()):
+                yield form, mass
 
 
 def _conm2(element: Any) -> PointMass:
@@ -80,7 +188,7 @@ def translate_masses(
     """Add all concentrated masses; after all equations, which say what depends on what."""
     size = builder.size
     for body in masses:
-        sets = sets_of(bulk.masses[body.eid])
+        sets = sets_of(bulk.masses.get(body.eid) or bulk.elements[body.eid])
         near = 1e-9 * size
         offset = float(np.abs(body.centre - builder.coordinates[body.node]).max()) > near
         # A grid point without rotations (of solids) carries its masses along, not round.
@@ -89,9 +197,8 @@ def translate_masses(
             freedoms.is_dependent(freedom) for freedom in freedoms.translations(body.node)
         ):
             if body.mass:
-                name = f"CONM2_{body.eid}"
-                builder.new_element("MASS", (body.node,), (name, *sets))
-                builder.section([f"*MASS, ELSET={name}", number_list((body.mass * wtmass,))])
+                builder.new_element("MASS", (body.node,), (body.name, *sets))
+                builder.section([f"*MASS, ELSET={body.name}", number_list((body.mass * wtmass,))])
             continue
         for box in _boxes(body) if turns else [Box(body.mass, np.zeros(3), np.eye(3))]:
             _add_box(builder, freedoms, body, box, turns, 1e-3 * size, wtmass, sets)
@@ -146,8 +253,14 @@ def _add_box(
         seen = place if box.sides.any() else body.centre
         freedoms.follow(node, body.node, seen, turns)
         nodes.append(node)
-    name = f"CONM2_{body.eid}" + ("" if box.mass > 0.0 else "_LESS")
-    density = box.mass * wtmass / float(np.prod(sides))
+    name = body.name + ("" if box.mass > 0.0 else "_LESS")
+    _add_brick(builder, nodes, name, box.mass * wtmass / float(np.prod(sides)), sets)
+
+
+def _add_brick(
+    builder: CalculixText, nodes: Sequence[int], name: str, density: float, sets: Sequence[str]
+) -> None:
+    """A C3D8 that is never strained, in a set and of a material of its own."""
     builder.new_element("C3D8", nodes, (name, *sets))
     builder.material(name, ["*ELASTIC", "1., 0.", "*DENSITY", number_list((density,))])
     builder.section([f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"])

@@ -208,9 +208,11 @@ def translate_spcs(
                 fixed[middle] = common
                 if edge[0] in freedoms.frames:
                     freedoms.frames[middle] = freedoms.frames[edge[0]]
+    for node in fixed.keys() & freedoms.points:
+        fixed[node] = {1}
     for node, components in fixed.items():
         if node not in freedoms.builder.coordinates:
-            problems.append(f"SPC set {spc}: point {node} is not a GRID of the model")
+            problems.append(f"SPC set {spc}: point {node} is not a point of the model")
             continue
         freedoms.fix(node, components, f"SPC at {node}")
 
@@ -224,8 +226,8 @@ def translate_mpcs(bulk: Any, freedoms: Freedoms, mpc: int, problems: list[str])
         terms = list(zip(card.node_ids, card.components, card.coefficients, strict=True))
         what = f"MPC {card.conid} of point {terms[0][0]} component {terms[0][1]}"
         unknown = [node for node, _, _ in terms if node not in freedoms.builder.coordinates]
-        if unknown or any(str(component) == "0" for _, component, _ in terms):
-            problems.append(f"{what}: scalar points are not translated")
+        if unknown:
+            problems.append(f"{what}: point {unknown[0]} is not there")
             continue
         forms = [freedoms.form(node, int(c), factor) for node, c, factor in terms]
         dependents = list(forms[0])

@@ -1,4 +1,4 @@
-"""Nastran springs (CELAS1, CELAS2, CBUSH) in CalculiX.
+"""Nastran springs (CELAS1 to CELAS4, CBUSH) in CalculiX.
 
 Each stiffness is one spring on the difference of two freedoms, rotations included, so that its
 strain energy is its own. A CBUSH acts at one point of the line between its
@@ -22,7 +22,7 @@ import numpy as np
 
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.freedoms import Form, Freedoms, difference, trimmed
+from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total, trimmed
 from modetune.adapters.translation.shells import SetsOf
 from modetune.core.modes import Floats
 
@@ -44,10 +44,7 @@ def translate_springs(
     """Add all springs; after the constraints, which say what is fixed. They have no mass."""
     springs = GroundedSprings(builder, freedoms)
     readers: dict[str, Callable[[Any, Freedoms], Deformations]] = {
-        "CELAS1": _scalar_spring,
-        "CELAS2": _scalar_spring,
-        "CELAS3": _no_scalar_points,
-        "CELAS4": _no_scalar_points,
+        **dict.fromkeys(SCALAR, _scalar_spring),
         "CBUSH": _bush,
     }
     for element in bulk.elements.values():
@@ -60,22 +57,30 @@ def translate_springs(
             problems.append(f"{element.type} {element.eid}: {reason}")
 
 
-def _no_scalar_points(element: Any, freedoms: Freedoms) -> Deformations:
-    raise ValueError("scalar points are not translated")
-
-
 def _scalar_spring(element: Any, freedoms: Freedoms) -> Deformations:
-    stiffness = element.pid_ref.k if element.type == "CELAS1" else element.k
+    stiffness = element.k if element.type in ("CELAS2", "CELAS4") else element.pid_ref.k
+    return [(scalar_form(element, freedoms), float(stiffness))]
+
+
+def scalar_form(element: Any, freedoms: Freedoms) -> Form:
+    """What a scalar element acts on: its first end less its second one, ground left out.
+
+    Raises ValueError for a point that is not there, or an element of ground alone.
+    """
     forms = []
-    for node, component in zip(element.nodes, (element.c1, element.c2), strict=True):
+    for place, node in enumerate(element.nodes):
         if not node:
             continue
-        if node not in freedoms.builder.coordinates or not component:
-            raise ValueError(f"point {node} is not a GRID: scalar points are not translated")
-        forms.append(_freedom(freedoms, node, int(component)))
+        component = int(getattr(element, f"c{place + 1}", 0) or 0)
+        if node not in freedoms.builder.coordinates:
+            raise ValueError(f"point {node} is not there")
+        if not component and node not in freedoms.points:
+            raise ValueError(f"its component at point {node} is blank")
+        sign = -1.0 if place else 1.0
+        forms.append({key: sign * v for key, v in _freedom(freedoms, node, component).items()})
     if not forms:
         raise ValueError("both its ends are grounded")
-    return [(difference(forms[0], forms[1] if len(forms) > 1 else {}), float(stiffness))]
+    return total(forms)
 
 
 def _freedom(freedoms: Freedoms, node: int, component: int) -> Form:
@@ -90,16 +95,14 @@ def _bush(element: Any, freedoms: Freedoms) -> Deformations:
     """The six deformations, of the second end against the first (or the ground)."""
     if element.pid_ref.type != "PBUSH":
         raise ValueError(f"{element.pid_ref.type} is not translated")
-    if element.pid_ref.mass:
-        raise ValueError("the mass of its PBUSH is not translated; give it as a CONM2")
     values = [float(value or 0.0) for value in element.pid_ref.Ki]
     values += [0.0] * (6 - len(values))
     first, second = [*element.node_ids, None][:2]
     start = freedoms.builder.coordinates[first]
     span = freedoms.builder.coordinates[second] - start if second else np.zeros(3)
-    if element.ocid is not None and element.ocid >= 0:
-        raise ValueError(f"an offset in system OCID={element.ocid}")
     place = start + (0.5 if element.s is None else element.s) * span
+    if element.ocid is not None and element.ocid >= 0:
+        place = np.asarray(element.ocid_ref.transform_node_to_global(np.array(element.si)))
     axes = _bush_axes(element, start, span, values, freedoms)
     found = []
     for component, stiffness in enumerate(values):

@@ -22,7 +22,11 @@ from modetune.adapters.translation.mass_properties import (
     calculix_mass_properties,
     check_masses,
 )
-from modetune.adapters.translation.masses import point_masses, translate_masses
+from modetune.adapters.translation.masses import (
+    point_masses,
+    translate_masses,
+    translate_scalar_masses,
+)
 from modetune.adapters.translation.nastran_masses import nastran_mass_properties
 from modetune.adapters.translation.rigid import (
     leaders,
@@ -71,8 +75,8 @@ def translate(
     mpc: constraint sets, 0 for none. wtmass: the factor on all masses, PARAM,WTMASS.
     Raises ModelError with every card and feature that cannot be translated.
     """
-    if not bulk.nodes:
-        raise ModelError(f"{name} has no GRID, so there is nothing to translate")
+    if not bulk.nodes and not bulk.spoints:
+        raise ModelError(f"{name} has no GRID and no SPOINT, so there is nothing to translate")
     problems = refused_cards(bulk)
     builder = _builder(bulk, wtmass)
 
@@ -91,6 +95,7 @@ def translate(
     translate_springs(bulk, builder, freedoms, problems, wtmass, sets_of)
     masses = point_masses(bulk, problems)
     translate_masses(bulk, masses, builder, freedoms, wtmass, sets_of)
+    translate_scalar_masses(bulk, builder, freedoms, problems, wtmass, sets_of)
     hold_drilling(bulk, freedoms, edges)
     hold_leaders(freedoms, leaders(bulk) - held - freedoms.turning)
     problems += [
@@ -121,6 +126,11 @@ def _builder(bulk: Any, wtmass: float) -> CalculixText:
     builder = CalculixText(stiffness, max(dense, default=0.0) * wtmass or 1e-9 * stiffness)
     for number in sorted(bulk.nodes):
         builder.node(number, np.asarray(bulk.nodes[number].get_position(), dtype=np.float64))
+    place = next(iter(builder.coordinates.values()), np.zeros(3))
+    for number in sorted(bulk.spoints):
+        builder.node(number, place)
+        for component in (2, 3):
+            builder.fixed(number, component)
     return builder
 
 

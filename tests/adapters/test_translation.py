@@ -362,7 +362,7 @@ def test_cylindrical_output_frames_are_those_of_the_place(tmp_path: Path) -> Non
 def test_all_refusals_come_at_once_with_cards_and_numbers(tmp_path: Path) -> None:
     cards = [
         MAT1, "MAT9,2,1.E9", PSHELL, *strip(), "CSHEAR,701,7,1,2,3,4", "PSHEAR,7,1,.1",
-        "PARAM,FOOBAR,3", "ASET1,123,1,2", "CMASS2,909,1.,1,1", "FORCE,1,1,,1.,1.,0.,0.",
+        "PARAM,FOOBAR,3", "ASET1,123,1,2", "CMASS2,909,1.,1", "FORCE,1,1,,1.,1.,0.,0.",
         "PSHELL,5,1,.01,1,2.", card("CQUAD4", 801, 5, 1, 2, 3, 4), "DESVAR,1,X,1.",
     ]  # fmt: skip
     bulk = bulk_of(cards, tmp_path, ["SPC=4"])
