@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+from modetune.adapters.calculix.constants import constant_places
 from modetune.adapters.calculix.deck import (
     KeywordCard,
     KeywordDeck,
@@ -53,11 +54,15 @@ UNEXPANDED = re.compile(r"C3D.*|SPRING[12A]")
 
 @dataclass(frozen=True, slots=True)
 class KeywordField:
-    """One number of the deck that a parameter scales: a field of a data line."""
+    """One number of the deck that a parameter scales: a field of a data line.
+
+    item: by which a parameter picks it; 0 where there is no choice, -1 where it goes with all only.
+    """
 
     line: int
     place: int
     value: float
+    item: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,16 +148,17 @@ class CalculixModel:
         return min(value for value in found if value > 0.0)
 
     def wave_speeds(self) -> dict[str, float]:
-        """Root of E over density of each isotropic material that has both."""
+        """Root of E, the largest one, over density of each material that has both."""
         speeds = {}
         for card in self.deck.named("*MATERIAL"):
             name = card.option("NAME")
             try:
-                modulus, density = _youngs_modulus(self, name)[0], _density(self, name)[0]
+                moduli, density = _elastic("youngs_modulus")(self, name), _density(self, name)[0]
             except ModelError:
                 continue  # not used, or no such card
-            if modulus.value > 0.0 and density.value > 0.0:
-                speeds[name] = (modulus.value / density.value) ** 0.5
+            modulus = max(field.value for field in moduli)
+            if modulus > 0.0 and density.value > 0.0:
+                speeds[name] = (modulus / density.value) ** 0.5
         return speeds
 
     def material_masses(self, sizes: Mapping[int, float]) -> dict[str, float]:
@@ -180,7 +186,7 @@ class CalculixModel:
         found: list[KeywordField] = []
         for target in parameter.targets:
             found += _FINDERS[parameter.quantity](self, canonical_name(target))
-        return found
+        return _picked(found, parameter)
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """Element sets whose strain energy is proportional to the parameter.
@@ -189,6 +195,8 @@ class CalculixModel:
         the set is then not the parameter's own), or where ccx prints no whole energy.
         """
         names = {canonical_name(target) for target in parameter.targets}
+        if parameter.item:
+            return ()
         if parameter.quantity == "youngs_modulus":
             users = self.users(names)
             if any("COMPOSITE" in card.options for card in users):
@@ -240,6 +248,11 @@ class CalculixModel:
             return set()
         rows = (self.deck.fields(position) for position in card.data)
         return {canonical_name(row[2]) for row in rows if len(row) > 2}
+
+    def orientations(self, card: KeywordCard) -> set[str]:
+        """Orientations that a section and its layers name."""
+        rows = [self.deck.fields(line) for line in card.data if "COMPOSITE" in card.options]
+        return {card.option("ORIENTATION"), *(canonical_name(r[3]) for r in rows if len(r) > 3)}
 
     def number(self, line: int, place: int) -> float:
         """A number of the deck. Raises ModelError where there is none."""
@@ -308,24 +321,34 @@ def _suggest(name: str, known: Iterable[str]) -> str:
     return f" (it has {', '.join(names) or 'none'})"
 
 
-def _elastic(model: CalculixModel, material: str, place: int) -> list[KeywordField]:
-    found = []
-    for card in _material_cards(model, material, "*ELASTIC"):
-        if card.option("TYPE") not in ("", "ISO", "ISOTROPIC"):
-            raise ModelError(
-                f"{model.deck.where(card)}: material {material} is not isotropic; only isotropic "
-                "*ELASTIC cards can be updated"
-            )
-        found += [KeywordField(line, place, model.number(line, place)) for line in card.data]
-    return found
+def _picked(found: list[KeywordField], parameter: Parameter) -> list[KeywordField]:
+    """The fields that a parameter's item picks, without zeros among others. Raises ModelError."""
+    item, quantity = parameter.item, parameter.quantity
+    names = ", ".join(parameter.targets)
+    known = sorted({field.item for field in found if field.item > 0})
+    if item and item not in known:
+        choice = ", ".join(map(str, known)) or "one alone, so leave the item out"
+        raise ModelError(f"{names}: no item {item} of {quantity}; it has {choice}")
+    if quantity == "dimension" and not item:
+        raise ModelError(f"{names}: a cross-section has several dimensions: give the item")
+    picked = [field for field in found if field.item == item or not item]
+    return [field for field in picked if field.value] or picked
 
 
-def _youngs_modulus(model: CalculixModel, material: str) -> list[KeywordField]:
-    return _elastic(model, material, 0)
+def _elastic(quantity: Quantity) -> Callable[[CalculixModel, str], list[KeywordField]]:
+    def fields(model: CalculixModel, material: str) -> list[KeywordField]:
+        found = []
+        for card in _material_cards(model, material, "*ELASTIC"):
+            places = constant_places(card, quantity)
+            if not places:
+                kind = f" of TYPE={card.option('TYPE')}" if card.option("TYPE") else ""
+                raise ModelError(
+                    f"{model.deck.where(card)}: an *ELASTIC card{kind} has no {quantity}"
+                )
+            found += [KeywordField(at, p, model.number(at, p), item) for item, at, p in places]
+        return found
 
-
-def _poissons_ratio(model: CalculixModel, material: str) -> list[KeywordField]:
-    return _elastic(model, material, 1)
+    return fields
 
 
 def _density(model: CalculixModel, material: str) -> list[KeywordField]:
@@ -352,14 +375,56 @@ def _value(model: CalculixModel, card: KeywordCard, row: int) -> KeywordField:
 
 
 def _thickness(model: CalculixModel, elset: str) -> list[KeywordField]:
-    cards = _section_cards(model, elset, "*SHELL SECTION")
-    for card in cards:
-        for option in {"COMPOSITE", "NODALTHICKNESS"} & set(card.options):
+    found = []
+    for card in _section_cards(model, elset, "*SHELL SECTION"):
+        if "NODALTHICKNESS" in card.options:
             raise ModelError(
-                f"{model.deck.where(card)}: the section of {elset} is {option}, so it has no one "
-                "thickness to update"
+                f"{model.deck.where(card)}: the section of {elset} is NODALTHICKNESS, so it has no "
+                "one thickness to update"
             )
-    return [_value(model, card, 0) for card in cards]
+        if "COMPOSITE" not in card.options:
+            found.append(_value(model, card, 0))
+        for layer, line in enumerate(card.data if "COMPOSITE" in card.options else (), start=1):
+            found.append(KeywordField(line, 0, model.number(line, 0), layer))
+    return found
+
+
+def _ply_angle(model: CalculixModel, elset: str) -> list[KeywordField]:
+    """Angles of the orientations that a laminate's layers name, by which they are turned."""
+    found = []
+    for card in _section_cards(model, elset, "*SHELL SECTION"):
+        layered = "COMPOSITE" in card.options
+        rows = [(model.deck.fields(line), line) for line in card.data] if layered else []
+        names = [canonical_name(row[3]) if len(row) > 3 else "" for row, _ in rows]
+        for layer, name in enumerate(names or [card.option("ORIENTATION")], start=1):
+            for turned in model.deck.named("*ORIENTATION"):
+                if name and turned.option("NAME") == name and len(turned.data) > 1:
+                    line = turned.data[1]
+                    found.append(KeywordField(line, 1, model.number(line, 1), layer))
+        shared = {name for name in names if name and names.count(name) > 1}
+        others = [other for other in model.sections if other is not card]
+        shared |= {name for name in names for other in others if name in model.orientations(other)}
+        if shared:
+            raise ModelError(
+                f"{model.deck.where(card)}: orientation {min(shared)} is that of several layers or "
+                "sections, which turn together: give each its own *ORIENTATION"
+            )
+    if not found:
+        raise ModelError(
+            f"no layer of {elset} has an *ORIENTATION with an angle (its second line: axis, angle)"
+        )
+    return found
+
+
+def _dimension(model: CalculixModel, elset: str) -> list[KeywordField]:
+    """Dimensions of cross-sections, on the first line; the second one is their direction."""
+    return [
+        KeywordField(card.data[0], place, model.number(card.data[0], place), place + 1)
+        for card in _section_cards(model, elset, "*BEAM SECTION")
+        if card.data
+        for place, text in enumerate(model.deck.fields(card.data[0]))
+        if text
+    ]
 
 
 def _spring_stiffness(model: CalculixModel, elset: str) -> list[KeywordField]:
@@ -394,10 +459,13 @@ def _mass(model: CalculixModel, elset: str) -> list[KeywordField]:
 
 
 _FINDERS: dict[Quantity, Callable[[CalculixModel, str], list[KeywordField]]] = {
-    "youngs_modulus": _youngs_modulus,
-    "poissons_ratio": _poissons_ratio,
+    "youngs_modulus": _elastic("youngs_modulus"),
+    "shear_modulus": _elastic("shear_modulus"),
+    "poissons_ratio": _elastic("poissons_ratio"),
     "density": _density,
     "thickness": _thickness,
+    "ply_angle": _ply_angle,
+    "dimension": _dimension,
     "spring_stiffness": _spring_stiffness,
     "mass": _mass,
 }

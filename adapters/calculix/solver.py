@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.calculix.affected_elements import affected_elements_of
+from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
 from modetune.adapters.calculix.deck import read_deck, write_edited
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
@@ -64,7 +64,11 @@ JOB = "job"
 #: Names another program than `ccx` on PATH.
 PROGRAM_VARIABLE = "MODETUNE_CCX"
 #: Stiffness and mass matrices are linear in these.
-LINEAR: frozenset[Quantity] = frozenset({"youngs_modulus", "density", "spring_stiffness", "mass"})
+LINEAR: frozenset[Quantity] = frozenset(
+    {"youngs_modulus", "shear_modulus", "density", "spring_stiffness", "mass"}
+)
+#: Items of Young's moduli of engineering constants.
+DIRECTIONS = (1, 2, 3)
 MISSING = (
     "the CalculiX program `{program}` is not on this machine; install it (Debian and Ubuntu: "
     "`apt-get install calculix-ccx`) or name it with " + PROGRAM_VARIABLE
@@ -122,7 +126,9 @@ class CalculixDeck(Deck):
         return () if self.preload() else self.model.energy_sets(parameter)
 
     def is_linear(self, parameter: Parameter) -> bool:
-        return parameter.quantity in LINEAR and not self.preload()
+        """Of engineering constants a single Young's modulus is coupled with the others."""
+        coupled = parameter.quantity == "youngs_modulus" and parameter.item in DIRECTIONS
+        return parameter.quantity in LINEAR and not coupled and not self.preload()
 
     def preload(self) -> str:
         return self.model.preload()
@@ -132,13 +138,15 @@ class CalculixDeck(Deck):
         return read_incidence(self.model.deck, self.model.mesh)
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
-        if parameter.quantity not in LINEAR and parameter.quantity != "thickness":
+        across = parameter.quantity in ("thickness", "dimension")
+        if not across and not self.is_linear(parameter):
             return None
-        return self.affected_elements_of({field.line for field in self.model.fields(parameter)})
+        fields = self.model.fields(parameter)
+        return self.affected_elements_of({(field.line, field.place) for field in fields})
 
-    def affected_elements_of(self, lines: Collection[int]) -> AffectedElements | None:
-        """What the numbers in these lines of the deck move, as one relative value of theirs."""
-        return affected_elements_of(self.model, self._incidence, self.mesh(), lines)
+    def affected_elements_of(self, places: Collection[Place]) -> AffectedElements | None:
+        """What these numbers of the deck move, as one relative value of theirs."""
+        return affected_elements_of(self.model, self._incidence, self.mesh(), places)
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.calculix.affected_elements import changed_lines
+from modetune.adapters.calculix.affected_elements import changed_places
 from modetune.adapters.calculix.deck import parse_deck
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, understand
 from modetune.adapters.calculix.solver import CalculixDeck, EditedCalculix, calculix_program
@@ -111,8 +111,11 @@ class TranslatedDeck(Deck):
             models = [self._translate(edit).model for edit in edits]
         except ModelError:
             return None
-        lines = changed_lines(self._nominal.model, models, values)
-        return self._nominal.affected_elements_of(lines) if lines else None
+        changed = changed_places(self._nominal.model, models, values)
+        found = self._nominal.affected_elements_of(changed[0]) if changed else None
+        if changed is None or found is None:
+            return None
+        return replace(found, proportional=found.proportional and changed[1])
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers

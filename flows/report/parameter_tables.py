@@ -155,7 +155,11 @@ def unit_of(units: str, quantity: str) -> str:
         "area": f"{length}²",
         "inertia_1": f"{length}⁴",
         "inertia_2": f"{length}⁴",
+        "inertia_12": f"{length}⁴",
         "torsion_constant": f"{length}⁴",
         "dimension": length,
         "mass": mass,
+        "rotary_inertia": f"{mass} {length}²",
+        "ply_angle": "°",
+        "offset": length,
     }.get(quantity, "")

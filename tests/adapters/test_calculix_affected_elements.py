@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,34 @@ WALL = {4, 8, 12, 100, 101, 102, 110, 111, 112}
 BLOCKS = plate("S4") + OTHER + block("C3D8I").replace("MATERIAL=A", "MATERIAL=Z")
 BEAM = beams("B31", "301, 4, 301\n302, 301, 302\n303, 302, 303").replace("MATERIAL=A", "MATERIAL=Z")
 BEAMS = plate("S4") + OTHER + BEAM
+#: A wall of plies on springs, with masses: engineering constants, axes of its own.
+PLIES = (
+    "*MATERIAL, NAME=A\n*ELASTIC, TYPE=ENGINEERING CONSTANTS\n"
+    "130000., 9000., 9500., .3, .28, .4, 5000., 4800.\n3300.\n*DENSITY\n1.6e-9\n"
+    "*ORIENTATION, NAME=O1\n1., 0., 0., 0., 1., 0.\n3, 30.\n"
+    "*ORIENTATION, NAME=O2\n1., 0., 0., 0., 1., 0.\n3, -45.\n"
+)
+ORTHOTROPIC = (
+    bar("C3D8I", held="")
+    .replace(MATERIAL, PLIES)
+    .replace("MATERIAL=A\n", "MATERIAL=A, ORIENTATION=O1\n")
+    + attached(1, 16)
+    + attached(4, 13).replace("ET=K", "ET=L").replace("ET=M", "ET=N").replace("20", "30")
+)
+#: The same elements of a D-matrix.
+D_MATRIX = ORTHOTROPIC.replace(
+    PLIES[: PLIES.index("*DENSITY")],
+    "*MATERIAL, NAME=A\n*ELASTIC, TYPE=ANISO\n"
+    "90000., 30000., 80000., 20000., 25000., 70000., 900., 800.\n"
+    "700., 20000., 600., 500., 400., 300., 21000., 200.\n100., 90., 80., 70., 22000.\n",
+)
+LAMINATE = plate(
+    "S8R", section="*SHELL SECTION, ELSET=P, COMPOSITE\n1., , A, O1\n.5, , A, O2\n"
+).replace(MATERIAL, PLIES)
+BLOCK = set(range(1, 17))
+#: Two beams at an angle, a spring and a mass at their ends.
+FRAME = beams("B31", "301, 301, 302\n302, 302, 303") + MATERIAL + attached(301, 303)
+CURVED = beams("B32R", "301, 301, 302, 303") + MATERIAL
 Case = tuple[str, Quantity, str, set[int], bool, bool]
 CASES: dict[str, Case] = {
     "modulus": (TWO, "youngs_modulus", "Z", WALL, True, False),
@@ -66,7 +95,22 @@ CASES: dict[str, Case] = {
     "shells tied by equations": (
         plate("S4") + attached(12, 11) + "*EQUATION\n2\n12,3,1., 10,3,-0.5\n2\n10,1,1., 5,1,-0.5\n",
         "spring_stiffness", "K", {12, 10, 5}, True, False),
+    "all moduli": (ORTHOTROPIC, "youngs_modulus", "A", BLOCK, True, False),
+    "shear modulus, 23": (ORTHOTROPIC, "shear_modulus", "A", BLOCK, True, False),
+    "density of plies": (ORTHOTROPIC, "density", "A", BLOCK, False, True),
+    "D-matrix": (D_MATRIX, "youngs_modulus", "A", BLOCK, True, False),
+    "D-matrix, 1122": (D_MATRIX, "youngs_modulus", "A", BLOCK, True, False),
+    "D-matrix, 1323": (D_MATRIX, "youngs_modulus", "A", BLOCK, True, False),
+    "all layers": (LAMINATE, "thickness", "P", set(range(1, 30)), True, True),
+    "moduli of layers": (LAMINATE, "youngs_modulus", "A", set(range(1, 30)), True, False),
+    "shear modulus of layers, 12": (LAMINATE, "shear_modulus", "A", set(range(1, 30)), True, False),
+    "width of a frame, 1": (FRAME, "dimension", "B", {301, 302, 303}, True, True),
+    "height of a beam, 2": (
+        beams("B32R", "301, 301, 302, 303").replace("303, 60., 0., 5.", "303, 60., 0., 0.")
+        + MATERIAL, "dimension", "B", {301, 302, 303}, True, True),
 }  # fmt: skip
+#: Cases in which the stiffness of the elements is proportional to the parameter.
+PROPORTIONAL = {"all moduli", "D-matrix"}
 
 
 @needs_ccx
@@ -75,12 +119,15 @@ def test_matrices_are_polynomials_within_the_affected_elements(name: str, tmp_pa
     text, quantity, target, nodes, stiffness, mass = CASES[name]
     path = tmp_path / "model.inp"
     path.write_text(text)
-    scaled = parameter(quantity, target)
+    item = int(name.rpartition(", ")[2]) if ", " in name else 0
+    scaled = replace(parameter(quantity, target), item=item)
     solver, every = calculix_solver(path, (scaled,)), read_mesh(read_deck(path)).nodes
     found = solver.deck.affected_elements(scaled)
     assert found is not None
     assert set(found.nodes) == nodes
     assert (found.stiffness, found.mass) == (stiffness, mass)
+    if text in (ORTHOTROPIC, D_MATRIX, LAMINATE):
+        assert found.proportional == (name in PROPORTIONAL)
     powers = (0, *found.powers)
     # As many samples as there are powers, over the range of an updating campaign, and one between.
     at = [*np.linspace(0.6, 1.6, len(powers)), 1.07]
@@ -114,7 +161,8 @@ def affected_elements(
 ) -> AffectedElements | None:
     path = folder / "model.inp"
     path.write_text(text)
-    scaled = parameter(quantity, target)
+    item = text in (BEAMS, LAMINATE, ORTHOTROPIC) or "B32R" in text
+    scaled = replace(parameter(quantity, target), item=int(item))
     return calculix_solver(path, (scaled,)).deck.affected_elements(scaled)
 
 
@@ -124,6 +172,14 @@ def affected_elements(
         (TWO, "poissons_ratio", "Z"),
         # At 1 both plates share their expanded nodes, at any other value they meet in knots.
         (plate("S4") + strip(2.0), "thickness", "U"),
+        # A beam that meets shells; a curved one; a pipe, which is integrated in parts.
+        (BEAMS, "dimension", "B"),
+        (CURVED, "dimension", "B"),
+        (CURVED.replace("0., 5.", "0., 0.").replace("RECT", "PIPE"), "dimension", "B"),
+        # One layer of two: where the other lies depends on it.
+        (LAMINATE, "thickness", "P"),
+        # One of several coupled moduli.
+        (ORTHOTROPIC, "youngs_modulus", "A"),
         # What the preload does to the stiffness depends on the stiffness.
         (
             bar("C3D8I")
