@@ -71,6 +71,7 @@ def run_process(
     then), and SolverCrashed where it was killed by a signal from elsewhere.
     """
     started = time.monotonic()
+    command = command.started_in(folder)
     where = f"`{' '.join(command.arguments)}` in {folder}"
     supervisor = _supervisor(command, folder, disk_bytes, where)
     assert supervisor.stdin is not None

@@ -102,7 +102,12 @@ class Rendered:
 
 def _write_texts(texts: Mapping[str, bytes], folder: Path) -> None:
     for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(text)
+
+
+#: Stands in a command's arguments for the folder it is started in, which no argument can hold.
+FOLDER = "\0folder\0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +116,11 @@ class Command:
 
     arguments: tuple[str, ...]
     environment: tuple[tuple[str, str], ...] = ()
+
+    def started_in(self, folder: Path) -> Command:
+        """The command with the folder's absolute path in place of FOLDER."""
+        place = str(folder.resolve())
+        return replace(self, arguments=tuple(a.replace(FOLDER, place) for a in self.arguments))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,8 @@
 
     python -m modetune.configs.cases garteur FOLDER
 
-and so fixture, launcher, six_mass. Decks are written, not kept: for campaigns of this repository to
-run in place, FOLDER is the case's own (configs/garteur).
+and so fixture, frame, launcher, six_mass. Decks are written, not kept: for campaigns of this
+repository to run in place, FOLDER is the case's own (configs/garteur).
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ DECKS: dict[str, tuple[Callable[[Path], None], ...]] = {
     "garteur": (aircraft.write_decks, shell.write_decks),
     "fixture": (fixture.write_decks,),
     "launcher": (launcher.write_decks,),
-    "six_mass": (),  # its models are campaign data: they stand beside the campaign
+    # Models that are campaign data stand beside the campaign.
+    "frame": (),
+    "six_mass": (),
 }
 
 
@@ -32,7 +34,7 @@ def write_case(case: str, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if folder.resolve() != source.resolve():
         for file in sorted(source.iterdir()):
-            if file.suffix in (".yaml", ".csv"):
+            if file.suffix in (".yaml", ".csv", ".opensees"):
                 shutil.copyfile(file, folder / file.name)
     for write_decks in DECKS[case]:
         write_decks(folder)

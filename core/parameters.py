@@ -20,11 +20,12 @@ Quantity = Literal[
     "inertia_1", "inertia_2", "inertia_12", "torsion_constant", "dimension", "spring_stiffness",
     "mass", "rotary_inertia", "nonstructural_mass", "ply_angle", "bending_inertia_ratio",
     "shear_thickness_ratio", "shear_factor", "offset", "structural_damping", "viscous_damping",
-    "matrix_factor",
+    "matrix_factor", "number",
 ]  # fmt: skip
 
 #: What the targets of a parameter name.
-TargetKind = Literal["material", "elset", "property", "element", "part"]
+#: A placeholder has the parameter's own name.
+TargetKind = Literal["material", "elset", "property", "element", "part", "placeholder"]
 
 #: What may name the owner of each quantity; the first is what CalculiX decks use.
 TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
@@ -51,6 +52,7 @@ TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
     "structural_damping": ("material", "property", "element"),
     "viscous_damping": ("property", "element"),
     "matrix_factor": ("part",),
+    "number": (),
 }
 
 #: Powers of a quantity that bound how stiffness and mass grow with it; infinite where none does
@@ -79,6 +81,7 @@ POWERS: dict[Quantity, tuple[float, float]] = {
     "structural_damping": (0, 0),
     "viscous_damping": (0, 0),
     "matrix_factor": (1, 1),
+    "number": (np.inf, np.inf),
 }
 
 #: Values of parameters by name, relative to the deck.

@@ -17,7 +17,7 @@ from modetune.adapters.nastran.design_sensitivity import DesignSensitivities
 from modetune.adapters.nastran.f06 import F06
 from modetune.adapters.nastran.op2 import Op2Modes
 from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
-from modetune.core.modes import Floats, Integers, mode_set
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 
 #: Generalised masses are printed with seven digits; what is this near to 1 is 1.
@@ -86,6 +86,25 @@ def modal_result(
         ).reshape(len(analysis.groups), n_modes),
         total_strain_energy=total,
         mass=modes.mass * wtmass,
+    )
+
+
+def unit_modes(found: Op2Modes | F06) -> ModeSet:
+    """The modes of a file at all of its nodes, of unit modal mass where it tells modal masses.
+
+    Raises ValueError where a mode has no shape.
+    """
+    n_modes = found.mode_shapes.shape[1]
+    shown = found.mode_numbers if isinstance(found, F06) else np.arange(1, n_modes + 1)
+    if not n_modes or shown.max() > found.eigenvalues.size:
+        raise ValueError(f"{found.eigenvalues.size} eigenvalues and {n_modes} eigenvectors")
+    masses = found.generalized_mass[shown - 1]
+    return mode_set(
+        np.sqrt(np.maximum(found.eigenvalues[shown - 1], 0.0)) / (2.0 * np.pi),
+        found.mode_shapes * _scale(masses),
+        found.nodes,
+        found.components,
+        normalisation="unknown" if np.isnan(masses).any() else "mass",
     )
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredDeviations, Measurement
-from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet, mode_set
+from modetune.core.modes import COMPONENTS, MeasuredModes, ModeSet, mode_set
 from modetune.core.storage.files import writing
 
 #: Rows that say how exactly frequencies and shapes were measured.
@@ -49,8 +49,11 @@ def read_modes_csv(path: Path) -> MeasuredModes:
     return found
 
 
-def read_test_csv(path: Path) -> Measurement:
-    """The modes of a test and how exactly they were measured. Raises CampaignError likewise."""
+def read_test_csv(path: Path, computed: bool = False) -> Measurement:
+    """The modes of a test and how exactly they were measured. Raises CampaignError likewise.
+
+    computed: the modes are a model's, which may be rigid (0 Hz), or move none of these nodes.
+    """
     rows = _rows(path)
     if not rows or rows[0].name != "mode":
         raise CampaignError(
@@ -81,7 +84,7 @@ def read_test_csv(path: Path) -> Measurement:
                 problems.append(f"{where}: `{row.name}` must be above zero, found {min(values):g}")
         elif row.name == "frequency_hz":
             frequencies = values
-            if any(value <= 0.0 for value in values):
+            if any(value < 0.0 or (value == 0.0 and not computed) for value in values):
                 problems.append(f"{where}: frequencies must be above zero")
         else:
             problems.append(
@@ -92,24 +95,18 @@ def read_test_csv(path: Path) -> Measurement:
         problems.append(f"{path}, line {header.line}: no row `frequency_hz` follows")
     if problems:
         raise CampaignError(problems)
-    shapes = _shapes(path, header.line, numbers, list(sensors.values()))
+    shapes = np.array(list(sensors.values())).reshape(len(sensors), len(numbers))
+    still = np.flatnonzero(~shapes.any(axis=0))
+    if sensors and still.size and not computed:
+        raise CampaignError(
+            f"{path}, line {header.line}: mode {numbers[still[0]]} is zero at every sensor"
+        )
     places = np.array(list(sensors), dtype=np.int64).reshape(-1, 2)
     modes = mode_set(frequencies or [], shapes, places[:, 0], places[:, 1], damping)
     known = [np.array(deviations.get(name, [math.nan] * len(numbers))) for name in DEVIATIONS]
     return Measurement(
         MeasuredModes(numbers, modes), deviations=MeasuredDeviations(*known) if deviations else None
     )
-
-
-def _shapes(path: Path, line: int, numbers: tuple[int, ...], rows: list[list[float]]) -> Floats:
-    """Sensor rows as (n_dof, n_modes); a mode that moves no sensor is refused."""
-    shapes = np.array(rows).reshape(len(rows), len(numbers))
-    still = np.flatnonzero(~shapes.any(axis=0))
-    if rows and still.size:
-        raise CampaignError(
-            f"{path}, line {line}: mode {numbers[still[0]]} is zero at every sensor"
-        )
-    return shapes
 
 
 def _rows(path: Path) -> list[CsvRow]:

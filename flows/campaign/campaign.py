@@ -32,7 +32,12 @@ from modetune.flows.campaign.measured import (
     read_test,
     used_modes,
 )
-from modetune.flows.campaign.refusals import core_problems, licence_problems, method_problems
+from modetune.flows.campaign.refusals import (
+    core_problems,
+    licence_problems,
+    method_problems,
+    target_problems,
+)
 from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.schema import (
     STORE_VARIABLE,
@@ -186,7 +191,7 @@ def load_campaign(
     problems: list[str] = []
     parameters = ParameterSet(tuple(item.parameter() for item in file.parameters))
     cases = _read_cases(source, file, problems)
-    problems += core_problems(source, run, cores()) + licence_problems(source, file.run)
+    problems += core_problems(source, run, cores()) + licence_problems(source, file)
     if problems:
         raise CampaignError(list(dict.fromkeys(problems)))
     return Campaign(
@@ -292,6 +297,10 @@ def _store_folder(source: YamlFile, file: CampaignFile) -> Path:
 
 def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> Solver | None:
     parameters = tuple(item.parameter() for item in file.parameters)
+    without = target_problems(source, file)
+    if without:
+        problems += without
+        return None
     try:
         solver = bind_solver(file.model, source.path.parent / file.model.deck, parameters)
     except ModelError as error:

@@ -49,15 +49,16 @@ def _add_rules(sections: dict[str, Any]) -> None:
         {key: one_number[key] for key in ("type", "minimum", "maximum")},
     ]
     parameter = sections["ParameterSection"]
-    parameter["oneOf"] = _one_of(TARGET_KEYS)
+    none = {"not": {"anyOf": _one_of(TARGET_KEYS)}}  # a placeholder of `solver: command`
+    parameter["oneOf"] = [*_one_of(TARGET_KEYS), none]
     parameter["allOf"] = [
         {
             "if": {"properties": {"quantity": {"const": quantity}}, "required": ["quantity"]},
-            "then": {"anyOf": _one_of(targets)},
+            "then": {"anyOf": [*_one_of(targets), none]},
         }
         for quantity, targets in TARGETS.items()
     ]
 
 
-def _one_of(keys: tuple[str, ...]) -> list[dict[str, list[str]]]:
+def _one_of(keys: tuple[str, ...]) -> list[dict[str, Any]]:
     return [{"required": [key]} for key in keys]

@@ -6,7 +6,13 @@ from typing import get_args
 
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile
-from modetune.flows.campaign.schema import CampaignFile, ModelFile, SolverName
+from modetune.flows.campaign.schema import (
+    BY_NAME,
+    CampaignFile,
+    ModelFile,
+    SolverName,
+    targets_of,
+)
 from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.campaign.site import RunSection
 
@@ -23,14 +29,28 @@ def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:
     ]
 
 
-def licence_problems(source: YamlFile, run: RunSection) -> list[str]:
+def target_problems(source: YamlFile, file: CampaignFile) -> list[str]:
+    """Parameters that name nothing, on a solver that needs to be told what they scale."""
+    if file.model.solver not in get_args(SolverName) or file.model.solver in BY_NAME:
+        return []
+    return [
+        f"{source.where(('parameters', place))}: parameters.{place}: {item.quantity} needs "
+        f"{targets_of(item.quantity)}; it has none"
+        for place, item in enumerate(file.parameters)
+        if item.by() == "placeholder"
+    ]
+
+
+def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
     """A licence that no solver has would limit nothing, without a word."""
-    unknown = sorted(set(run.licences) - set(get_args(SolverName)))
+    models = [item.model for item in file.configurations] + ([file.model] if file.model else [])
+    known = [*get_args(SolverName), *(model.program for model in models)]
+    unknown = sorted(set(file.run.licences) - set(known))
     if not unknown:
         return []
     return [
         f"{source.where(('run', 'licences'))}: run.licences names {', '.join(unknown)}; licences "
-        f"go by the solver's name: {', '.join(get_args(SolverName))}"
+        f"go by the solver's name: {', '.join(dict.fromkeys(known))}"
     ]
 
 

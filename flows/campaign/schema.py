@@ -19,6 +19,7 @@ from pydantic_core import PydanticKnownError
 
 from modetune.core.parameters import TARGETS, Parameter, Quantity, TargetKind
 from modetune.core.updating.estimation import StepForm
+from modetune.flows.campaign.command_section import CommandSection
 from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.section import Name, NotNegative, Positive, Section, Share
 from modetune.flows.campaign.sensors_section import SensorSection
@@ -28,7 +29,9 @@ from modetune.flows.campaign.site import RunSection
 KEPT_E2 = 0.002
 
 Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
-SolverName = Literal["calculix", "nastran", "mystran", "matrices"]
+SolverName = Literal["calculix", "nastran", "mystran", "matrices", "command"]
+#: Solvers that take parameters by their names alone, without a target.
+BY_NAME = ("command",)
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 NastranDialect = Literal["msc", "nx"]
 Eigensolver = Literal["auto", "solver", "pardiso"]
@@ -48,8 +51,11 @@ class ModelSection(Section):
 
     deck: str
     """Path of the deck, relative to the campaign file; its includes are followed."""
-    solver: SolverName = "calculix"
-    """The program that runs the deck; `calculix` runs Nastran decks too, by translation."""
+    solver: SolverName | Name = "calculix"
+    """The program that runs the deck; `calculix` runs Nastran decks too, by translation; `command`
+    any program; or one that an installed package brings."""
+    command: CommandSection | None = None
+    """The program of `solver: command`."""
     dialect: NastranDialect = "msc"
     """Which Nastran: MSC, or Simcenter (NX)."""
     eigensolver: Eigensolver = "auto"
@@ -64,6 +70,17 @@ class ModelSection(Section):
     checks: tuple[ModelCheck, ...] = ()
     """Doubts about the model that are known and accepted: `units`, by the speed of sound in most of
     its mass; `size`; `mass`."""
+
+    @model_validator(mode="after")
+    def _described(self) -> ModelSection:
+        if (self.solver == "command") != (self.command is not None):
+            raise ValueError("`solver: command` and the section `command` belong together")
+        return self
+
+    @property
+    def program(self) -> str:
+        """What the solver is called in tables and among licences."""
+        return self.command.name if self.command else self.solver
 
 
 class TestSection(Section):
@@ -140,10 +157,9 @@ class ParameterSection(Section):
     def _sound(self) -> ParameterSection:
         given = [key for key in TARGET_KEYS if getattr(self, key) is not None]
         wanted = TARGETS[self.quantity]
-        if len(given) != 1 or given[0] not in wanted:
-            keys = " or ".join(f"`{key}`" for key in wanted)
-            found = f"not {' and '.join(f'`{key}`' for key in given)}" if given else "it has none"
-            raise ValueError(f"{self.quantity} needs {keys}; {found}")
+        if len(given) > 1 or any(key not in wanted for key in given):
+            found = f"not {' and '.join(f'`{key}`' for key in given)}"
+            raise ValueError(f"{self.quantity} needs {targets_of(self.quantity)}; {found}")
         lower, upper = self.bounds
         if lower >= upper:
             raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
@@ -152,12 +168,13 @@ class ParameterSection(Section):
         return self
 
     def by(self) -> TargetKind:
-        """What the targets name."""
-        return next(key for key in TARGET_KEYS if getattr(self, key) is not None)
+        """What the targets name; without one the parameter's name is that of its placeholder."""
+        named = (key for key in TARGET_KEYS if getattr(self, key) is not None)
+        return next(named, "placeholder")
 
     def targets(self) -> tuple[str, ...]:
         """The targets' names."""
-        chosen = getattr(self, self.by())
+        chosen = self.name if self.by() == "placeholder" else getattr(self, self.by())
         return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
 
     def parameter(self) -> Parameter:
@@ -172,6 +189,11 @@ class ParameterSection(Section):
             self.initial,
             self.item,
         )
+
+
+def targets_of(quantity: Quantity) -> str:
+    """The keys that may name what a quantity belongs to, for messages."""
+    return " or ".join(f"`{key}`" for key in TARGETS[quantity]) or "`solver: command`"
 
 
 class ConfigurationSection(Section):

@@ -1,7 +1,9 @@
 """Which solver runs a campaign's model: the one place that names the adapters.
 
 An adapter is imported when a campaign asks for it. `calculix` takes CalculiX decks as they are and
-Nastran decks through their translation.
+Nastran decks through their translation. Other packages bring solvers by an entry point of the group
+`modetune.solvers`: its name is what campaigns call the solver, its object a function of a deck's
+path and the parameters that gives a Solver.
 """
 
 from __future__ import annotations
@@ -10,22 +12,29 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Solver
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
-from modetune.flows.campaign.schema import ModelSection, SolverName
+from modetune.flows.campaign.schema import ModelSection
 from modetune.flows.campaign.self_test import passed_here
+from modetune.flows.campaign.units import METRES
 
+#: Entry points of packages that bring a solver.
+GROUP = "modetune.solvers"
 #: What a Nastran deck starts with: a comment, a statement, or a card.
 NASTRAN_START = re.compile(r"\$|[A-Z][A-Z0-9]*[*,=(\s]|CEND|[A-Z0-9]{1,8}\s*$", re.IGNORECASE)
 
 
 def bind_solver(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """The campaign's solver bound to its deck. Raises ModelError."""
-    solver = SOLVERS[model.solver](model, deck, parameters)
+    if model.solver in SOLVERS:
+        solver = SOLVERS[model.solver](model, deck, parameters)
+    else:
+        solver = _registered(model.solver, deck, parameters)
     return replace(solver, confirmed=passed_here(solver.program))
 
 
@@ -57,12 +66,52 @@ def _matrices(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]
     return matrices_solver(deck, parameters)
 
 
+def _command(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
+    from modetune.adapters.command.solver import command_solver
+
+    assert model.command is not None
+    return command_solver(deck, parameters, model.command.settings(METRES[model.units]))
+
+
+def registered() -> dict[str, EntryPoint]:
+    """The solvers that installed packages bring, by name; none of them is imported for it."""
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
+
+
+def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
+    """A solver that another package brings. Raises ModelError where it brings none."""
+    found = registered()
+    if name not in found:
+        raise ModelError(
+            f"the solver {name} is not known here; there are {', '.join((*SOLVERS, *found))}. "
+            f"Packages bring others by an entry point of the group {GROUP}"
+        )
+    entry = found[name]
+    package = f"package {entry.dist.name} {entry.dist.version}" if entry.dist else "its package"
+    said = f"the solver {name} is `{entry.value}` of {package}"
+    try:
+        bind = entry.load()
+    except Exception as error:  # whatever importing another's module raises
+        raise ModelError(
+            f"{said}, which cannot be imported: {type(error).__name__}: {error}; repair or remove "
+            "that package"
+        ) from error
+    solver = bind(deck, parameters) if callable(bind) else bind
+    if not isinstance(solver, Solver):
+        raise ModelError(
+            f"{said}, which gives a {type(solver).__name__} and must give a Solver of "
+            "modetune.adapters.solver"
+        )
+    return solver
+
+
 #: What binds each solver of a campaign to its model.
-SOLVERS: dict[SolverName, Callable[[ModelSection, Path, tuple[Parameter, ...]], Solver]] = {
+SOLVERS: dict[str, Callable[[ModelSection, Path, tuple[Parameter, ...]], Solver]] = {
     "calculix": _calculix,
     "nastran": _nastran,
     "mystran": _mystran,
     "matrices": _matrices,
+    "command": _command,
 }
 
 

@@ -22,8 +22,6 @@ logger = logging.getLogger(__name__)
 
 #: How often the computed range is widened in search of a lost mode.
 WIDENINGS = 1
-#: Programs that give fewer modes than asked for where the model has no more.
-GIVES_ALL = ("matrices", "calculix")
 
 
 @dataclass(slots=True, eq=False)
@@ -65,7 +63,7 @@ class AskedModes:
 
         there: modes that were found; a model of a few unknowns has no more than it gave.
         """
-        few = there < self.analysis.n_modes and self.state.case.solver.program.name in GIVES_ALL
+        few = there < self.analysis.n_modes
         if self.widened == WIDENINGS or few or not error.above:
             return False
         self.widened += 1

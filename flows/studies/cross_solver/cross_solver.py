@@ -72,7 +72,9 @@ def run_twin(
     absent: list[tuple[str, str]] = []
     for solver in solvers:
         try:
-            campaign = load_campaign(campaign_file, [*settings, f"model.solver={solver}"])
+            other = [] if solver == "command" else ["model.command=null"]
+            asked = [*settings, f"model.solver={solver}", *other]
+            campaign = load_campaign(campaign_file, asked)
             campaign.solver_version()
             campaigns.append(campaign)
         except (CampaignError, SolverMissing) as error:

@@ -1,0 +1,1 @@
+"""A frame for OpenSeesPy, which modetune has no adapter for."""
