@@ -129,8 +129,9 @@ FLOWS = (
     ("report", "jobs"),
     ("campaign",),
 )
-#: Rooms that know several solvers: a translation from one to another, and the table of all.
-KNOW_SOLVERS = {"adapters.translation", "flows.campaign"}
+#: Rooms that know several solvers: a translation from one to another, the table of all, and the
+#: reading of what any program left.
+KNOW_SOLVERS = {"adapters.command", "adapters.translation", "flows.campaign"}
 Arrows = dict[str, set[str]]
 
 
