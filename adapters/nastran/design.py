@@ -19,10 +19,12 @@ named by DSCMCOL. (MSC and Simcenter Nastran, Quick Reference Guides: DSAPRT, DR
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
-from modetune.adapters.nastran.deck import NastranDeck, with_lines
+from modetune.adapters.nastran.deck import NastranCard, NastranDeck, with_lines
 from modetune.adapters.nastran.model import NastranModel, ValuePlace
 from modetune.adapters.nastran.number import format_number, read_number
+from modetune.adapters.nastran.sections import station_rows
 from modetune.adapters.solver import SensitivityAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
@@ -36,6 +38,8 @@ THRESHOLD = "-1.+10"
 #: Responses of one kind that are kept; more than any job asks for.
 KEPT = 9_999_999
 COMPONENTS = 6
+#: Offsets of a PBEAM's neutral axis.
+OFFSETS = ("N1", "N2")
 #: Characters of a field in large-field cards.
 WIDTH = 16
 
@@ -89,17 +93,53 @@ def _relations(
     lines: list[str] = []
     number = 0
     for variable, parameter in enumerate(parameters, start=1):
-        for place in model.places(parameter):
+        places = model.places(parameter)
+        named = {(place.card.lines, place.symbol) for place in places}
+        for place in places:
             if not place.scales:
                 raise ModelError(
                     f"{model.deck.where(place.card)}: {parameter.name} does not scale this number, "
                     "and solver sensitivities are of scaled numbers only"
                 )
-            number += 1
             card = cards[place.card.lines[0]]
             text = card.text(place.field) or repr(place.value)  # blank: its default
-            lines += _relation(number, variable, place, _coefficient(text))
+            tied = {place.symbol: _coefficient(text), **_following(card, place, parameter)}
+            for symbol, coefficient in tied.items():
+                if symbol == place.symbol or (place.card.lines, symbol) not in named:
+                    number += 1
+                    said = replace(place, symbol=symbol)
+                    lines += _relation(number, variable, said, coefficient)
     return lines
+
+
+def _following(card: NastranCard, place: ValuePlace, parameter: Parameter) -> dict[str, str]:
+    """Blank numbers of a beam's stations, which follow end A, by their names.
+
+    Nastran fills them in as it reads the card; a design variable of end A alone would leave them.
+    Raises ModelError for a blank one between ends of which the parameter scales one.
+    """
+    name = place.symbol.removesuffix("(A)")
+    at_a = card.text(place.field)
+    if name == place.symbol or not at_a:
+        return {}
+    if card.name == "PBEAM" and name in OFFSETS:  # N1(A), N2(A), N1(B), N2(B) stand in a row
+        return {} if card.text(place.field + 2) else {f"{name}(B)": _coefficient(at_a)}
+    if card.name != "PBEAM":
+        return {f"{name}(B)": _coefficient(at_a)}
+    offset, rows = place.field - 1, station_rows(card)
+    where = {row: read_number(card.text(row + 1) or "1.") for row in rows}
+    at_b = next((card.text(row + offset) for row in rows if where[row] == 1.0), "")
+    found = {} if at_b else {f"{name}(B)": _coefficient(at_a)}
+    a, b = read_number(at_a), read_number(at_b or at_a)
+    for station, row in enumerate(rows, start=1):
+        if where[row] != 1.0 and not card.text(row + offset):
+            if parameter.item and at_b:
+                raise ModelError(
+                    f"PBEAM {place.ident}: station {station} has a blank {name}, which solver "
+                    f"sensitivities to {parameter.name} need written out"
+                )
+            found[f"{name}({station})"] = format_number(a + (b - a) * where[row], WIDTH)
+    return found
 
 
 def _coefficient(text: str) -> str:

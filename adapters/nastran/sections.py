@@ -117,7 +117,7 @@ def _beam(quantity: str) -> Callable[[Structure, NastranCard, int], Iterator[Ent
             raise ModelError(
                 f"{structure.deck.where(card)}: {symbol} of PBEAM {ident} is blank at end A"
             )
-        for station, row in enumerate(_station_rows(card), start=1):
+        for station, row in enumerate(station_rows(card), start=1):
             if card.text(row + offset):
                 end = structure.number(card, row + 1) == 1.0
                 yield station + 1, row + offset, f"{symbol}({'B' if end else station})"
@@ -125,7 +125,7 @@ def _beam(quantity: str) -> Callable[[Structure, NastranCard, int], Iterator[Ent
     return entries
 
 
-def _station_rows(card: NastranCard) -> list[int]:
+def station_rows(card: NastranCard) -> list[int]:
     """First fields of the stations of a PBEAM after end A."""
     return [row for row in range(9, len(card.fields), 8) if card.text(row) in STATION_MARKS]
 
@@ -134,7 +134,7 @@ def check_end(
     structure: Structure, card: NastranCard, ident: int, entries: Sequence[Entry]
 ) -> None:
     """Refuse a change of end A alone that end B would follow. Raises ModelError."""
-    rows = _station_rows(card)
+    rows = station_rows(card)
     if rows and entries[-1][1] < rows[-1]:
         raise ModelError(
             f"{structure.deck.where(card)}: end B of PBEAM {ident} is blank, so that it follows "
@@ -150,7 +150,7 @@ def _beam_end(*entries: Entry) -> Callable[[Structure, NastranCard, int], Iterat
     """
 
     def found(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
-        marks = _station_rows(card)
+        marks = station_rows(card)
         first = marks[-1] + (16 if card.text(marks[-1]) == "YES" else 8) if marks else 17
         for item, field, symbol in entries:
             yield item, first + field, symbol

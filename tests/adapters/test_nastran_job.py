@@ -447,3 +447,114 @@ def test_what_mystran_takes_for_something_else_is_refused_with_its_line(
 def test_cards_without_effect_on_modes_are_no_obstacle_for_mystran(tmp_path: Path) -> None:
     loads = "FORCE,1,1,,1.,1.,0.,0.\nDESVAR,1,X,1.\nTABDMP1,5\n,0.,.01,ENDT\n"
     assert "EIGRL" in job(tmp_path, HEAD + BULK + loads, dialect=MYSTRAN)
+
+
+@pytest.mark.parametrize(
+    ("stations", "found"),
+    [
+        # One section over the length: DVPREL1 names both ends, as public decks do.
+        ("PBEAM,7,1,10.,20.,30.,,40.", {"I1(A)": 20.0, "I1(B)": 20.0}),
+        ("PBEAM,7,1,10.,20.,30.,,40.\n,,,,,,,,\n,NO,1.,5.,8.,9.", {"I1(A)": 20.0, "I1(B)": 8.0}),
+        ("PBEAM,7,1,10.,20.,30.,,40.\n,,,,,,,,\n,NO,1.", {"I1(A)": 20.0, "I1(B)": 20.0}),
+        # A blank station lies between the ends: 20 + (8 - 20) / 4.
+        (
+            "PBEAM,7,1,10.,20.,30.,,40.\n,NO,.25\n,NO,1.,5.,8.,9.",
+            {"I1(A)": 20.0, "I1(1)": 17.0, "I1(B)": 8.0},
+        ),
+    ],
+)
+def test_a_beams_numbers_are_related_at_all_stations(
+    stations: str, found: dict[str, float], tmp_path: Path
+) -> None:
+    deck = f"GRID,1\nGRID,2,,1.\nMAT1,1,7.+4,,.3,2.7-9\n{stations}\nCBEAM,7,7,1,2,0.,0.,1.\n"
+    inertia = parameter("I", "inertia_1", "property", "7")
+    model = replace(model_of(tmp_path, deck), parameters=(inertia,))
+    text = job_text(model, model.edit([(inertia, 1.5)]), SensitivityAnalysis(1, ("I",)), MSC)
+    bdf = parsed(text, tmp_path)
+    assert {card.pname_fid: card.coeffs for card in bdf.dvprels.values()} == {
+        name: [pytest.approx(1.5 * value)] for name, value in found.items()
+    }
+    assert {card.dvids[0] for card in bdf.dvprels.values()} == {1}
+
+
+def test_a_dimension_of_one_section_over_the_length_is_related_at_both_ends(
+    tmp_path: Path,
+) -> None:
+    deck = (
+        "GRID,1\nGRID,2,,1.\nMAT1,1,7.+4,,.3,2.7-9\nPBEAML,7,1,,BAR\n,4.,5.\n"
+        "CBEAM,7,7,1,2,0.,0.,1.\n"
+    )
+    width = parameter("w", "dimension", "property", "7", item=1)
+    model = replace(model_of(tmp_path, deck), parameters=(width,))
+    bdf = parsed(job_text(model, {}, SensitivityAnalysis(1, ("w",)), MSC), tmp_path)
+    assert {card.pname_fid: card.coeffs for card in bdf.dvprels.values()} == {
+        "DIM1(A)": [4.0],
+        "DIM1(B)": [4.0],
+    }
+
+
+def case_of(text: str) -> list[str]:
+    """Case control of a deck, squeezed, in capitals."""
+    body = text.upper().split("CEND", 1)[1].split("BEGIN", 1)[0]
+    lines = ("".join(line.split("$", 1)[0].split()) for line in body.splitlines())
+    return [line for line in lines if line]
+
+
+def test_the_request_stands_as_in_the_public_deck_that_msc_ran(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    """MSC Nastran 2018 wrote DSCM2 for this deck; its only objective is a WEIGHT."""
+    public = shared_data / "nastran" / "pn_goland_sol200_dscm2" / "goland_final_test.bdf"
+    skin = parameter("t", "thickness", "property", "9")
+    model = replace(understand(read_deck(public)), parameters=(skin,))
+    analysis = SensitivityAnalysis(1, ("t",), (int(model.deck.named("GRID")[0].text(1)),))
+    ours = case_of(job_text(model, {}, analysis, MSC))
+    theirs = case_of(public.read_text(encoding="latin-1"))
+    asked = [line for line in theirs if line.startswith("DSAPRT")]
+    assert asked == [line for line in ours if line.startswith("DSAPRT")]
+    above, below = theirs[: theirs.index("SUBCASE1")], theirs[theirs.index("SUBCASE1") :]
+    at = ours.index("SUBCASE1")
+    assert asked[0] in ours[:at]
+    assert asked[0] in above
+    assert not any(line.startswith("DESOBJ") for line in ours)
+    assert [line.partition("=")[0] for line in ours[at:]] == [
+        line.partition("=")[0] for line in below
+    ]
+
+
+def test_a_sensitivity_job_of_one_spring_is_this_text(tmp_path: Path) -> None:
+    deck = "GRID,1\nGRID,2,,1.\nCELAS2,3,250.,1,1,2,1\nCONM2,4,2,,1.5\nSPC1,1,123456,1\n"
+    spring = parameter("k", "spring_stiffness", "element", "3")
+    model = replace(model_of(tmp_path, deck), parameters=(spring,))
+    assert (
+        job_text(model, {}, SensitivityAnalysis(1, ("k",)), MSC)
+        == """\
+SOL 200
+CEND
+ECHO = NONE
+SPC = 1
+DSAPRT(FORMATTED,EXPORT,END=SENS)
+SUBCASE 1
+ANALYSIS = MODES
+DESSUB = 1
+METHOD = 1
+BEGIN BULK
+PARAM,POST,-1
+PARAM,GRDPNT,0
+PARAM,POSTEXT,YES
+EIGRL,1,,,1,,,,MASS
+DESVAR,1,P1,1.,.5,2.
+DVCREL1*               1          CELAS2               3               K
+*
+*                      1            250.
+DRESP1,1,L1,EIGN,,,1
+DCONSTR,1,1
+DSCREEN,EIGN,-1.+10,9999999
+GRID,1
+GRID,2,,1.
+CELAS2,3,250.,1,1,2,1
+CONM2,4,2,,1.5
+SPC1,1,123456,1
+ENDDATA
+"""
+    )
