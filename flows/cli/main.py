@@ -23,6 +23,7 @@ from modetune.flows.cli.check import check
 from modetune.flows.cli.correlate import correlate
 from modetune.flows.cli.demo import demo
 from modetune.flows.cli.deploy import deploy
+from modetune.flows.cli.doctor import doctor
 from modetune.flows.cli.explain import explain
 from modetune.flows.cli.identify import identify
 from modetune.flows.cli.inspect import inspect
@@ -66,6 +67,7 @@ COMMANDS = (
     worker,
     twin,
     demo,
+    doctor,
     schema,
     version,
 )

@@ -2,11 +2,12 @@
 
 It is started as `nastran job.bdf scr=yes ...`, leaves F06, F04, log and OP2 files, and always ends
 with code 0. `outcomes.json` beside it lists what its runs do, one word a run, the last word for
-all others: good, fatal, memory, denied, killed, half, short, missing, few, other, hang. Each run
-adds a line to `runs.log` beside it.
+all others: good, fatal, memory, denied, killed, half, short, missing, few, other, hang, halved
+(sensitivities half of what they are). Each run adds a line to `runs.log` beside it.
 
-The solver knows GRID, SPC1, CELAS2, CONM2 and CONROD with MAT1, in free field or in columns of 8
-or 16; it gives what PARAM,POST,-1 puts into an OP2 file: LAMA, OUGV1, ONRGY1 and OGPWG, and for
+The solver knows GRID, SPC1, CELAS2, CONM2, CONROD, and CBAR and CBEAM along x that bend in the
+plane x-y, with MAT1, in free field or in columns of 8 or 16; a beam without its property is fatal.
+It gives what PARAM,POST,-1 puts into an OP2 file: LAMA, OUGV1, ONRGY1 and OGPWG, and for
 SOL 200 DSCMCOL and DSCM2.
 """
 
@@ -31,6 +32,10 @@ FATAL = """
 0*** USER FATAL MESSAGE 316 (IFPDRV)
      ILLEGAL DATA ON BULK DATA ENTRY MAT1
         {card}
+"""
+UNDEFINED = """
+ *** USER FATAL MESSAGE 2070 (FAKE)
+     {card} REFERENCES UNDEFINED PROPERTY {number}.
 """
 MEMORY = """
 0*** SYSTEM FATAL MESSAGE 3008 (DCMPA)
@@ -66,6 +71,8 @@ WEIGHT = """
                                   Y            {mass:.6E}      0.000000E+00  0.000000E+00  0.000000E+00
                                   Z            {mass:.6E}      0.000000E+00  0.000000E+00  0.000000E+00
 """  # noqa: E501
+#: Where the end B of a PBEAM of one row of stress points has its I1.
+END_B = 20
 END = "1                                        * * * END OF JOB * * *\n"
 
 
@@ -126,7 +133,7 @@ def read_set(case: list[str], request: str) -> list[int]:
 
 
 def springs(cards: list[Card], row: dict[int, int], places: dict[int, Floats]) -> dict[int, Floats]:
-    """Element numbers with the matrix factor (6 n,) b of stiffness b b^T."""
+    """Element numbers with the matrix factor (6 n, rank) b of stiffness b b^T."""
     size, found = 6 * len(row), dict[int, Floats]()
     moduli = {card.text(1): card.number(2) for card in cards if card.fields[0] == "MAT1"}
     for card in cards:
@@ -143,7 +150,39 @@ def springs(cards: list[Card], row: dict[int, int], places: dict[int, Floats]) -
             for sign, end in ((1.0, ends[1]), (-1.0, ends[0])):
                 b[6 * row[end] : 6 * row[end] + 3] = sign * along / length
             found[int(card.text(1))] = b * np.sqrt(moduli[card.text(4)] * card.number(5) / length)
-    return found
+        elif card.fields[0] in ("CBAR", "CBEAM"):
+            found[int(card.text(1))] = beam(card, cards, moduli, row, places)
+    return {number: b.reshape(size, -1) for number, b in found.items()}
+
+
+class UndefinedProperty(Exception):
+    """A beam names a property that the deck has not."""
+
+
+def beam(
+    card: Card,
+    cards: list[Card],
+    moduli: dict[str, float],
+    row: dict[int, int],
+    places: dict[int, Floats],
+) -> Floats:
+    """Curvature with equal and opposite ends, and with equal ones: all that a beam's bending is."""
+    section = f"P{card.fields[0].removeprefix('C')}"
+    owned = [p for p in cards if p.fields[0] == section and p.text(1) == card.text(2)]
+    if not owned:
+        raise UndefinedProperty(UNDEFINED.format(card=card.fields[0], number=card.text(2)))
+    inertia = owned[0].number(4)
+    if section == "PBEAM":  # both ends
+        inertia = (inertia + owned[0].number(END_B, inertia)) / 2.0
+    ends = int(card.text(3)), int(card.text(4))
+    length = places[ends[1]][0] - places[ends[0]][0]
+    stiffness = moduli[owned[0].text(2)] * inertia
+    b = np.zeros((6 * len(row), 2))
+    for sign, end in ((-1.0, ends[0]), (1.0, ends[1])):
+        b[6 * row[end] + 5, 0] = sign * np.sqrt(stiffness / length)
+        b[6 * row[end] + 1, 1] = sign * np.sqrt(12.0 * stiffness / length**3)
+        b[6 * row[end] + 5, 1] = -length / 2.0 * np.sqrt(12.0 * stiffness / length**3)
+    return b
 
 
 def selected(case: list[str], cards: list[Card]) -> list[Card]:
@@ -161,8 +200,8 @@ def solve(cards: list[Card], n_modes: int) -> Modes:
         if card.fields[0] == "GRID"
     }
     elements = springs(cards, row, places)
-    factors = np.array(list(elements.values()))
-    stiffness, masses = factors.T @ factors, np.zeros(6 * len(grids))
+    factors = np.hstack(list(elements.values()))
+    stiffness, masses = factors @ factors.T, np.zeros(6 * len(grids))
     scale = next(
         (c.number(2) for c in cards if c.fields[0] == "PARAM" and c.text(1) == "WTMASS"), 1.0
     )
@@ -185,11 +224,20 @@ def solve(cards: list[Card], n_modes: int) -> Modes:
         for dof in range(masses.size)
         if dof not in held and stiffness[dof, dof] > 0.0 and masses[dof] > 0.0
     ]
+    # Unknowns without mass follow the others.
+    turns = [
+        dof
+        for dof in range(masses.size)
+        if dof not in held and stiffness[dof, dof] > 0.0 and masses[dof] == 0.0
+    ]
+    follow = -np.linalg.solve(stiffness[np.ix_(turns, turns)], stiffness[np.ix_(turns, free)])
+    reduced = stiffness[np.ix_(free, free)] + stiffness[np.ix_(free, turns)] @ follow
     root = np.sqrt(masses[free])
-    eigenvalues, vectors = np.linalg.eigh(stiffness[np.ix_(free, free)] / np.outer(root, root))
+    eigenvalues, vectors = np.linalg.eigh(reduced / np.outer(root, root))
     shapes = np.zeros((masses.size, min(n_modes, len(free))))
     shapes[free] = (vectors / root[:, None])[:, :n_modes]
-    energies = {number: 0.5 * (b @ shapes) ** 2 for number, b in elements.items()}
+    shapes[turns] = follow @ shapes[free]
+    energies = {number: 0.5 * ((b.T @ shapes) ** 2).sum(0) for number, b in elements.items()}
     return Modes(grids, eigenvalues[:n_modes], shapes, energies, weight)
 
 
@@ -308,19 +356,25 @@ def op2_tables(modes: Modes, grids: list[int], elements: list[int]) -> bytes:
 #: Response types of DRESP1 cards in EDOM.
 TYPES = {"EIGN": 4, "DISP": 5}
 #: Fields of the numbers that design variables may scale.
-SCALED = {("MAT1", "E"): 2, ("CELAS2", "K"): 2, ("CONM2", "M"): 4, ("CONROD", "A"): 5}
+SCALED = {
+    ("MAT1", "E"): 2, ("CELAS2", "K"): 2, ("CONM2", "M"): 4, ("CONROD", "A"): 5, ("PBAR", "I1"): 4,
+    ("PBEAM", "I1(A)"): 4, ("PBEAM", "I1(B)"): END_B,
+}  # fmt: skip
 
 
 def scaled(cards: list[Card], variable: str, factor: float) -> list[Card]:
     """The cards with the numbers that a design variable governs, at another value of it."""
     numbers: dict[tuple[str, str, int], float] = {}
     for card in cards:
-        if card.fields[0] in ("DVMREL1", "DVCREL1") and card.text(9) == variable:
+        if card.fields[0] in ("DVMREL1", "DVCREL1", "DVPREL1") and card.text(9) == variable:
             field = SCALED[card.text(2), card.text(4)]
             numbers[card.text(2), card.text(3), field] = card.number(10) * factor
     found = []
     for card in cards:
         fields = list(card.fields)
+        if fields[0] == "PBEAM" and not card.text(END_B):  # filled in as the card is read
+            fields += [""] * (END_B + 1 - len(fields))
+            fields[END_B] = fields[4]
         for (name, number, field), value in numbers.items():
             if fields[0] == name and fields[1] == number:
                 fields[field] = repr(value)
@@ -328,8 +382,11 @@ def scaled(cards: list[Card], variable: str, factor: float) -> list[Card]:
     return found
 
 
-def sensitivities(cards: list[Card], n_modes: int, lacking: int) -> bytes:
-    """DSCMCOL and DSCM2 by central differences; the last `lacking` responses are left out."""
+def sensitivities(cards: list[Card], n_modes: int, lacking: int, size: float) -> bytes:
+    """DSCMCOL and DSCM2 by central differences; the last `lacking` responses are left out.
+
+    size: a factor on all of them.
+    """
     base = solve(cards, n_modes)
     variables = [card.text(1) for card in cards if card.fields[0] == "DESVAR"]
     responses = [card for card in cards if card.fields[0] == "DRESP1"]
@@ -368,7 +425,7 @@ def sensitivities(cards: list[Card], n_modes: int, lacking: int) -> bytes:
         for card in responses
     )
     text += table("EDOM", design, asked)
-    return text + table("DSCMCOL", words) + matrix("DSCM2", np.array(rows))
+    return text + table("DSCMCOL", words) + matrix("DSCM2", size * np.array(rows))
 
 
 def print_file(modes: Modes) -> str:
@@ -402,11 +459,16 @@ def run(deck: Path, outcome: str) -> None:
     case, bulk = lines[:begin], lines[begin + 1 : lines.index("ENDDATA")]
     cards = selected(case, read_cards(bulk))
     n_modes = next(int(card.text(4)) for card in cards if card.fields[0] == "EIGRL")
-    modes = solve(cards, n_modes - 1 if outcome == "few" else n_modes)
+    try:
+        modes = solve(cards, n_modes - 1 if outcome == "few" else n_modes)
+    except UndefinedProperty as error:
+        Path(f"{stem}.f06").write_text(f"{error}{END}")
+        return
     grids = read_set(case, "DISPLACEMENT")
     data = op2_tables(modes, grids[1:] if outcome == "other" else grids, read_set(case, "ESE"))
     if "SOL 200" in case:
-        data = sensitivities(cards, n_modes, 1 if outcome == "few" else 0)
+        size = 0.5 if outcome == "halved" else 1.0
+        data = sensitivities(cards, n_modes, 1 if outcome == "few" else 0, size)
     data += integers(0)
     text = print_file(modes)
     if outcome == "half":

@@ -1,0 +1,81 @@
+"""`modetune doctor`: what is installed, and whether solvers do here what campaigns rely on."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, stoppable
+
+if TYPE_CHECKING:
+    from modetune.flows.campaign.schema import NastranDialect
+    from modetune.flows.studies.doctor.doctor import DoctorReport
+    from modetune.flows.studies.doctor.lines import DoctorLine
+
+CampaignFile = Annotated[
+    Path | None,
+    typer.Argument(help="Campaign file whose solver and model are tried; none is needed."),
+]
+Solver = Annotated[
+    str | None,
+    typer.Option(help="Solver to try on a model of ten elements; else all that need no licence."),
+]
+Dialect = Annotated[str, typer.Option(help="Which Nastran: msc, or nx (Simcenter).")]
+Sent = Annotated[
+    Path, typer.Option("--file", help="The report, to be sent: JSON, or text where it ends so.")
+]
+
+
+def doctor(
+    campaign_file: CampaignFile = None,
+    solver: Solver = None,
+    dialect: Dialect = "msc",
+    file: Sent = Path("modetune-doctor.json"),
+    as_json: AsJson = False,
+) -> None:
+    """Look at the installation, and try what campaigns rely on of its solvers.
+
+    A commercial solver is tried only when named, for it takes a licence. What it passes is noted,
+    and `auto` uses it from then on. Ends with 4 where something failed.
+    """
+    from modetune.core.errors import CampaignError
+    from modetune.core.storage.files import writing
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.studies.doctor.doctor import run_doctor
+
+    if dialect not in ("msc", "nx"):
+        raise CampaignError(f"--dialect {dialect!r}: expected msc or nx")
+
+    def tell(line: DoctorLine) -> None:
+        typer.echo(line.text, err=as_json)
+
+    chosen: NastranDialect = "nx" if dialect == "nx" else "msc"
+    with (
+        stoppable("stopped; the same command begins anew"),
+        terminal(stderr=True).status("looking") as status,  # nothing where it is not a terminal
+    ):
+        report = run_doctor(solver, chosen, campaign_file, tell, status.update)
+    told = report.told(datetime.now(UTC))
+    text = _text(report) if file.suffix == ".txt" else json.dumps(told, indent=1) + "\n"
+    with writing(file, "name another place with --file") as part:
+        part.write_text(text, encoding="utf-8")
+    if as_json:
+        typer.echo(json.dumps({**told, "file": str(file)}))
+    else:
+        typer.echo(f"{_counted(report)}; written: {file}, which holds no names of people or hosts")
+    raise typer.Exit(report.exit_code)
+
+
+def _text(report: DoctorReport) -> str:
+    return "".join(f"{line.text}\n" for line in report.lines) + f"{_counted(report)}\n"
+
+
+def _counted(report: DoctorReport) -> str:
+    from modetune.flows.studies.doctor.lines import STATES
+
+    states = [line.state for line in report.lines]
+    return ", ".join(f"{states.count(state)} {state}" for state in STATES)

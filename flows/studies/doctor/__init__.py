@@ -1,0 +1,1 @@
+"""What is installed, and whether each solver does here what campaigns rely on."""

@@ -1,0 +1,196 @@
+"""What is installed here and within reach: a line each.
+
+Nothing is started and nothing is written but a lock file in the store, which goes again.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+from modetune.core.errors import ModetuneError
+from modetune.core.storage.files import check_writable
+from modetune.core.storage.locks import FileLock
+from modetune.flows.campaign.campaign import cores
+from modetune.flows.campaign.schema import STORE_REMEDY, STORE_VARIABLE
+from modetune.flows.campaign.site import RunSection, site_path
+from modetune.flows.jobs.prefect_server import (
+    Address,
+    SharedServer,
+    is_keeper,
+    is_ours,
+    read_address,
+    server_home,
+)
+from modetune.flows.studies.doctor.lines import DoctorLine, State, Tell
+
+HERE = "machine"
+#: Extras that users install; `all` is their sum, `dev` is for work on modetune itself.
+EXTRAS = ("calculix", "pictures", "studies", "cluster")
+#: Free disk below which a campaign of a middling model may not end, bytes.
+LEAST_DISK = 5e9
+#: What tells licence managers' servers to solvers; values are not told.
+LICENCE_VARIABLES = ("MSC_LICENSE_FILE", "LM_LICENSE_FILE", "SPLM_LICENSE_SERVER",
+                     "SALT_LICENSE_SERVER", "UGS_LICENSE_SERVER")  # fmt: skip
+
+Found = tuple[State, str, str]
+
+
+def look_around(tell: Tell, working: Callable[[str], None]) -> None:
+    """Tell what is installed, and what the site offers."""
+    looks: list[tuple[str, Callable[[], Found]]] = [
+        ("Python", _python),
+        ("packages", lambda: _packages("")),
+        *((f"extra {name}", lambda name=name: _packages(name)) for name in EXTRAS),
+        ("cores, memory", _machine),
+        ("disk", _disk),
+        ("site file", _site),
+        ("licences", _licences),
+        ("Prefect server", _server),
+        ("store", _store),
+    ]
+    for item, look in looks:
+        working(f"{HERE}: {item}")
+        started = time.monotonic()
+        try:
+            state, said, remedy = look()
+        except ModetuneError as error:
+            state, said, remedy = "failed", str(error), ""
+        tell(DoctorLine(HERE, item, state, said, remedy, time.monotonic() - started))
+
+
+def _python() -> Found:
+    system = f"{platform.system()} {platform.release()}, {platform.machine()}"
+    return "passed", f"{platform.python_version()}; modetune {_version('modetune')}; {system}", ""
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _packages(extra: str) -> Found:
+    """The packages that modetune requires, or those of an extra, against what is there."""
+    told, wrong, missing = [], [], []
+    for text in metadata.requires("modetune") or ():
+        wanted = Requirement(text)
+        if wanted.marker is not None and not wanted.marker.evaluate({"extra": extra}):
+            continue
+        if extra and (wanted.marker is None or wanted.marker.evaluate({"extra": ""})):
+            continue
+        version = _version(wanted.name)
+        if not version:
+            missing.append(wanted.name)
+        elif not wanted.specifier.contains(version, prereleases=True):
+            wrong.append(f"{wanted.name} {version} is not {wanted.specifier}")
+        else:
+            told.append(f"{wanted.name} {version}")
+    remedy = f"pip install 'modetune[{extra}]'" if extra else "pip install modetune"
+    said = ", ".join(told)
+    if wrong or (missing and not extra):
+        absent = [f"{name} is not installed" for name in missing]
+        return "failed", "; ".join([*wrong, *absent]), remedy
+    if missing:
+        return "not available", f"{', '.join(missing)} not installed", remedy
+    return "passed", said, ""
+
+
+def _machine() -> Found:
+    pages = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    said = f"{cores()} of {os.cpu_count()} cores, {pages / 1e9:.1f} GB, {free / 1e9:.1f} GB unused"
+    return "passed", said, ""
+
+
+def _disk() -> Found:
+    free = shutil.disk_usage(_store_folder(existing=True)).free
+    said = f"{free / 1e9:.1f} GB free below the store"
+    if free < LEAST_DISK:
+        return "failed", said, f"free some, or name another disk with {STORE_VARIABLE}"
+    return "passed", said, ""
+
+
+def _site() -> Found:
+    run = RunSection().on_site()  # told where it cannot be read
+    if not site_path().is_file():
+        return "not available", "there is none; campaigns run on this machine", ""
+    return "passed", f"{site_path()}: jobs run by {run.engine}", ""
+
+
+def _licences() -> Found:
+    run = RunSection().on_site()
+    named = [name for name in LICENCE_VARIABLES if os.environ.get(name)]
+    counted = [f"{count} of {name}" for name, count in run.licences.items()]
+    if not named and not counted:
+        return (
+            "not available",
+            "no licence server is named in the environment, and the site file counts no licences",
+            "needed by commercial solvers alone",
+        )
+    said = [f"{', '.join(named)} set"] if named else []
+    return (
+        "passed",
+        "; ".join([*said, *(["counted: " + ", ".join(counted)] if counted else [])]),
+        "",
+    )
+
+
+def _server() -> Found:
+    named = os.environ.get("PREFECT_API_URL")
+    if named:
+        server = SharedServer(server_home(), Address(named, 0), None)
+        answer = server.answer()
+        if answer == "ready":
+            return "passed", f"{server.address.shown} answers", ""
+        return "failed", server.told(answer), ""
+    address = read_address(server_home())
+    if address is None or not is_keeper(address.pid) or not is_ours(address.url):
+        return "not available", "none is running; the first command that needs one starts it", ""
+    return "passed", f"running at {address.url.removesuffix('/api')}", ""
+
+
+def _store() -> Found:
+    """Where results go: written to, locked, and how large it is."""
+    folder = _store_folder()
+    new = not folder.exists()
+    try:
+        check_writable(folder, STORE_REMEDY)
+        with FileLock(folder / ".doctor.lock") as lock:
+            if not lock.take():
+                return "passed", f"{folder}: another test of it is under way", ""
+            second = FileLock(folder / ".doctor.lock")
+            twice = second.take()
+            second.release()
+            lock.remove()
+    finally:
+        if new and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+    if twice:
+        return (
+            "failed",
+            f"{folder}: a lock can be taken twice, so campaigns could run the same job",
+            f"name a folder on another file system with {STORE_VARIABLE}",
+        )
+    if new:
+        return "passed", f"{folder}: can be written, locks hold; it is made when needed", ""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    size = sum(path.stat().st_size for path in files)
+    said = f"{folder}: {len(files)} files, {size / 1e6:.1f} MB; can be written, locks hold"
+    return "passed", said, ""
+
+
+def _store_folder(existing: bool = False) -> Path:
+    """The store of campaigns in this folder; existing: the first folder above it that is there."""
+    folder = Path(os.environ.get(STORE_VARIABLE) or Path(".modetune") / "store").absolute()
+    while existing and not folder.is_dir():
+        folder = folder.parent
+    return folder
