@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from modetune.core.modes import Floats
 
 #: Powers of a shell's thickness, and of a beam's dimension, besides the constant.
 THICKNESS = (-1, 1, 2, 3)
+#: Powers by which constants of an anisotropic material may follow a value: those of a translated
+#: shell have membrane, coupling and bending in them.
+CUBIC = (1, 2, 3)
 #: ccx takes shells that meet as one where their normals are less than 20 degrees apart and their
 #: thickness differs by less than this (gen3dnor.f); at another thickness they meet in a knot.
 SAME_THICKNESS = 1e-10
@@ -39,10 +43,15 @@ Place = tuple[int, int]
 
 
 def affected_elements_of(
-    model: CalculixModel, incidence: Incidence, geometry: Mesh, places: Collection[Place]
+    model: CalculixModel,
+    incidence: Incidence,
+    geometry: Mesh,
+    places: Collection[Place],
+    powers: tuple[int, ...] = (1,),
 ) -> AffectedElements | None:
     """What these numbers of the deck move, as one relative value of theirs.
 
+    powers: by which they follow it, but for thickness and dimensions.
     None where the matrices are not a polynomial of it, where a step before the frequency step may
     preload the structure, or where the number of equations depends on the value.
     """
@@ -67,7 +76,7 @@ def affected_elements_of(
         nodes=_with_tied(model, incidence.nodes(elements)),
         stiffness=not keywords <= {"*DENSITY", "*MASS"},
         mass=across or bool(keywords & {"*DENSITY", "*MASS"}),
-        powers=THICKNESS if across else (1,),
+        powers=THICKNESS if across else powers,
         proportional=keywords <= {"*ELASTIC", "*SPRING"}
         and not _layered(model, sets)
         and all(_moduli(model, card) <= set(places) for card in cards),
@@ -113,68 +122,77 @@ def _with_tied(model: CalculixModel, nodes: frozenset[int]) -> frozenset[int]:
     return frozenset(reached) & model.mesh.nodes
 
 
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """Numbers that follow a value: by which powers of it besides the constant.
+
+    proportional: whether all are proportional to it.
+    """
+
+    places: frozenset[Place]
+    powers: tuple[int, ...]
+    proportional: bool
+
+
 def changed_places(
     nominal: CalculixModel, edited: Sequence[CalculixModel], values: Sequence[float]
-) -> tuple[frozenset[Place], bool] | None:
-    """Numbers of a deck that are others at these relative values, two of them, than at 1.
+) -> Changed | None:
+    """Numbers of a deck that are others at these relative values, two or more, than at 1.
 
-    Beside them whether all are proportional to the value.
     None where more than numbers that matrices are linear in differ, or where such a number is not
-    linear in the value (a thickness: not proportional to it).
+    linear in the value (a thickness: not proportional to it; constants of an anisotropic material:
+    no cubic polynomial of it, which takes four values to tell).
     """
     texts = [[line.text for line in model.deck.lines] for model in (nominal, *edited)]
     if len({len(lines) for lines in texts}) > 1:
         return None
     at = np.array([1.0, *values])
-    changed: set[Place] = set()
+    changed, powers = set[Place](), {1}
     proportional = True
     for line, row in enumerate(zip(*texts, strict=True)):
         if len(set(row)) == 1:
             continue
-        moved, scaled = _moved_linearly(_cards(nominal, [line]), row, at)
-        if not moved:
+        cards, numbers = _cards(nominal, [line]), _numbers(row)
+        own = _powers(cards[0], numbers, at) if len(cards) == 1 and numbers is not None else None
+        if own is None or numbers is None:
             return None
+        moved = np.flatnonzero(np.ptp(numbers, axis=0) > 0.0).tolist()
         changed |= {(line, place) for place in moved}
-        proportional = proportional and scaled
-    return frozenset(changed), proportional
+        powers |= set(own)
+        proportional = proportional and _fits(numbers[:, moved], at, (1,))
+    return Changed(frozenset(changed), tuple(sorted(powers)), proportional)
 
 
-def _moved_linearly(
-    cards: list[KeywordCard], texts: Sequence[str], at: Floats
-) -> tuple[list[int], bool]:
-    """Places of the numbers that move in a line, by its texts at these values.
-
-    None where matrices are not linear in the value by them. Beside them whether they are
-    proportional to it.
-    """
-    nothing: tuple[list[int], bool] = [], False
-    if len(cards) != 1:
-        return nothing
-    card, kind = cards[0], cards[0].option("TYPE")
+def _numbers(texts: Sequence[str]) -> Floats | None:
+    """(n_values, n_words), None where a word is no number."""
+    words = [[word.strip() for word in text.split(",")] for text in texts]
     try:
-        numbers = np.array(
-            [
-                [read_number(word) if word.strip() else 0.0 for word in text.split(",")]
-                for text in texts
-            ]
-        )
+        return np.array([[read_number(word) if word else 0.0 for word in row] for row in words])
     except ValueError:
-        return nothing
-    moved = np.ptp(numbers, axis=0) > 0.0
-    if card.keyword == "*ELASTIC":
-        isotropic = kind in ("", "ISO", "ISOTROPIC")
-        if isotropic and moved[1:].any():  # Poisson's ratio
-            return nothing
-        if not isotropic and kind not in ("ORTHO", "ANISO"):
-            return nothing
-    slopes = (numbers[1:] - numbers[0]) / (at[1:] - at[0])[:, None]
+        return None
+
+
+def _powers(card: KeywordCard, numbers: Floats, at: Floats) -> tuple[int, ...] | None:
+    """The powers of the value by which a line's numbers move matrices, None where by no such."""
+    kind, moved = card.option("TYPE"), np.ptp(numbers, axis=0) > 0.0
+    isotropic = kind in ("", "ISO", "ISOTROPIC")
+    if card.keyword == "*ELASTIC" and (
+        (isotropic and moved[1:].any())  # Poisson's ratio
+        or (not isotropic and kind not in ("ORTHO", "ANISO"))
+    ):
+        return None
+    if _fits(numbers[:, moved], at, (1,) if card.keyword == "*SHELLSECTION" else (0, 1)):
+        return (1,)
+    cubic = kind == "ANISO" and at.size > 4 and _fits(numbers[:, moved], at, (0, *CUBIC))
+    return CUBIC if cubic else None
+
+
+def _fits(numbers: Floats, at: Floats, powers: tuple[int, ...]) -> bool:
+    """Whether numbers (n_values, n_words) are such polynomials of the values (n_values,)."""
+    terms = at[:, None] ** np.array(powers)
+    left = numbers - terms @ np.linalg.lstsq(terms, numbers, rcond=None)[0]
     # Numbers are written with twelve digits or more.
-    size = 1e-9 * np.abs(numbers).max(axis=0)
-    linear = bool((np.abs(slopes - slopes[0]) <= size)[:, moved].all())
-    scaled = bool((np.abs(slopes - numbers[0]) <= size)[:, moved].all())
-    if not linear or (card.keyword == "*SHELLSECTION" and not scaled):
-        return nothing
-    return np.flatnonzero(moved).tolist(), scaled
+    return bool((np.abs(left) <= 1e-9 * np.abs(numbers).max(axis=0)).all())
 
 
 def _cards(model: CalculixModel, lines: Collection[int]) -> list[KeywordCard]:

@@ -144,9 +144,11 @@ class CalculixDeck(Deck):
         fields = self.model.fields(parameter)
         return self.affected_elements_of({(field.line, field.place) for field in fields})
 
-    def affected_elements_of(self, places: Collection[Place]) -> AffectedElements | None:
+    def affected_elements_of(
+        self, places: Collection[Place], powers: tuple[int, ...] = (1,)
+    ) -> AffectedElements | None:
         """What these numbers of the deck move, as one relative value of theirs."""
-        return affected_elements_of(self.model, self._incidence, self.mesh(), places)
+        return affected_elements_of(self.model, self._incidence, self.mesh(), places, powers)
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers

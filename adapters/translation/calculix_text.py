@@ -3,11 +3,6 @@
 Grid points keep their numbers, elements get numbers of their own. One element may stand in several
 named sets. The text comes in the order in which ccx needs what it refers to: nodes, elements,
 sets, materials, other cards, sections, equations, fixed degrees of freedom.
-
-Rotations 4-6 of a shell or beam node stand in an equation only where ccx makes a rigid knot of the
-node; elsewhere ccx 2.20 drops such an equation without a word. It makes a knot where a node is
-expanded in two ways, so a node with rotations in an equation gets a stub: a beam element too
-small, soft and light to matter, free at its other end.
 """
 
 from __future__ import annotations
@@ -21,8 +16,6 @@ from modetune.core.modes import Floats
 
 #: ccx reads at most this many entries of an element's or a set's line.
 LINE_ENTRIES = 16
-#: The stubs that make knots: set and material, length and softness relative to the model's.
-KNOTS, KNOT_LENGTH, KNOT_SOFTNESS = "KNOTS", 1e-3, 1e-3
 #: Terms of an equation on one line.
 LINE_TERMS = 4
 
@@ -30,10 +23,7 @@ LINE_TERMS = 4
 class CalculixText:
     """A mutable builder of nodes, elements, materials, sections and constraints."""
 
-    def __init__(self, stiffness: float = 1.0, density: float = 1e-9) -> None:
-        """stiffness, density: of a material of the model, which says what is soft and light."""
-        self._stub = (KNOT_SOFTNESS * stiffness, KNOT_SOFTNESS * density)
-        self.knots: set[int] = set()
+    def __init__(self) -> None:
         self._size = 0.0
         self._last = 0
         self.coordinates: dict[int, Floats] = {}
@@ -87,18 +77,7 @@ class CalculixText:
         words = [
             f"{node}, {component}, {format_number(factor)}" for node, component, factor in terms
         ]
-        for node, component, _ in terms:
-            if component > 3:
-                self.knot(node)
-        self._equations += ["*EQUATION", str(len(words)), *_lines(words, LINE_TERMS)]
-
-    def knot(self, node: int) -> None:
-        """See that a node of shells or beams has rotations for equations; again does no harm."""
-        if node not in self.knots:
-            self.knots.add(node)
-            step = np.array([0.0, 0.0, KNOT_LENGTH * self.size])
-            tip = self.new_node(self.coordinates[node] + step)
-            self.new_element("B31", (node, tip), (KNOTS,))
+        self._equations += [str(len(words)), *_lines(words, LINE_TERMS)]
 
     @property
     def size(self) -> float:
@@ -121,7 +100,6 @@ class CalculixText:
 
     def text(self) -> str:
         """The model part of the deck: everything but a step."""
-        stub = self._knot_section() if self.knots else []
         lines = ["*NODE, NSET=NALL"]
         for number in sorted(self.coordinates):
             lines.append(f"{number}, {number_list(self.coordinates[number])}")
@@ -130,23 +108,11 @@ class CalculixText:
             lines += [f"*ELSET, ELSET={name}", *_lines(map(str, members), LINE_ENTRIES)]
         for name, cards in self._materials.items():
             lines += [f"*MATERIAL, NAME={name}", *cards]
-        lines += [*stub, *self._cards, *self._sections, *self._equations]
+        lines += [*self._cards, *self._sections]
+        lines += ["*EQUATION", *self._equations] if self._equations else []
         if self._fixed:
             lines += ["*BOUNDARY", *(f"{node}, {c}, {c}" for node, c in self._fixed)]
         return "\n".join(lines) + "\n"
-
-    def _knot_section(self) -> list[str]:
-        side = 0.5 * KNOT_LENGTH * self.size
-        return [
-            f"*MATERIAL, NAME={KNOTS}",
-            "*ELASTIC",
-            number_list((self._stub[0], 0.0)),
-            "*DENSITY",
-            number_list((self._stub[1],)),
-            f"*BEAM SECTION, ELSET={KNOTS}, MATERIAL={KNOTS}, SECTION=RECT",
-            number_list((side, side)),
-            "1., 0., 0.",
-        ]
 
     def _element_lines(self) -> list[str]:
         lines: list[str] = []

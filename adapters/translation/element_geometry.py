@@ -88,10 +88,6 @@ SHAPES = {
     "CPENTA15": _shape(_with_middles(WEDGE, [*_RING3, *_WEDGE_UP, *_WEDGE_TOP]), _WEDGE15, 2),
     "CTETRA4": _shape(TETRAHEDRON, _TETRA4, 3),
     "CTETRA10": _shape(_with_middles(TETRAHEDRON, _TETRA), _TETRA10, 3),
-    "QUAD4": _shape(SQUARE, _BILINEAR, 0),
-    "QUAD8": _shape(_with_middles(SQUARE, _RING4), _SQUARE8, 0),
-    "TRIA3": _shape(TRIANGLE, _LINEAR2, 2),
-    "TRIA6": _shape(_with_middles(TRIANGLE, _RING3), _QUADRATIC2, 2),
 }
 
 

@@ -70,9 +70,7 @@ class Freedoms:
 
     def rotations(self, node: int) -> list[Freedom]:
         """Where the node's rotations about the basic axes are; empty where it has none."""
-        if node in self.turning:
-            return [(node, 4), (node, 5), (node, 6)]
-        if node in self.solid or node in self.points:
+        if not self.turns(node):
             return []
         if node not in self.turn_nodes:
             self.turn_nodes[node] = self.builder.new_node(self.builder.coordinates[node])

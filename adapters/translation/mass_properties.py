@@ -1,9 +1,8 @@
 """Mass, centre of gravity and inertia of both sides of a translation, and their comparison.
 
-The Nastran side is taken from the cards, with the consistent mass of each element; shells have the
-inertia of their thickness, as their expanded counterparts do. The CalculiX side is taken from the
-finished deck's own elements, sections and densities. What the two must agree in is mass, centre
-and inertia, each within 0.1 %.
+The Nastran side is taken from the cards, with the consistent mass of each element. The CalculiX
+side is taken from the finished deck's own elements, sections and densities. What the two must agree
+in is mass, centre and inertia, each within 0.1 %.
 """
 
 from __future__ import annotations
@@ -66,13 +65,10 @@ def of_volume(points: Points, density: Floats) -> Moments:
     return _integrated(points.places, points.measures * density[:, None])
 
 
-def of_surface(points: Points, density: Floats, thickness: Floats, offset: Floats) -> Moments:
-    """Shells: density (of volume), thickness and offset of the mid-surface, (n_elements,) each."""
-    weights = points.measures * (density * thickness)[:, None]
-    moved = _integrated(points.places + points.normals * offset[:, None, None], weights)
-    spread = weights * (thickness**2 / 12.0)[:, None]
-    second = np.einsum("ep,epi,epj->ij", spread, points.normals, points.normals)
-    return Moments(moved.mass, moved.first, moved.second + second)
+def of_surface(points: Points, density: Floats, offset: Floats) -> Moments:
+    """Shells: density (of area) and offset of the mid-surface, (n_elements,) each."""
+    weights = points.measures * density[:, None]
+    return _integrated(points.places + points.normals * offset[:, None, None], weights)
 
 
 def _integrated(places: Floats, weights: Floats) -> Moments:
@@ -121,21 +117,20 @@ def check_masses(expected: MassProperties, found: MassProperties, size: float) -
 def calculix_mass_properties(builder: CalculixText, text: str) -> MassProperties:
     """Mass properties of the model; text: of the deck, whose sections and densities count.
 
-    Springs and the stubs of knots have no mass to speak of; scalar masses are left out, as they are
-    on the other side.
+    Springs have no mass; scalar masses are left out, as they are on the other side.
     """
     deck = parse_deck(Path("translation"), text)
     densities = _densities(deck)
     kinds = {number: (kind, nodes) for kind, number, nodes in builder.elements}
     parts: list[Moments] = []
-    for card in deck.named("*MASS", "*SOLID SECTION", "*SHELL SECTION"):
+    for card in deck.named("*MASS", "*SOLID SECTION"):
         groups: dict[str, list[Floats]] = {}
         if card.option("ELSET").startswith(SCALAR_MASS):
             continue
         for number in builder.sets.get(card.option("ELSET"), []):
             kind, nodes = kinds[number]
             places = np.array([builder.coordinates[node] for node in nodes])
-            groups.setdefault(kind.removesuffix("I"), []).append(places)
+            groups.setdefault(kind.rstrip("IR"), []).append(places)
         for kind, places_of in groups.items():
             parts += _group(deck, card, densities, kind, np.array(places_of))
     return mass_properties(parts)
@@ -148,17 +143,7 @@ def _group(
     if card.is_one_of("*MASS"):
         return [of_point(float(rows[0][0]), place[0]) for place in places]
     points = integration_points(SHAPES[kind], places)
-    many = np.ones(len(places))
-    if card.is_one_of("*SOLID SECTION"):
-        return [of_volume(points, densities.get(card.option("MATERIAL"), 0.0) * many)]
-    if "COMPOSITE" in card.options:
-        plies = [(float(row[0]), densities.get(row[2].upper(), 0.0)) for row in rows]
-    else:
-        plies = [(float(rows[0][0]), densities.get(card.option("MATERIAL"), 0.0))]
-    thickness = sum(ply for ply, _ in plies)
-    density = sum(ply * rho for ply, rho in plies) / thickness
-    offset = -float(card.option("OFFSET") or 0.0) * thickness
-    return [of_surface(points, density * many, thickness * many, offset * many)]
+    return [of_volume(points, densities.get(card.option("MATERIAL"), 0.0) * np.ones(len(places)))]
 
 
 def _densities(deck: KeywordDeck) -> dict[str, float]:

@@ -1,12 +1,13 @@
 """Concentrated masses.
 
-A CONM2 without offset and inertia at a free grid point is a *MASS element. ccx leaves the coupling
-of a *MASS element's freedoms out of its matrices, so a mass whose node depends on others, and a
-body with offset or inertia, becomes a small C3D8 that moves rigidly with its grid point and has the
-body's mass, centre and moments: with J = tr(I) / 2 - I in principal axes (J_i is the second moment
-along axis i), the box's sides are s_i = sqrt(12 J_i / m). It is never strained, so its stiffness is
-of no matter. A tensor that no body has (J_i < 0, as where a card gives I11 alone), or one without
-mass, takes a second box of negative mass.
+A CONM2 without offset and inertia at a free grid point of shells or solids is a *MASS element. ccx
+leaves the coupling of a *MASS element's freedoms out of its matrices, so a mass whose node depends
+on others or stands on beams and springs alone, and a body with offset or inertia, becomes a small
+C3D8 that moves rigidly with its grid point and has the body's mass, centre and moments: with
+J = tr(I) / 2 - I in principal axes (J_i is the second moment along axis i), the box's sides are
+s_i = sqrt(12 J_i / m). It is never strained, so its stiffness is of no matter. A tensor that
+no body has (J_i < 0, as where a card gives I11 alone), or one without mass, takes a second box of
+negative mass.
 """
 
 from __future__ import annotations
@@ -193,8 +194,12 @@ def translate_masses(
         offset = float(np.abs(body.centre - builder.coordinates[body.node]).max()) > near
         # A grid point without rotations (of solids) carries its masses along, not round.
         turns = freedoms.turns(body.node) and (offset or bool(body.inertia.any()))
-        if not turns and not any(
-            freedoms.is_dependent(freedom) for freedom in freedoms.translations(body.node)
+        # ccx takes a *MASS for an error where nothing couples its node's displacements.
+        coupled = body.node in freedoms.turning or body.node in freedoms.solid
+        if (
+            coupled
+            and not turns
+            and not any(freedoms.is_dependent(f) for f in freedoms.translations(body.node))
         ):
             if body.mass:
                 builder.new_element("MASS", (body.node,), (body.name, *sets))

@@ -6,11 +6,13 @@ its plane and the thickness: the plane-stress law is then exact whatever the thi
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
+from modetune.core.modes import Floats
 
 #: A given shear modulus this close to E / 2 (1 + nu) is the isotropic one with rounded digits.
 SAME_SHEAR = 5e-3
@@ -24,29 +26,40 @@ class MaterialUse:
     oriented: bool
 
 
-def shell_material(
-    builder: CalculixText, card: Any, density: float, wtmass: float, problems: list[str]
-) -> MaterialUse:
-    """Add the material of a shell; density: rho with non-structural mass, before WTMASS.
-
-    Sentences on what cannot be translated go into problems.
-    """
-    oriented = False
+def plane_stress(card: Any) -> Floats:
+    """(3, 3) law of plane stress in the material's axes. Raises ValueError."""
     if card.type == "MAT1":
         e, g, nu = card.e, card.g, card.nu
         if not e or not g:
-            problems.append(f"MAT1 {card.mid}: E and G above zero are needed, got E={e}, G={g}")
-            return MaterialUse("", False)
-        if is_isotropic(e, g, nu):
-            elastic = ["*ELASTIC", number_list((e, nu))]
-        else:
-            # Nastran keeps all three in the plane-stress law: E and nu in its diagonal, G in shear.
-            oriented, elastic = True, _constants(e, e, nu, g, g, g)
-    elif card.type == "MAT8":
-        oriented, elastic = True, _mat8(card, problems)
-    else:
-        elastic = _mat2(card, problems)
-    return MaterialUse(_add(builder, card, elastic, density * wtmass), oriented)
+            raise ValueError(f"MAT1 {card.mid}: E and G above zero are needed, got E={e}, G={g}")
+        # Nastran keeps all three where they are given: E and nu in the diagonal, G in shear.
+        return _orthotropic(e, e, nu, g)
+    if card.type == "MAT8":
+        if not (card.e11 and card.e22 and card.g12):
+            raise ValueError(f"MAT8 {card.mid}: E1, E2 and G12 above zero are needed")
+        return _orthotropic(card.e11, card.e22, card.nu12, card.g12)
+    if card.type == "MAT2":
+        g11, g12, g13 = (value or 0.0 for value in (card.G11, card.G12, card.G13))
+        g22, g23, g33 = (value or 0.0 for value in (card.G22, card.G23, card.G33))
+        return np.array([[g11, g12, g13], [g12, g22, g23], [g13, g23, g33]])
+    raise ValueError(f"{card.type} {card.mid}: shells are translated with MAT1, MAT2 and MAT8")
+
+
+def _orthotropic(e1: float, e2: float, nu12: float, g12: float) -> Floats:
+    share = 1.0 - nu12 * nu12 * e2 / e1
+    cross = nu12 * e2 / share
+    return np.array([[e1 / share, cross, 0.0], [cross, e2 / share, 0.0], [0.0, 0.0, g12]])
+
+
+def transverse_shear(card: Any) -> Floats | None:
+    """(2, 2) law of transverse shear, None where the card means none of that strain."""
+    if card.type == "MAT1":
+        return np.asarray((card.g or 0.0) * np.eye(2)) if card.g else None
+    if card.type == "MAT8":
+        return np.diag([card.g1z, card.g2z]) if card.g1z and card.g2z else None
+    if card.type == "MAT2" and card.G11 and card.G22:
+        return np.array([[card.G11, card.G12 or 0.0], [card.G12 or 0.0, card.G22]])
+    return None
 
 
 def solid_material(
@@ -80,34 +93,3 @@ def _add(builder: CalculixText, card: Any, elastic: list[str], density: float) -
         name = f"{base}_{count}"
     builder.material(name, lines)
     return name
-
-
-def _mat8(card: Any, problems: list[str]) -> list[str]:
-    g12 = card.g12
-    if not (card.e11 and card.e22 and g12):
-        problems.append(f"MAT8 {card.mid}: E1, E2 and G12 above zero are needed")
-        return []
-    # Blank or zero G1Z, G2Z mean no transverse shear strain in Nastran; the in-plane modulus
-    # stands in for the stiffness that a three-dimensional body must have.
-    return _constants(card.e11, card.e22, card.nu12, g12, card.g1z or g12, card.g2z or g12)
-
-
-def _constants(e1: float, e2: float, nu12: float, g12: float, g13: float, g23: float) -> list[str]:
-    """Engineering constants, without Poisson's effect through the thickness."""
-    first = (e1, e2, e2, nu12, 0.0, 0.0, g12, g13)
-    return ["*ELASTIC, TYPE=ENGINEERING CONSTANTS", number_list(first), number_list((g23,))]
-
-
-def _mat2(card: Any, problems: list[str]) -> list[str]:
-    """A MAT2 that is an isotropic plane-stress law; anything else is refused."""
-    g11, g12, g13 = card.G11, card.G12, card.G13
-    g22, g23, g33 = card.G22, card.G23, card.G33
-    nu = g12 / g22 if g22 else math.nan
-    e = g11 * (1.0 - nu * nu)
-    wanted = (g11, 0.0, 0.0, e / 2.0 / (1.0 + nu))
-    found = (g22, g13 or 0.0, g23 or 0.0, g33)
-    same = all(abs(a - b) <= SAME_SHEAR * abs(g11) for a, b in zip(wanted, found, strict=True))
-    if not (e > 0.0 and same):
-        problems.append(f"MAT2 {card.mid}: only an isotropic plane-stress MAT2 is translated")
-        return []
-    return ["*ELASTIC", number_list((e, nu))]

@@ -1,95 +1,160 @@
-"""What a shell property says: its plies from the bottom up, and where its mid-surface is."""
+"""What a shell property says: stiffness and mass of a unit of its area.
+
+With e the strains of the mid-surface, k its curvatures and g the transverse shear strains, in the
+material axes, the energy of a unit of area is (e A e + 2 e B k + k D k + g H g) / 2.
+
+PSHELL: A = t Q1, D = (12 I / t^3) t^3 / 12 Q2, B = t^2 Q4, H = (TS / T) t G3 with the plane-stress
+laws Q and the shear law G of its materials. PCOMP: classical laminate theory, A, B, D = sum over
+plies of the integrals of Q, z Q, z^2 Q. H is that of the shear stresses that equilibrium asks for
+(Rohwer 1988): bending in one direction alone, s(z) = integral of Q_11 (z_n - z) from the bottom
+up, 1 / H = integral of s^2 / G dz / D_n^2, with z_n the neutral axis and D_n the bending stiffness
+about it. A homogeneous plate has 5/6 by it, a sandwich its core alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-#: Adds a material with this density; returns its ccx name and whether its directions matter.
-AddMaterial = Callable[[Any, float], tuple[str, bool]]
+import numpy as np
+from scipy import special
+
+from modetune.adapters.translation.materials import plane_stress, transverse_shear
+from modetune.core.modes import Floats
+
+#: A shell without transverse shear strain (MID3 or G1Z, G2Z blank) gets so many times the shear
+#: stiffness in its plane: enough to hinder it, little enough not to hide the bending.
+RIGID_SHEAR = 100.0
+#: Blank TS/T of a PSHELL.
+TS_T = 5.0 / 6.0
 
 
 @dataclass(frozen=True, slots=True)
-class Ply:
-    """material: its ccx name; angle: from the element's material axis, degrees."""
+class ShellLaw:
+    """membrane A, coupling B, bending D: (3, 3), about the mid-surface; shear H: (2, 2).
 
-    material: str
+    mass: of a unit of area. offset: of the mid-surface from the grid points, along the normal.
+    """
+
+    membrane: Floats
+    coupling: Floats
+    bending: Floats
+    shear: Floats
+    mass: float
     thickness: float
-    angle: float
-
-
-@dataclass(frozen=True, slots=True)
-class Laminate:
-    """offset: of the mid-surface from the nodes, along the normal."""
-
-    plies: tuple[Ply, ...]
-    offset: float
-    oriented: bool
-    is_composite: bool
+    offset: float = 0.0
 
     @property
-    def thickness(self) -> float:
-        return sum(ply.thickness for ply in self.plies)
+    def bends(self) -> bool:
+        return bool(self.bending.any())
+
+    @property
+    def stretches(self) -> bool:
+        return bool(self.membrane.any())
 
 
-def laminate_of(card: Any, add: AddMaterial, problems: list[str]) -> Laminate | None:
-    """The laminate of a PSHELL, PCOMP or PCOMPG; None where it cannot be translated."""
+def law_of(card: Any, thickness: float | None = None) -> ShellLaw:
+    """The law of a PSHELL, PCOMP or PCOMPG; thickness: of the element where it has its own.
+
+    Raises ValueError with a sentence on what cannot be translated.
+    """
     if card.type == "PSHELL":
-        return _plate(card, add, problems)
+        return _plate(card, thickness or card.t or 0.0)
     if card.type in ("PCOMP", "PCOMPG"):
-        return _composite(card, add, problems)
-    problems.append(f"{card.type} {card.pid}: shells are translated with PSHELL, PCOMP, PCOMPG")
-    return None
+        return _composite(card)
+    raise ValueError("shells are translated with PSHELL, PCOMP, PCOMPG")
 
 
-def _plate(card: Any, add: AddMaterial, problems: list[str]) -> Laminate | None:
-    found = []
-    if card.mid1 is None or card.mid2 is None:
-        found.append("membrane or bending alone (MID1 or MID2 blank)")
-    elif card.mid2_ref is not card.mid1_ref:
-        found.append(f"bending of another material (MID2={card.Mid2()}, MID1={card.Mid1()})")
-    if card.mid3 is not None and card.mid3_ref is not card.mid1_ref:
-        found.append(f"transverse shear of another material (MID3={card.Mid3()})")
-    if card.twelveIt3 is not None and abs(card.twelveIt3 - 1.0) > 1e-6:
-        found.append(f"12 I / T^3 = {card.twelveIt3:g}, not 1")
-    if card.mid4:
-        found.append("coupling of membrane and bending (MID4)")
-    if not card.t:
-        found.append("no thickness (T)")
-    problems += [f"PSHELL {card.pid}: {reason} is not translated" for reason in found]
-    if found:
-        return None
-    material = card.mid1_ref
-    name, oriented = add(material, material.rho + (card.nsm or 0.0) / card.t)
-    return Laminate((Ply(name, card.t, 0.0),), 0.0, oriented, is_composite=False)
+def _plate(card: Any, thickness: float) -> ShellLaw:
+    membrane, bending = card.mid1_ref, card.mid2_ref
+    if (membrane or bending) is None:
+        raise ValueError("it has neither a membrane nor a bending material (MID1, MID2)")
+    if not thickness > 0.0:
+        raise ValueError("its thickness T is not above zero")
+    zero = np.zeros((3, 3))
+    a = thickness * plane_stress(membrane) if membrane else zero
+    inertia = (card.twelveIt3 or 1.0) * thickness**3 / 12.0
+    d = inertia * plane_stress(bending) if bending else zero
+    b = thickness**2 * plane_stress(card.mid4_ref) if card.mid4_ref else zero
+    rigid = RIGID_SHEAR * thickness * plane_stress(membrane or bending)[2, 2] * np.eye(2)
+    h = rigid
+    if card.mid3_ref and bending:
+        law = transverse_shear(card.mid3_ref)
+        h = rigid if law is None else (card.tst or TS_T) * thickness * law
+    mass = (membrane or bending).rho * thickness + (card.nsm or 0.0)
+    return ShellLaw(a, b, d, h if bending else np.zeros((2, 2)), mass, thickness)
 
 
-def _composite(card: Any, add: AddMaterial, problems: list[str]) -> Laminate | None:
+def _composite(card: Any) -> ShellLaw:
     kind = (card.lam or "").upper()
-    if kind not in ("", "SYM"):
-        problems.append(f"{card.type} {card.pid}: LAM={kind} is not translated")
-        return None
+    if kind not in ("", "SYM", "MEM", "BEND", "SMEAR"):
+        raise ValueError(f"LAM={kind} is not translated")
     rows = list(zip(card.mids_ref, card.thicknesses, card.thetas, strict=True))
     if not rows or any(material is None or not thickness for material, thickness, _ in rows):
-        problems.append(f"{card.type} {card.pid}: a ply without material or thickness")
-        return None
-    if kind == "SYM":
-        rows += rows[::-1]
-    total = sum(thickness for _, thickness, _ in rows)
-    extra = (card.nsm or 0.0) / total
-    uses = [add(material, material.rho + extra) for material, _, _ in rows]
-    plies = tuple(
-        Ply(use[0], thickness, theta or 0.0)
-        for use, (_, thickness, theta) in zip(uses, rows, strict=True)
-    )
+        raise ValueError("a ply without material or thickness")
+    rows += rows[::-1] if kind == "SYM" else []
+    plies = [(material, thickness, float(theta or 0.0)) for material, thickness, theta in rows]
+    total = sum(thickness for _, thickness, _ in plies)
+    edges = np.cumsum([0.0, *(thickness for _, thickness, _ in plies)]) - total / 2.0
+    laws = [turned_plane(plane_stress(material), angle) for material, _, angle in plies]
+    moments = [(edges[1:] ** n - edges[:-1] ** n) / n for n in (1, 2, 3)]
+    a, b, d = (np.einsum("p,pij->ij", moment, np.array(laws)) for moment in moments)
+    b[np.abs(b) < 1e-12 * np.abs(a).max() * total] = 0.0
+    shears = [transverse_shear(material) for material, _, _ in plies]
+    h = RIGID_SHEAR * a[2, 2] * np.eye(2)
+    if all(shear is not None for shear in shears):
+        turned = [
+            turned_shear(shear, angle)
+            for shear, (_, _, angle) in zip(shears, plies, strict=True)
+            if shear is not None
+        ]
+        h = laminate_shear(laws, turned, edges)
+    if kind == "SMEAR":
+        b, d = np.zeros((3, 3)), a * total**2 / 12.0
+    if kind == "MEM":
+        b, d, h = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((2, 2))
+    if kind == "BEND":
+        a, b = np.zeros((3, 3)), np.zeros((3, 3))
+    mass = sum(material.rho * thickness for material, thickness, _ in plies) + (card.nsm or 0.0)
     # With LAM=SYM pyNastran and Nastran take Z0 as the bottom of the whole laminate.
-    bottom = -total / 2.0 if card.z0 is None else card.z0
-    offset = bottom + total / 2.0
+    offset = 0.0 if card.z0 is None else card.z0 + total / 2.0
     offset = 0.0 if abs(offset) < 1e-9 * total else offset
-    oriented = any(use[1] for use in uses)
-    if not oriented and len({ply.material for ply in plies}) == 1:
-        # Plies of one isotropic material are one plate, whatever their angles.
-        plies = (Ply(plies[0].material, total, 0.0),)
-        return Laminate(plies, offset, oriented, is_composite=False)
-    return Laminate(plies, offset, oriented, is_composite=True)
+    return ShellLaw(a, b, d, h, mass, total, offset)
+
+
+def laminate_shear(laws: list[Floats], shears: list[Floats], edges: Floats) -> Floats:
+    """(2, 2) transverse shear stiffness; laws: (3, 3) and shears: (2, 2) of the plies, turned.
+
+    edges: (n_plies + 1,), where plies begin and end, from the bottom up.
+    """
+    points, weights = special.roots_legendre(3)  # exact: s^2 is of the fourth degree
+    flexibility = np.zeros((2, 2))
+    moduli = np.array([np.diag(law)[:2] for law in laws])
+    lows, tops = edges[:-1, None], edges[1:, None]
+    neutral = (moduli * (tops**2 - lows**2) / 2).sum(0) / (moduli * (tops - lows)).sum(0)
+    bending = (moduli * ((tops - neutral) ** 3 - (lows - neutral) ** 3) / 3).sum(0)
+    below = np.zeros(2)
+    for modulus, shear, low, top in zip(moduli, shears, edges[:-1], edges[1:], strict=True):
+        inverse = np.linalg.inv(shear)
+        for point, weight in zip(points, weights, strict=True):
+            z = (low + top) / 2 + point * (top - low) / 2
+            stress = below + modulus * ((low - neutral) ** 2 - (z - neutral) ** 2) / 2
+            flexibility += weight * (top - low) / 2 * np.outer(stress, stress) * inverse
+        below = below + modulus * ((low - neutral) ** 2 - (top - neutral) ** 2) / 2
+    return np.asarray(np.linalg.inv(flexibility / np.outer(bending, bending)))
+
+
+def turned_plane(law: Floats, degrees: float) -> Floats:
+    """A plane-stress law (3, 3) of axes at an angle, in the axes it is measured from."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    strains = np.array(
+        [[c * c, s * s, c * s], [s * s, c * c, -c * s], [-2 * c * s, 2 * c * s, c * c - s * s]]
+    )
+    return np.asarray(strains.T @ law @ strains)
+
+
+def turned_shear(law: Floats, degrees: float) -> Floats:
+    """A transverse shear law (2, 2) of axes at an angle, in the axes it is measured from."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    axes = np.array([[c, s], [-s, c]])
+    return np.asarray(axes.T @ law @ axes)

@@ -1,31 +1,22 @@
-"""Nastran shells as CalculiX S8R and S6.
+"""Which nodes, directions and laws the shells of a Nastran model have.
 
-ccx's linear shells are poor (S4 locks in torsion, S4R is far off), so a CQUAD4 or CTRIA3 gets a
-midside node on each edge, shared by the elements that share the edge. The stiffness is then that
-of a finer element, which is the nearer to Nastran's.
+A CQUAD4 or CTRIA3 gets a midside node on each edge, shared by the elements that share the edge: as
+quadratic elements they are as good as Nastran's, which the linear elements of ccx are not.
 
 Nastran measures a material angle from side G1-G2 (THETA) or projects the x axis of a coordinate
-system (MCID); here each direction becomes an *ORIENTATION of its own, in basic coordinates.
-
-A shell has no stiffness against rotation about its normal; Nastran gives it a little (K6ROT) or
-takes it out (AUTOSPC). A mass, a beam or a rigid element on a shell node would turn freely. Here
-that rotation is the mean rotation of the shell's surroundings: theta n = sum (n x r_i) u_i / sum |n
-x r_i|^2 over the nodes of the adjacent elements, which is exact for rigid motion and stiffens
-nothing.
+system (MCID).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.freedoms import Form, Freedoms, difference
-from modetune.adapters.translation.materials import shell_material
-from modetune.adapters.translation.plies import Laminate, laminate_of
+from modetune.adapters.translation.calculix_text import CalculixText
+from modetune.adapters.translation.plies import ShellLaw, law_of
 from modetune.core.modes import Floats
 
 LINEAR = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}
@@ -36,76 +27,83 @@ SetsOf = Callable[[Any], Sequence[str]]
 Corners = tuple[int, int]
 
 
+@dataclass(frozen=True, slots=True)
+class Shell:
+    """A shell to be written: corner and midside nodes as they go round, and its law.
+
+    axis, normal: (3,) unit vectors, the material's x direction and the side it is measured on.
+    """
+
+    element: Any
+    nodes: tuple[int, ...]
+    law: ShellLaw
+    axis: Floats
+    normal: Floats
+
+
 @dataclass(slots=True)
 class Edges:
     """Midside node of each edge (corners in ascending order), and how many shells meet there.
 
-    made: midside nodes that the bulk data does not have. laminated: nodes of laminated shells, of
-    which ccx 2.20 can make no rigid knots (it breaks off).
+    made: midside nodes that the bulk data does not have.
     """
 
     middles: dict[Corners, int]
     shells: dict[Corners, int]
     made: set[int]
-    laminated: set[int]
 
     def is_side(self, edge: Corners) -> bool:
         """Whether the edge is on the border of the shells."""
         return self.shells.get(edge, 0) == 1
 
 
-@dataclass(frozen=True, slots=True)
-class ShellSection:
-    """What elements of one *SHELL SECTION have in common.
-
-    axis: material x direction in basic coordinates and normal, rounded; empty where none matters.
-    """
-
-    pid: int
-    thickness: float
-    offset: float
-    axes: tuple[float, ...]
-
-
-def translate_shells(
-    bulk: Any, builder: CalculixText, problems: list[str], wtmass: float, sets_of: SetsOf
-) -> Edges:
-    """Add all shells of the model; returns the midside node of each edge."""
-    shells = [element for element in bulk.elements.values() if element.type in KINDS]
-    laminates = _laminates(shells, builder, wtmass, problems)
-    edges = Edges(_given_middles(shells), {}, set(), set())
-    names: dict[ShellSection, str] = {}
-    for element in shells:
-        laminate = laminates[element.pid]
+def understand_shells(
+    bulk: Any, builder: CalculixText, problems: list[str]
+) -> tuple[list[Shell], Edges]:
+    """All shells of the model; their midside nodes are added."""
+    elements = [element for element in bulk.elements.values() if element.type in KINDS]
+    edges = Edges(_given_middles(elements), {}, set())
+    laws: dict[tuple[int, float | None], ShellLaw | None] = {}
+    found = []
+    for element in elements:
         nodes = _nodes(element, builder, edges, problems)
-        if laminate is None or not nodes:
+        thickness = _own_thickness(element, problems)
+        key = (element.pid, thickness)
+        if key not in laws:
+            laws[key] = _law(element.pid_ref, thickness, problems)
+        law = laws[key]
+        if law is None or not nodes:
             continue
-        if laminate.is_composite:
-            edges.laminated.update(nodes)
-            if len(nodes) == 6:  # ccx 2.20 breaks off
-                problems.append(
-                    f"{element.type} {element.eid}: CalculiX has no laminated triangles"
-                )
-        section = _section(element, laminate, problems)
-        name = names.setdefault(section, f"S{len(names) + 1}")
-        kind = "S8R" if len(nodes) == 8 else "S6"
-        builder.new_element(kind, nodes, (*sets_of(element), name))
-    for section, name in names.items():
-        laminate = laminates[section.pid]
-        assert laminate is not None
-        _write_section(builder, section, name, laminate)
-    return edges
+        if element.zoffset:
+            law = replace(law, offset=float(element.zoffset))
+        axis, normal = material_axes(element, problems)
+        found.append(Shell(element, nodes, law, axis, normal))
+    return found, edges
 
 
-def _laminates(
-    shells: list[Any], builder: CalculixText, wtmass: float, problems: list[str]
-) -> dict[int, Laminate | None]:
-    def material(card: Any, density: float) -> tuple[str, bool]:
-        use = shell_material(builder, card, density, wtmass, problems)
-        return use.name, use.oriented
+def _law(card: Any, thickness: float | None, problems: list[str]) -> ShellLaw | None:
+    try:
+        return law_of(card, thickness)
+    except ValueError as reason:
+        problems.append(f"{card.type} {card.pid}: {reason}")
+        return None
 
-    properties = {element.pid: element.pid_ref for element in shells}
-    return {pid: laminate_of(card, material, problems) for pid, card in properties.items()}
+
+def _own_thickness(element: Any, problems: list[str]) -> float | None:
+    """The thickness that an element has of its own, None where it is its property's."""
+    count = LINEAR.get(element.type) or QUADRATIC[element.type]
+    given = [getattr(element, f"T{corner}", None) for corner in range(1, count + 1)]
+    card = element.pid_ref
+    if card.type != "PSHELL" or not card.t or all(value is None for value in given):
+        return None
+    factor = card.t if element.tflag else 1.0
+    full = [card.t if value is None else value * factor for value in given]
+    if max(full) - min(full) > 1e-6 * card.t:
+        problems.append(
+            f"{element.type} {element.eid}: corner thicknesses {given} that differ are not "
+            "translated"
+        )
+    return float(full[0])
 
 
 def _given_middles(shells: list[Any]) -> dict[Corners, int]:
@@ -153,27 +151,6 @@ def _nodes(
     return (*corners, *middles)
 
 
-def _section(element: Any, laminate: Laminate, problems: list[str]) -> ShellSection:
-    where = f"{element.type} {element.eid}"
-    count = LINEAR.get(element.type) or QUADRATIC[element.type]
-    given = [getattr(element, f"T{corner}", None) for corner in range(1, count + 1)]
-    thickness = laminate.thickness
-    if any(value is not None for value in given):
-        factor = thickness if element.tflag else 1.0
-        full = [thickness if value is None else value * factor for value in given]
-        if max(full) - min(full) > 1e-6 * thickness or laminate.is_composite:
-            problems.append(f"{where}: corner thicknesses {given} that differ are not translated")
-        thickness = full[0]
-    offset = laminate.offset
-    if element.zoffset:
-        offset = float(element.zoffset)
-    axes: tuple[float, ...] = ()
-    if laminate.oriented:
-        first, normal = material_axes(element, problems)
-        axes = tuple(round(float(value), 6) + 0.0 for value in (*first, *normal))
-    return ShellSection(element.pid, thickness, offset, axes)
-
-
 def material_axes(element: Any, problems: list[str]) -> tuple[Floats, Floats]:
     """Material x direction and normal of a shell, unit vectors in basic coordinates."""
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
@@ -203,106 +180,3 @@ def material_axes(element: Any, problems: list[str]) -> tuple[Floats, Floats]:
 
 def _turned(first: Floats, normal: Floats, angle: float) -> Floats:
     return np.asarray(np.cos(angle) * first + np.sin(angle) * np.cross(normal, first))
-
-
-def _write_section(
-    builder: CalculixText, section: ShellSection, name: str, laminate: Laminate
-) -> None:
-    # ccx's OFFSET says where the nodes are seen from the mid-surface, as a fraction of the
-    # thickness; ZOFFS says where the mid-surface is seen from the nodes, as a length.
-    fraction = -section.offset / section.thickness
-    shift = f", OFFSET={fraction:.10g}" if fraction else ""
-    first, normal = np.array(section.axes[:3]), np.array(section.axes[3:])
-    names = []
-    for place, angle in enumerate(dict.fromkeys(ply.angle for ply in laminate.plies)):
-        if section.axes:
-            axis = _turned(first, normal, float(np.radians(angle)))
-            second = np.cross(normal, axis)
-            names.append((angle, f"O{name}_{place + 1}"))
-            head = f"*ORIENTATION, NAME=O{name}_{place + 1}, SYSTEM=RECTANGULAR"
-            builder.card([head, number_list((*axis, *second))])
-    orientations = dict(names)
-    if not laminate.is_composite:
-        ply = laminate.plies[0]
-        turn = f", ORIENTATION={orientations[ply.angle]}" if orientations else ""
-        head = f"*SHELL SECTION, ELSET={name}, MATERIAL={ply.material}{turn}{shift}"
-        builder.section([head, number_list((section.thickness,))])
-        return
-    rows = [
-        f"{number_list((ply.thickness,))}, , {ply.material}"
-        + (f", {orientations[ply.angle]}" if orientations else "")
-        for ply in laminate.plies
-    ]
-    builder.section([f"*SHELL SECTION, COMPOSITE, ELSET={name}{shift}", *rows])
-
-
-#: Shells whose normals are nearer than this (cosine, 5 degrees) hold no rotation about them.
-FLAT = 0.9962
-#: Lever arms below this share of the model's size hold nothing.
-HELD = 1e-5
-
-
-def hold_drilling(bulk: Any, freedoms: Freedoms, edges: Edges) -> None:
-    """Tie the drilling rotation of all shell nodes that carry rotations; after all else."""
-    around = _shells_around(bulk, freedoms.builder.knots, edges)
-    for node, elements in around.items():
-        normals = [_normal(element) for element in elements]
-        rotations = freedoms.rotations(node)
-        held = all(freedoms.is_dependent(f) or freedoms.builder.is_fixed(*f) for f in rotations)
-        flat = all(abs(float(normal @ normals[0])) > FLAT for normal in normals)
-        if not held and flat and not _is_held(freedoms, node, normals[0]):
-            near = {n for element in elements for n in element.node_ids if n} - {node}
-            form = _mean_rotation(freedoms, node, normals[0], near)
-            own = freedoms.along(rotations, normals[0])
-            freedoms.tie([difference(own, form)], rotations, f"rotation of {node} in its plane")
-
-
-def _shells_around(bulk: Any, knots: set[int], edges: Edges) -> dict[int, list[Any]]:
-    """The shells at each node; those of a midside node have both its corners."""
-    around: dict[int, list[Any]] = {}
-    for element in bulk.elements.values():
-        if element.type in KINDS:
-            # An element that was refused has left no middles.
-            middles = [edges.middles[edge] for edge in edges_of(element) if edge in edges.middles]
-            nodes = [*element.node_ids, *middles]
-            for node in knots.intersection(nodes):
-                around.setdefault(node, []).append(element)
-    return around
-
-
-def _normal(element: Any) -> Floats:
-    return material_axes(element, [])[1]
-
-
-def _is_held(freedoms: Freedoms, node: int, axis: Floats) -> bool:
-    found = np.abs(freedoms.holds(node) @ axis)
-    return bool((found > HELD * freedoms.builder.size).any())
-
-
-def _mean_rotation(freedoms: Freedoms, node: int, normal: Floats, near: set[int]) -> Form:
-    centre = freedoms.builder.coordinates[node]
-    form: Form = {}
-    total = 0.0
-    for other in near:
-        arm = np.cross(normal, freedoms.builder.coordinates[other] - centre)
-        total += float(arm @ arm)
-        places = (*freedoms.translations(other), *freedoms.translations(node))
-        for (at, component), factor in zip(places, (*arm, *-arm), strict=True):
-            form[(at, component)] = form.get((at, component), 0.0) + float(factor)
-    return {freedom: factor / total for freedom, factor in form.items() if factor}
-
-
-def hold_leaders(freedoms: Freedoms, leaders: set[int]) -> None:
-    """Fix what no element hinders of the rotations of rigid elements' independent points.
-
-    As AUTOSPC does; leaders: those without shells and without beams or springs on rotations.
-    """
-    for node in leaders:
-        rotations = freedoms.rotations(node)
-        if all(freedoms.is_dependent(f) or freedoms.builder.is_fixed(*f) for f in rotations):
-            continue
-        holds = freedoms.holds(node)
-        _, sizes, axes = np.linalg.svd(np.vstack([holds, np.zeros((3, 3))]))
-        free = axes[sizes < HELD * freedoms.builder.size]
-        rows = [freedoms.along(rotations, axis) for axis in free]
-        freedoms.tie(rows, rotations, f"rotation of {node}")

@@ -105,17 +105,18 @@ class TranslatedDeck(Deck):
         """
         if parameter.quantity == "poissons_ratio" or self.model.problems((parameter,)):
             return None
-        values = [self.model.written(parameter, value) for value in (0.5, 2.0)]
+        wanted = (0.5, 0.75, 1.5, 2.0) if parameter.quantity == "thickness" else (0.5, 2.0)
+        values = [self.model.written(parameter, value) for value in wanted]
         try:
             edits = [self.model.edit([(parameter, value)]) for value in values]
             models = [self._translate(edit).model for edit in edits]
         except ModelError:
             return None
         changed = changed_places(self._nominal.model, models, values)
-        found = self._nominal.affected_elements_of(changed[0]) if changed else None
-        if changed is None or found is None:
+        if changed is None:
             return None
-        return replace(found, proportional=found.proportional and changed[1])
+        found = self._nominal.affected_elements_of(changed.places, changed.powers)
+        return found and replace(found, proportional=found.proportional and changed.proportional)
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers

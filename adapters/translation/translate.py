@@ -34,8 +34,9 @@ from modetune.adapters.translation.rigid import (
     translate_rigid_elements,
     translate_spcs,
 )
+from modetune.adapters.translation.shell_bricks import hold_leaders, write_shells
 from modetune.adapters.translation.shells import KINDS as SHELLS
-from modetune.adapters.translation.shells import hold_drilling, hold_leaders, translate_shells
+from modetune.adapters.translation.shells import understand_shells
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.adapters.translation.solids import translate_solids
 from modetune.adapters.translation.springs import translate_springs
@@ -78,13 +79,13 @@ def translate(
     if not bulk.nodes and not bulk.spoints:
         raise ModelError(f"{name} has no GRID and no SPOINT, so there is nothing to translate")
     problems = refused_cards(bulk)
-    builder = _builder(bulk, wtmass)
+    builder = _builder(bulk)
 
     def sets_of(element: Any) -> Sequence[str]:
         names = [f"P{element.pid}"] if getattr(element, "pid", None) else []
         return (*names, f"E{element.eid}") if element.eid in single else names
 
-    edges = translate_shells(bulk, builder, problems, wtmass, sets_of)
+    shells, edges = understand_shells(bulk, builder, problems)
     translate_solids(bulk, builder, problems, wtmass, sets_of)
     held = _held_rotations(bulk)
     freedoms = _freedoms(bulk, builder, held, problems)
@@ -96,34 +97,22 @@ def translate(
     masses = point_masses(bulk, problems)
     translate_masses(bulk, masses, builder, freedoms, wtmass, sets_of)
     translate_scalar_masses(bulk, builder, freedoms, problems, wtmass, sets_of)
-    hold_drilling(bulk, freedoms, edges)
+    write_shells(shells, edges, builder, freedoms, wtmass, False, sets_of)
     hold_leaders(freedoms, leaders(bulk) - held - freedoms.turning)
-    problems += [
-        f"GRID {number}: CalculiX has no rotations at nodes of laminated shells, which a beam, "
-        "rigid element, spring, support or mass there needs"
-        for number in sorted(builder.knots & edges.laminated)
-    ]
     if problems:
         found = "\n".join(f"- {problem}" for problem in summarised(problems))
         raise ModelError(f"{name} cannot be translated to CalculiX:\n{found}")
     text = builder.text()
-    expected = nastran_mass_properties(bulk, masses, freedoms, wtmass)
+    expected = nastran_mass_properties(bulk, shells, masses, freedoms, wtmass)
     check = check_masses(expected, calculix_mass_properties(builder, text), builder.size)
     frames = {number: frame for number, frame in freedoms.frames.items() if number in bulk.nodes}
     sets = tuple(name for name in builder.sets if re.fullmatch(r"[PE]\d+", name))
     return Translation(text, frames, sets, tuple(sorted(bulk.nodes)), expected, check)
 
 
-def _builder(bulk: Any, wtmass: float) -> CalculixText:
-    """A builder with all grid points, told what is stiff and dense in the model."""
-    stiff = [
-        getattr(card, name, 0.0) or 0.0
-        for card in bulk.materials.values()
-        for name in ("e", "e11", "G11")
-    ]
-    dense = [getattr(card, "rho", 0.0) or 0.0 for card in bulk.materials.values()]
-    stiffness = max(stiff, default=0.0) or 1.0
-    builder = CalculixText(stiffness, max(dense, default=0.0) * wtmass or 1e-9 * stiffness)
+def _builder(bulk: Any) -> CalculixText:
+    """A builder with all grid points."""
+    builder = CalculixText()
     for number in sorted(bulk.nodes):
         builder.node(number, np.asarray(bulk.nodes[number].get_position(), dtype=np.float64))
     place = next(iter(builder.coordinates.values()), np.zeros(3))

@@ -90,7 +90,7 @@ def test_displacements_are_in_the_output_frames(tmp_path: Path) -> None:
     [
         ("youngs_modulus", True, False, (1,)),
         ("density", False, True, (1,)),
-        ("thickness", True, True, (-1, 1, 2, 3)),
+        ("thickness", True, True, (1, 2, 3)),
     ],
 )
 def test_affected_elements_are_those_of_the_translation(
