@@ -32,6 +32,8 @@ from modetune.adapters.translation.shells import SetsOf
 from modetune.adapters.translation.springs import scalar_form
 from modetune.core.modes import Floats
 
+#: Sides of a box that stands for a point, as a share of the model's extent.
+SPECK = 1e-5
 #: Corners of a C3D8 in ccx's order, as signs of the half sides; the axes are right-handed.
 CORNER_SIGNS = np.array(
     [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1),
@@ -206,7 +208,7 @@ def translate_masses(
                 builder.section([f"*MASS, ELSET={body.name}", number_list((body.mass * wtmass,))])
             continue
         for box in _boxes(body) if turns else [Box(body.mass, np.zeros(3), np.eye(3))]:
-            _add_box(builder, freedoms, body, box, turns, 1e-3 * size, wtmass, sets)
+            _add_box(builder, freedoms, body, box, turns, SPECK * size, wtmass, sets)
 
 
 @dataclass(frozen=True, slots=True)

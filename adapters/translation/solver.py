@@ -27,7 +27,6 @@ from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number, Solver
 from modetune.adapters.translation.cards import refused_commands
-from modetune.adapters.translation.shells import KINDS as SHELLS
 from modetune.adapters.translation.translate import translate
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
@@ -38,9 +37,6 @@ from modetune.core.updating.results import MatrixResult
 
 logger = logging.getLogger(__name__)
 
-#: Thickness as a share of an element's length below which expanded shells are ill-conditioned:
-#: at 1/150 derivatives by differences of 1 % were found off by a quarter.
-THIN = 0.01
 #: Translated models that are kept for the next look at the same values.
 KEPT = 4
 
@@ -189,28 +185,10 @@ class TranslatedDeck(Deck):
         return frozenset(int(name[1:]) for name in names if name.startswith("E"))
 
 
-def thin_shells(model: NastranModel) -> int:
-    """How many shells are so thin for their size that CalculiX's frequencies grow noisy."""
-    return sum(
-        element.Thickness() < THIN * element.Area() ** 0.5
-        for element in model.bulk.elements.values()
-        if element.type in SHELLS
-    )
-
-
 def translated_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """CalculiX for a Nastran deck file. Raises ModelError where it cannot be translated."""
     model = nastran_model.understand(read_deck(deck), parameters)
     model.check()
     translated = TranslatedDeck(model)
     translated.edited({})  # so that what cannot be translated is refused here
-    thin = thin_shells(model)
-    if thin:
-        logger.warning(
-            "%s: %d shells are thinner than 1/%.0f of their length; CalculiX expands shells to "
-            "solids, and the frequencies of such thin ones are right to some digits only",
-            deck,
-            thin,
-            1.0 / THIN,
-        )
     return Solver(translated, calculix_program())

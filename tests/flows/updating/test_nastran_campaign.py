@@ -256,8 +256,8 @@ def test_selections_that_a_translation_would_lose_are_refused(tmp_path: Path) ->
         load_campaign(path)
 
 
-def test_a_very_thin_sheet_is_updated_by_finite_differences(tmp_path: Path, caplog: Any) -> None:
-    # Expanded to solids of 1 mm, its matrices are singular to their last digits.
+def test_a_very_thin_sheet_is_updated_by_its_matrices(tmp_path: Path, caplog: Any) -> None:
+    # 1 mm thick at 125 mm of length: the unknowns are the shell's own, not those of two faces.
     from types import SimpleNamespace
 
     silent: Any = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
@@ -266,9 +266,8 @@ def test_a_very_thin_sheet_is_updated_by_finite_differences(tmp_path: Path, capl
         ["update.max_iterations=1", "test.pairs={1: 1, 2: 2}"],
     )
     record = update_campaign(campaign, tmp_path / "run", silent).record
-    assert "finite_difference is used in place of semi_analytic" in caplog.text
-    assert set(record.iterations[1].sensitivity_methods) <= {"strain_energy", "finite_difference"}
-    assert "24 shells are thinner than 1/100 of their length" in caplog.text
+    assert "finite_difference is used in place of" not in caplog.text
+    assert "finite_difference" not in set(record.iterations[1].sensitivity_methods)
 
 
 @needs_mystran
