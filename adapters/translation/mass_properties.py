@@ -24,6 +24,8 @@ from modetune.core.modes import Floats
 TOLERANCE = 1e-3
 #: What the sets of scalar masses begin with, which have no place.
 SCALAR_MASS = "SCALAR_"
+#: End of the sets of bricks whose corners all move as their centre does.
+POINT = "_POINT"
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +145,14 @@ def _group(
     if card.is_one_of("*MASS"):
         return [of_point(float(rows[0][0]), place[0]) for place in places]
     points = integration_points(SHAPES[kind], places)
-    return [of_volume(points, densities.get(card.option("MATERIAL"), 0.0) * np.ones(len(places)))]
+    density = densities.get(card.option("MATERIAL"), 0.0)
+    if card.option("ELSET").endswith(POINT):
+        masses = density * points.measures.sum(axis=1)
+        return [
+            of_point(float(mass), place.mean(axis=0))
+            for mass, place in zip(masses, places, strict=True)
+        ]
+    return [of_volume(points, density * np.ones(len(places)))]
 
 
 def _densities(deck: KeywordDeck) -> dict[str, float]:

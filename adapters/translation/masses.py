@@ -27,13 +27,11 @@ from modetune.adapters.translation.freedoms import (
     difference,
     total,
 )
-from modetune.adapters.translation.mass_properties import SCALAR_MASS
+from modetune.adapters.translation.mass_properties import POINT, SCALAR_MASS
 from modetune.adapters.translation.shells import SetsOf
 from modetune.adapters.translation.springs import scalar_form
 from modetune.core.modes import Floats
 
-#: Sides of a box that stands for a point, as a share of the model's extent.
-SPECK = 1e-5
 #: Corners of a C3D8 in ccx's order, as signs of the half sides; the axes are right-handed.
 CORNER_SIGNS = np.array(
     [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1),
@@ -208,7 +206,7 @@ def translate_masses(
                 builder.section([f"*MASS, ELSET={body.name}", number_list((body.mass * wtmass,))])
             continue
         for box in _boxes(body) if turns else [Box(body.mass, np.zeros(3), np.eye(3))]:
-            _add_box(builder, freedoms, body, box, turns, SPECK * size, wtmass, sets)
+            _add_box(builder, freedoms, body, box, turns, 1e-3 * size, wtmass, sets)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +258,7 @@ def _add_box(
         seen = place if box.sides.any() else body.centre
         freedoms.follow(node, body.node, seen, turns)
         nodes.append(node)
-    name = body.name + ("" if box.mass > 0.0 else "_LESS")
+    name = body.name + ("" if box.mass > 0.0 else "_LESS") + ("" if box.sides.any() else POINT)
     _add_brick(builder, nodes, name, box.mass * wtmass / float(np.prod(sides)), sets)
 
 
