@@ -10,6 +10,7 @@ the groups' elements, the total mass, or the sensitivities of SOL 200.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
@@ -138,7 +139,8 @@ def _bulk(
 
     if dialect.name == "mystran":
         deck = with_lines(model.deck, changed) if changed else model.deck
-        return mystran_cards(deck, left_out, n_modes)
+        bulk = partial(model.bulk_at, dict(changed))
+        return mystran_cards(deck, bulk, left_out, n_modes)
     kept = {line for card in model.deck.cards if not left_out(card) for line in card.lines}
     return [_text(model.deck, changed, position) for position in sorted(kept)]
 

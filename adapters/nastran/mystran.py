@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from modetune.adapters.nastran.bulk import DEFAULTS, filled
+from modetune.adapters.nastran.bulk import DEFAULTS, Bulk, filled
 from modetune.adapters.nastran.cards import large_field
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.harmless import HARMLESS
+from modetune.adapters.nastran.mystran_beams import CARDS as BEAM_CARDS
+from modetune.adapters.nastran.mystran_beams import BeamCards
 from modetune.adapters.nastran.mystran_scalars import ELEMENTS, PROPERTIES, Card, Scalars
 from modetune.core.errors import ModelError
 
@@ -15,17 +17,14 @@ from modetune.core.errors import ModelError
 #: neither here nor harmless is refused: MYSTRAN passes over some cards without a word.
 COMPARED = frozenset({
     "GRID", "CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S", "PARAM", "CQUAD4", "CTRIA3",
-    "CHEXA", "CPENTA", "CTETRA", "CBAR", "CROD", "CONROD", "CBUSH", "CONM2", "PSHELL", "PCOMP",
-    "PSOLID", "PBAR", "PBARL", "PROD", "PBUSH", "MAT1", "MAT8", "RBE2", "RBE3", "SPC", "SPC1",
-    "SPCADD", "MPC", "MPCADD", "SPOINT", *ELEMENTS, *PROPERTIES,
+    "CHEXA", "CPENTA", "CTETRA", "CBAR", "CBEAM", "CROD", "CONROD", "CTUBE", "CBUSH", "CONM2",
+    "PSHELL", "PCOMP", "PSOLID", "PBAR", "PBARL", "PBEAM", "PBEAML", "PROD", "PTUBE", "PBUSH",
+    "MAT1", "MAT8", "RBE2", "RBE3", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD", "SPOINT", *ELEMENTS,
+    *PROPERTIES,
 })  # fmt: skip
-#: Cross-sections of PBARL whose stiffness it has right.
-SECTIONS = frozenset({
-    "BAR", "ROD", "TUBE", "TUBE2", "I", "I1", "H", "T", "T2", "Z", "CROSS", "CHAN",
-})  # fmt: skip
-#: Fields: type of a PBARL; TFLAG of shells; frame of a GRID's results; grid point, offset and
+#: Fields: TFLAG of shells; frame of a GRID's results; grid point, offset and
 #: inertia of a CONM2; the first ply of a PCOMP and the distance of plies; densities of materials.
-PBARL_TYPE, GRID_CD, CONM2_GRID, PLY, PLIES_APART = 4, 6, 2, 9, 4
+GRID_CD, CONM2_GRID, PLY, PLIES_APART = 6, 2, 9, 4
 TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
 CONM2_BODY = (5, 6, 7, 9, 10, 11, 12, 13, 14)
 DENSITIES = {"MAT1": 5, "MAT8": 8}
@@ -48,10 +47,14 @@ def first_shift(deck: NastranDeck, method: int) -> str:
 
 
 def mystran_cards(
-    deck: NastranDeck, left_out: Callable[[NastranCard], bool], n_modes: int = 0
+    deck: NastranDeck,
+    bulk: Callable[[], Bulk],
+    left_out: Callable[[NastranCard], bool],
+    n_modes: int = 0,
 ) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
+    bulk: pyNastran's model of the same deck, of which the cards of bars and beams are written.
     n_modes: how many it must be able to find. Blank fields that a GRDSET or BAROR fills are filled.
     MYSTRAN's solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two
     points a direction). Raises ModelError for all cards it cannot take, with the lines they stand
@@ -70,12 +73,22 @@ def mystran_cards(
         for name, field in DENSITIES.items()
         for card in deck.named(name)
     }
+    beams = BeamCards(bulk(), scalars.new_number) if deck.named(*BEAM_CARDS) else None
     for card in deck.cards:
         if card.name in HARMLESS or left_out(card):
             continue
         reason = _obstacle(card, frames, densities)
         if not reason and card.name in (*ELEMENTS, "CBUSH"):
             reason = scalars.obstacle(card)
+        if beams and card.name in BEAM_CARDS:
+            try:
+                written = beams.cards(card.name, int(card.text(1)))
+            except ValueError as error:
+                reason = f"{card.name} in MYSTRAN: {error}"
+            else:
+                if written is not None:
+                    cards += written
+                    continue
         if reason:
             problems.setdefault(reason, []).append(deck.where(card))
             continue
@@ -84,6 +97,7 @@ def mystran_cards(
             fields += [""] * (INTEGRATION - len(fields))
             fields[INTEGRATION - 1] = "2"
         cards += _written(card, fields, scalars)
+    cards += beams.rest() if beams else []
     if problems:
         raise ModelError(
             "\n".join(
@@ -119,8 +133,6 @@ def _obstacle(
     """
     if card.name not in COMPARED:
         return f"MYSTRAN has no {card.name}, or its modes with it were never compared"
-    if card.name == "PBARL" and card.text(PBARL_TYPE) not in SECTIONS:
-        return f"MYSTRAN has the stiffness of a {card.text(PBARL_TYPE)} section of PBARL wrong"
     if card.name in TFLAGS and card.text(TFLAGS[card.name]) not in ("", "0"):
         return f"MYSTRAN takes relative thicknesses (TFLAG 1) of {card.name} for thicknesses"
     if card.name == "PCOMP":
