@@ -11,7 +11,7 @@ MYSTRAN reads it right). A tapered beam is cut into uniform pieces, with grid po
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import astuple, replace
 from itertools import pairwise
 from typing import Any
@@ -21,7 +21,7 @@ from scipy import special
 
 from modetune.adapters.nastran.beam_axes import BeamAxes, beam_axes
 from modetune.adapters.nastran.bulk import Bulk
-from modetune.adapters.nastran.cards import LARGE, large_field
+from modetune.adapters.nastran.cards import LARGE
 from modetune.adapters.nastran.cross_sections import (
     CrossSection,
     Station,
@@ -29,6 +29,7 @@ from modetune.adapters.nastran.cross_sections import (
     cross_section,
 )
 from modetune.adapters.nastran.geometry import output_frames
+from modetune.adapters.nastran.mystran_scalars import Card
 from modetune.adapters.nastran.number import format_number
 from modetune.core.modes import Floats
 
@@ -46,8 +47,8 @@ NOTHING = 1e-9
 class BeamCards:
     """Writes the cards of one deck; what elements share is written once."""
 
-    def __init__(self, bulk: Bulk) -> None:
-        """bulk: pyNastran's model of the deck as it is run."""
+    def __init__(self, bulk: Bulk, new_number: Callable[[], str]) -> None:
+        """bulk: pyNastran's model of the deck as it is run; new_number: one that no card has."""
         self._bulk = bulk
         self._frames = output_frames(bulk)
         self._places = {
@@ -56,13 +57,9 @@ class BeamCards:
         }
         self._inertias: dict[int, Floats] = {}
         self._properties: dict[tuple[int, Station, tuple[float, float]], int] = {}
-        self._last = {
-            "GRID": max((*bulk.nodes, *bulk.spoints, *bulk.epoints), default=0),
-            "CBEAM": max((*bulk.elements, *bulk.masses, *bulk.rigid_elements), default=0),
-            "PBEAM": max(bulk.properties, default=0),
-        }
+        self._new_number = new_number
 
-    def texts(self, name: str, number: int) -> list[str] | None:
+    def cards(self, name: str, number: int) -> list[Card] | None:
         """What MYSTRAN reads in a card's place, None for the card as it is.
 
         Raises ValueError with what it cannot be given.
@@ -84,16 +81,16 @@ class BeamCards:
             ]
         return list(self._beam(element, where))
 
-    def rest(self) -> Iterator[str]:
+    def rest(self) -> Iterator[Card]:
         """Cards that no card of the deck stands for: inertia of cross-sections."""
         for node, basic in self._inertias.items():
             frame = self._frames.get(node, np.eye(3))
             system = self._bulk.nodes[node].Cd() if node in self._bulk.nodes else 0
             t = frame @ basic @ frame.T
             moments = (t[0, 0], -t[1, 0], t[1, 1], -t[2, 0], -t[2, 1], t[2, 2])
-            yield _card("CONM2", self._next("CBEAM"), node, system, 0.0, *[""] * 4, *moments)
+            yield _card("CONM2", int(self._new_number()), node, system, 0.0, *[""] * 4, *moments)
 
-    def _section(self, name: str, number: int) -> str:
+    def _section(self, name: str, number: int) -> Card:
         card = self._bulk.properties[number]
         section = cross_section(card)
         if not section.is_constant:
@@ -104,11 +101,7 @@ class BeamCards:
             return _card("PROD", number, card.Mid(), *values)
         return _pbar(number, card.Mid(), station, (section.shear_1, section.shear_2))
 
-    def _next(self, family: str) -> int:
-        self._last[family] += 1
-        return self._last[family]
-
-    def _beam(self, element: Any, where: BeamAxes) -> Iterator[str]:
+    def _beam(self, element: Any, where: BeamAxes) -> Iterator[Card]:
         check_warping(element)
         section = cross_section(element.pid_ref)
         pins = _pins(element)
@@ -117,7 +110,7 @@ class BeamCards:
         cuts, first = _cuts(section), element.node_ids[0]
         for piece, stretch in enumerate(pairwise(cuts)):
             is_last = piece == len(cuts) - 2
-            second = element.node_ids[1] if is_last else self._next("GRID")
+            second = element.node_ids[1] if is_last else int(self._new_number())
             offsets = np.zeros((2, 3))
             if piece == 0:
                 offsets[0] = where.offsets[0]
@@ -127,7 +120,7 @@ class BeamCards:
                 self._places[second] = where.ends[0] + stretch[1] * (where.ends[1] - where.ends[0])
                 yield _card("GRID", second, "", *self._places[second])
             own = (pins[0] if piece == 0 else "", pins[1] if is_last else "")
-            number = self._next("CBEAM") if piece else element.eid
+            number = int(self._new_number()) if piece else element.eid
             yield from self._piece(element, where, stretch, (first, second), offsets, own, number)
             first = second
 
@@ -140,7 +133,7 @@ class BeamCards:
         offsets: Floats,
         pins: tuple[str, str],
         number: int,
-    ) -> Iterator[str]:
+    ) -> Iterator[Card]:
         """A uniform piece between two grid points, and what it adds to their inertia."""
         section = cross_section(element.pid_ref)
         station = _mean(section, stretch)
@@ -153,11 +146,11 @@ class BeamCards:
         for part, shear, beside, towards in _parts(section, station, stretch, mass, centre):
             key = (element.pid_ref.Mid(), part, shear)
             if key not in self._properties:
-                self._properties[key] = self._next("PBEAM")
+                self._properties[key] = int(self._new_number())
                 yield _pbar(self._properties[key], element.pid_ref.Mid(), part, shear)
             moved = offsets + beside @ across
             yield self._bar(number, self._properties[key], ends, moved, towards @ across, pins)
-            number = self._next("CBEAM")
+            number = int(self._new_number())
 
     def _turn(self, ends: tuple[int, int], second: Floats, axes: Floats) -> None:
         """Add second moments of mass, of y and z (2, 2), to the inertia at both ends."""
@@ -176,7 +169,7 @@ class BeamCards:
         offsets: Floats,
         y: Floats,
         pins: tuple[str, str],
-    ) -> str:
+    ) -> Card:
         """y, offsets: in basic coordinates; the card has them in the output frames."""
         frames = [self._frames.get(node, np.eye(3)) for node in ends]
         towards = frames[0] @ y
@@ -276,12 +269,12 @@ def _pins(element: Any) -> tuple[str, str]:
     return str(element.pa or ""), str(element.pb or "")
 
 
-def _pbar(pid: int, mid: int, station: Station, shear: tuple[float, float]) -> str:
+def _pbar(pid: int, mid: int, station: Station, shear: tuple[float, float]) -> Card:
     numbers = (station.area, station.inertia_1, station.inertia_2, station.torsion)
     return _card("PBAR", pid, mid, *numbers, station.nonstructural_mass, *[""] * 9,
                  *shear, station.inertia_12)  # fmt: skip
 
 
-def _card(name: str, *values: object) -> str:
+def _card(name: str, *values: object) -> Card:
     texts = [format_number(float(v), LARGE) if isinstance(v, float) else str(v) for v in values]
-    return large_field(name, texts)
+    return name, texts
