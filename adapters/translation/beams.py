@@ -30,8 +30,9 @@ from modetune.core.modes import Floats
 BEAMS = ("CBAR", "CBEAM")
 RODS = ("CROD", "CONROD", "CTUBE")
 KINDS = (*BEAMS, *RODS)
-#: Stiffness of the mass carriers as a share of the beam's own E: nothing in double precision.
-NO_STIFFNESS = 1e-14
+#: Stiffness of the mass carriers as a share of the beam's own E: nothing in double precision, and
+#: so little that carriers which do not move as their own shape would leave rigid modes rigid.
+NO_STIFFNESS = 1e-24
 #: Share of its radius of gyration with which a CBAR's mass resists twisting: Nastran gives it no
 #: torsional inertia (but for MDLPRM,BARMASS), and a free bar must have some to spin with.
 BAR_TORSION = 0.01

@@ -186,27 +186,26 @@ def test_a_tapered_mast_with_a_tip_mass_agrees(tmp_path: Path) -> None:
 
 @needs_solvers
 def test_a_ladder_frame_of_hats_and_angles_agrees(tmp_path: Path) -> None:
-    """Free: two rails of HAT1 and HAT sections, rungs of L, Z and DBOX, all unsymmetrical."""
-    bays = 4
-    places = [(0.5 * i, y, 0.0) for y in (0.0, 0.6) for i in range(bays + 1)]
-    deck = ALUMINIUM + grids(places)
-    deck += "PBEAML,1,1,,HAT\n,.06,.004,.05,.03\nPBEAML,2,1,,HAT1\n,.1,.06,.05,.004,.005\n"
+    """Free: rails of HAT and HAT1 sections, rungs of L, Z and DBOX, eight elements a member."""
+    deck = "PBEAML,1,1,,HAT\n,.06,.004,.05,.03\nPBEAML,2,1,,HAT1\n,.1,.06,.05,.004,.005\n"
     deck += "PBEAML,3,1,,L\n,.06,.05,.005,.005\nPBARL,4,1,,Z\n,.03,.004,.05,.06\n"
     deck += "PBEAML,5,1,,DBOX\n,.1,.05,.04,.003,.002,.003,.004,.004\n,.002,.002\n"
-    number = 0
-    for rail in (0, bays + 1):
-        for i in range(1, bays + 1):
+    corners = [(0.5 * i, y) for y in (0.0, 0.6) for i in range(3)]
+    members = [(0, 1, 1), (1, 2, 1), (3, 4, 2), (4, 5, 2), (0, 3, 3), (1, 4, 4), (2, 5, 5)]
+    count, places, number = 8, [(*corner, 0.0) for corner in corners], 0
+    for first, second, pid in members:
+        a, b = np.array(corners[first]), np.array(corners[second])
+        inner = [(*(a + (b - a) * i / count), 0.0) for i in range(1, count)]
+        nodes = [first + 1, *range(len(places) + 1, len(places) + count), second + 1]
+        places += inner
+        for i in range(count):
             number += 1
-            deck += f"CBEAM,{number},{1 + (rail > 0)},{rail + i},{rail + i + 1},0.,0.,1.\n"
-    for i in range(1, bays + 2):
-        number += 1
-        kind, pid = [("CBEAM", 3), ("CBAR", 4), ("CBEAM", 5)][i % 3]
-        deck += f"{kind},{number},{pid},{i},{i + bays + 1},0.,0.,1.\n"
-    found = solve(deck, tmp_path, 12, FREE)
+            kind = "CBAR" if pid == 4 else "CBEAM"
+            deck += f"{kind},{number},{pid},{nodes[i]},{nodes[i + 1]},0.,0.,1.\n"
+    found = solve(ALUMINIUM + grids(places) + deck, tmp_path, 11, FREE)
     assert [result.n_rigid for result in found.values()] == [6, 6]
-    # One element a bay with lumped mass: up to 3 % in the sixth elastic mode.
-    pairs = zip(hz(found, "mystran", 12)[6:], hz(found, "calculix", 12)[6:], strict=True)
-    assert max(abs(a / b - 1.0) for a, b in pairs) < 0.03
+    # MYSTRAN lumps the mass: 2.3 to 5.4 % with four elements a member, a quarter of it with eight.
+    assert hz(found, "mystran", 11)[6:] == pytest.approx(hz(found, "calculix", 11)[6:], rel=0.015)
     mass, other = (result.mass for result in found.values())
     assert mass == pytest.approx(other, rel=1e-5)
 
