@@ -90,7 +90,9 @@ def solve(
 
 def elastic_hz(result: ModalResult, rigid: int) -> Floats:
     frequencies = result.modes.frequencies_hz
-    assert frequencies[:rigid].max(initial=0.0) < 1e-2
+    # Rounding of eigenvalues up to 1e6 times those of elastic modes; a bar's spin has next to no
+    # inertia (BAR_TORSION), and so the most of it.
+    assert frequencies[:rigid].max(initial=0.0) < 5e-2
     return np.asarray(frequencies[rigid:])
 
 
