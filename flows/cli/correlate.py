@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 WORST, SHOWN = 10, 14
 
 First = Annotated[
-    Path, typer.Argument(help="Campaign file, campaign.h5 (or its folder), or test file.")
+    Path,
+    typer.Argument(
+        help="Campaign file, campaign.h5 (or its folder), or test file; several files of one test "
+        "with commas."
+    ),
 ]
 Second = Annotated[
     Path | None,
@@ -111,7 +115,7 @@ def told(found: Correlation) -> dict[str, Json]:
     }
     return told_sides | json_object(
         found,
-        "mac",
+        "mac notes",
         status="done",
         common=len(found.dofs),
         pairs=_pairs(found),
@@ -231,6 +235,7 @@ def _lines(found: Correlation) -> list[str]:
         if found.dofs
         else ["no shapes on one side: pairs follow the order of frequency"]
     )
+    lines += found.notes
     sides = (
         (found.first, found.alone_first, found.only_first, found.auto_first),
         (found.second, found.alone_second, found.only_second, found.auto_second),

@@ -1,8 +1,9 @@
 """Two mode sets side by side, whatever they are of: tests, models, or one of each.
 
-Degrees of freedom are those that both sets name alike. Modes are paired one-to-one by MAC; pairs
-below the limit of pairing (core.pairing.LOST_MAC) are none. Without shapes on one side, modes are
-paired in the order of frequency, and frequencies are all that is compared.
+Motion is compared along the directions of one side's sensors that the other side's span
+(`core/measurement/common_motion`), whatever components are called. Modes are paired one-to-one by
+MAC; pairs below the limit of pairing (core.pairing.LOST_MAC) are none. Without shapes on one side,
+modes are paired in the order of frequency, and frequencies are all that is compared.
 """
 
 from __future__ import annotations
@@ -23,6 +24,14 @@ from modetune.core.correlation.correlation import (
 )
 from modetune.core.correlation.pairing import LOST_MAC, mac_or_zero, pair_by_order, pair_by_shape
 from modetune.core.errors import CampaignError
+from modetune.core.measurement.common_motion import (
+    SAME,
+    CommonMotion,
+    common_motion,
+    directions_of,
+    turn_between,
+)
+from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
 
 SideKind = Literal["test", "model", "record"]
@@ -33,13 +42,15 @@ Dof = tuple[int, int]
 class Side:
     """One of two mode sets.
 
-    label: what it is called in tables; numbers: of its modes, (n_modes,).
+    label: what it is called in tables; numbers: of its modes, (n_modes,); geometry: with the
+    directions of its sensors, along the axes where there is none.
     """
 
     label: str
     kind: SideKind
     numbers: tuple[int, ...]
     modes: ModeSet
+    geometry: TestGeometry | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +87,8 @@ class Orthogonality:
 class Correlation:
     """Two sides and how alike they are.
 
-    dofs: (n_common,), node and component; only_first, only_second: those that one side has.
+    dofs: (n_common,), node and component; shapes: of both sides there, (n_common, n_modes) each;
+    only_first, only_second: degrees of freedom that one side has. notes: what is to be known.
     mac: (n_first, n_second); auto_first, auto_second: MAC of each side with itself, at its own
     degrees of freedom; empty without shapes. comac, ecomac: (n_common,), over the pairs; empty
     where there is no pair with shapes.
@@ -93,7 +105,9 @@ class Correlation:
     auto_second: Floats
     comac: Floats
     ecomac: Floats
+    shapes: tuple[Shapes, Shapes]
     orthogonality: Orthogonality | None = None
+    notes: tuple[str, ...] = ()
 
     __repr__ = brief
 
@@ -122,14 +136,14 @@ class Correlation:
 def correlate(first: Side, second: Side) -> Correlation:
     """Compare two sides. Raises CampaignError where both have shapes, but at no common place."""
     with_shapes = bool(first.modes.n_dof and second.modes.n_dof)
-    rows_first, rows_second = common_dofs(first.modes, second.modes)
-    if with_shapes and rows_first.size == 0:
+    common, notes = _common(first, second)
+    if with_shapes and not common.dofs:
         raise CampaignError(
             f"{first.label} and {second.label} have no common degree of freedom: the first has "
             f"{_some(first.modes)}, the second {_some(second.modes)}; sensors of another numbering "
             "are laid over a model by `test.sensors` of a campaign"
         )
-    a, b = first.modes.mode_shapes[rows_first], second.modes.mode_shapes[rows_second]
+    a, b = common.of(first.modes, second.modes)
     table = mac_or_zero(a, b) if with_shapes else np.zeros((0, 0))
     pairs = _pairs(first.modes, second.modes, table, a, b)
     shaped = with_shapes and bool(pairs)
@@ -138,16 +152,48 @@ def correlate(first: Side, second: Side) -> Correlation:
     return Correlation(
         first=first,
         second=second,
-        dofs=_dofs(first.modes, rows_first),
-        only_first=_dofs(first.modes, _others(rows_first, first.modes.n_dof)),
-        only_second=_dofs(second.modes, _others(rows_second, second.modes.n_dof)),
+        dofs=common.dofs,
+        only_first=_dofs(first.modes, _others(common.used_first, first.modes.n_dof)),
+        only_second=_dofs(second.modes, _others(common.used_second, second.modes.n_dof)),
         pairs=pairs,
         mac=table,
         auto_first=_auto(first.modes),
         auto_second=_auto(second.modes),
         comac=comac(left, right) if shaped else np.zeros(0),
         ecomac=ecomac(left, right) if shaped else np.zeros(0),
+        shapes=(a, b),
+        notes=notes if with_shapes else (),
     )
+
+
+def _common(first: Side, second: Side) -> tuple[CommonMotion, tuple[str, ...]]:
+    """What both sides see, and what is to be known of their directions."""
+    here, there = (directions_of(side.modes, side.geometry) for side in (first, second))
+    notes = list[str]()
+    if first.geometry is not None and second.geometry is not None:
+        rotation, said = turn_between(first.geometry, second.geometry)
+        there = there @ rotation.T
+        notes += [f"{second.label} against {first.label}: {said}"] if said else []
+    for side, other, seen in ((first, second, there), (second, first, here)):
+        along = np.eye(3)[(other.modes.components - 1) % 3]
+        turned = (np.abs(seen - along) > SAME).any()
+        if side.geometry is None and other.geometry is not None and turned:
+            notes.append(
+                f"{side.label} tells no directions: its components are taken along the axes of "
+                f"{other.label}"
+            )
+    found = common_motion(first.modes, second.modes, here, there)
+    by_name = common_dofs(first.modes, second.modes)
+    alike = [
+        np.array_equal(seen.indices, rows) and (seen.data == 1.0).all()
+        for seen, rows in zip((found.first, found.second), by_name, strict=True)
+    ]
+    if not all(alike):
+        notes.append(
+            "sensors look along different directions: motion is compared where one side's span "
+            "those of the other"
+        )
+    return found, tuple(notes)
 
 
 def orthogonality(
@@ -157,7 +203,8 @@ def orthogonality(
 
     Raises ModesError where a shape carries no mass.
     """
-    a, b = (_at(side.modes, dofs) for side in (found.first, found.second))
+    rows = [found.dofs.index(dof) for dof in dofs]
+    a, b = (shapes[rows] for shapes in found.shapes)
     return Orthogonality(
         method,
         dofs,
@@ -165,11 +212,6 @@ def orthogonality(
         cross_orthogonality(a, a, mass),
         cross_orthogonality(b, b, mass),
     )
-
-
-def _at(modes: ModeSet, dofs: tuple[Dof, ...]) -> Shapes:
-    names = list(zip(modes.nodes.tolist(), modes.components.tolist(), strict=True))
-    return modes.mode_shapes[[names.index(dof) for dof in dofs]]
 
 
 def _pairs(

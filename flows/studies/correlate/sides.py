@@ -19,6 +19,7 @@ from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.condensation.reduction import guyan, serep
 from modetune.core.errors import CampaignError
+from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
 from modetune.core.parameters import Values
 from modetune.core.storage.record_file import is_record, read_record
@@ -44,11 +45,15 @@ SourceKind = Literal["campaign", "record", "test"]
 
 @dataclass(frozen=True, slots=True)
 class ComparedSource:
-    """A file to compare, and what it is. at: parameter values of a campaign, NAME=VALUE."""
+    """A file to compare, and what it is.
+
+    at: parameter values of a campaign, NAME=VALUE; more: files of the same test.
+    """
 
     path: Path
     kind: SourceKind
     at: tuple[str, ...] = ()
+    more: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +65,20 @@ class Model:
     elastic: ModeSet
 
     def side(self, seen: ModeSet, label: str) -> Side:
-        return Side(label, "model", tuple(range(1, seen.n_modes + 1)), seen)
+        numbers = tuple(range(1, seen.n_modes + 1))
+        return Side(label, "model", numbers, seen, self.geometry)
+
+    @property
+    def geometry(self) -> TestGeometry | None:
+        """Of the campaign's test, along whose directions the model is seen."""
+        return self.campaign.case.measurement.geometry
 
 
 def source(path: Path, at: Sequence[str] = ()) -> ComparedSource:
     """What a path is of. Raises CampaignError where it is nothing, or `at` is for no campaign."""
+    several = [Path(part.strip()) for part in str(path).split(",")]
+    if len(several) > 1 and not path.exists() and all(part.is_file() for part in several):
+        return ComparedSource(several[0], "test", (), tuple(several[1:]))
     if path.is_dir():
         path = path / "campaign.h5"
     if not path.exists():
@@ -136,11 +150,11 @@ def _alone(
         )
     if item.kind == "record":
         record = read_record(item.path)
-        test = Side("test", "test", record.test.numbers, record.test.modes)
+        test = Side("test", "test", record.test.numbers, record.test.modes, record.geometry)
         return test, _read(item, state), None
     model = _model(load_campaign(item.path, list(settings)), item.at)
     campaign = model.campaign
-    test = Side("test", "test", campaign.test.numbers, campaign.test.modes)
+    test = Side("test", "test", campaign.test.numbers, campaign.test.modes, model.geometry)
     return test, model.side(_seen(model), campaign.name), model
 
 
@@ -152,11 +166,12 @@ def _model_beside(
         theirs = _read(other, state)
         model = _model(load_campaign(item.path, list(settings)), item.at)
         return model, model.side(_seen(model), model.campaign.name), theirs
-    named = json.dumps(str(other.path.resolve()))  # JSON is YAML, whatever the path holds
+    files = [str(path.resolve()) for path in (other.path, *other.more)]
+    named = json.dumps(files)  # JSON is YAML, whatever the path holds
     swapped = [*settings, f"test.modes={named}", "test.use=null"]
     model = _model(load_campaign(item.path, swapped), item.at)
     test = model.campaign.test
-    theirs = Side(other.path.name, "test", test.numbers, test.modes)
+    theirs = Side(other.path.name, "test", test.numbers, test.modes, model.geometry)
     return model, model.side(_seen(model), model.campaign.name), theirs
 
 
@@ -222,11 +237,12 @@ def _read(item: ComparedSource, state: State) -> Side:
         accepted = [iteration for iteration in record.iterations if iteration.accepted]
         chosen = accepted[-1 if state == "updated" else 0].computed
         numbers = tuple(range(1, chosen.n_modes + 1))
-        return Side(f"{record.name} {state}", "record", numbers, chosen)
-    test = read_measurement([item.path]).modes
+        return Side(f"{record.name} {state}", "record", numbers, chosen, record.geometry)
+    measured = read_measurement([item.path, *item.more])
+    test = measured.modes
     if test is None:
         raise CampaignError(f"{item.path} holds no modes; `modetune identify` makes them from FRFs")
-    return Side(item.path.name, "test", test.numbers, test.modes)
+    return Side(item.path.name, "test", test.numbers, test.modes, measured.geometry)
 
 
 def _orthogonality(

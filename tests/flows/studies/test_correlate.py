@@ -12,14 +12,18 @@ import h5py
 import numpy as np
 import pytest
 import typer
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from modetune.adapters.solver import Capabilities
+from modetune.adapters.test_files.geometry_csv import write_geometry_csv
 from modetune.adapters.test_files.hdf5 import write_test_hdf5
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.adapters.test_files.universal.write import write_universal
 from modetune.core.errors import CampaignError, ModetuneError
-from modetune.core.modes import ModeSet, dof_name, mode_set
+from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.modes import MeasuredModes, ModeSet, dof_name, mode_set
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.cli.correlate import correlate as correlate_command
 from modetune.flows.report.matplotlib_charts import matplotlib_figure
@@ -247,6 +251,49 @@ def test_two_tests_are_compared_without_a_solver(places: Path) -> None:
     assert [found.second.numbers[pair.second] for pair in found.pairs] == [2, 3, 4]
     assert [dof_name(dof) for dof in found.only_second] == ["4.x", "5.x", "6.x"]
     assert not (places / "store").exists()
+
+
+def hoop(frames: Any, places: Any) -> Any:
+    """A ring of eight points as a test saw it: the same motion, along its own directions."""
+    motion = np.random.default_rng(11).normal(size=(8, 3, 3))
+    nodes = np.arange(1, 9)
+    shapes = np.einsum("nij,njm->nim", frames, motion).reshape(24, 3)
+    seen = mode_set([10.0, 20.0, 30.0], shapes, np.repeat(nodes, 3), np.tile([1, 2, 3], 8))
+    none = np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
+    points = TestGeometry(nodes, places, frames, *none)
+    return Measurement(MeasuredModes((1, 2, 3), seen), points)
+
+
+@pytest.mark.parametrize("kind", ["universal", "csv", "no points"])
+def test_tests_whose_sensors_look_along_other_axes_agree(tmp_path: Path, kind: str) -> None:
+    angles = np.arange(8) * np.pi / 4.0 + 0.2
+    places = np.stack([np.cos(angles), np.sin(angles), 0.1 * np.arange(8.0)], axis=1)
+    turned = Rotation.from_euler("zx", np.stack([angles, 0.3 * angles], axis=1)).as_matrix()
+    globally = hoop(np.tile(np.eye(3), (8, 1, 1)), places)
+    other = hoop(turned, places)
+    second = tmp_path / "turned.uff"
+    if kind == "csv":
+        assert other.modes is not None
+        write_modes_csv(tmp_path / "modes.csv", other.modes.numbers, other.modes.modes)
+        write_geometry_csv(tmp_path / "points.csv", other.geometry)
+        second = Path(f"{tmp_path / 'modes.csv'},{tmp_path / 'points.csv'}")
+    else:
+        write_universal(second, other)
+    first = tmp_path / "global.h5"
+    write_test_hdf5(first, replace(globally, geometry=None) if kind == "no points" else globally)
+    found = correlate_sources(source(first), source(second))
+    # Universal files hold six digits of shapes and five of directions.
+    np.testing.assert_allclose(np.diag(found.mac), 1.0, atol=1e-8)
+    assert len(found.dofs) == 24
+    assert (found.only_first, found.only_second) == ((), ())
+    said = " ".join(found.notes)
+    assert "look along different directions" in said
+    assert ("tells no directions" in said) == (kind == "no points")
+    ended = command(str(first), str(second))
+    assert "look along different directions" in ended.stdout
+    assert json.loads(command(str(first), str(second), "--json").stdout)["notes"] == list(
+        found.notes
+    )
 
 
 # records, and what is refused
