@@ -114,7 +114,10 @@ class Scalars:
         if card.name == "PBUSH":
             rows = range(1, len(fields), 8)
             kept = [fields[row : row + 8] for row in rows if fields[row] != "M"]
-            return [("PBUSH", [fields[0], *(text for row in kept for text in row)])]
+            texts = [fields[0], *(text for row in kept for text in row)]
+            while not texts[-1]:
+                texts.pop()
+            return [("PBUSH", texts)]
         mass = self._bush_masses.get(card.text(2), "")
         half = format_number(0.5 * read_number(mass), 16) if mass else ""
         ends = [card.text(field) for field in (3, 4)] if half else []
