@@ -17,6 +17,7 @@ from pyNastran.bdf.bdf import BDF
 
 from modetune.adapters.nastran.cards import LOST, NAME
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
+from modetune.adapters.nastran.harmless import HARMLESS, TEMPERATURE_DEPENDENT
 from modetune.adapters.nastran.number import read_number
 from modetune.core.errors import ModelError
 
@@ -57,6 +58,9 @@ SHOWN = 20
 #: Elements whose ends are scalar points without a card of their own, in every Nastran.
 SCALAR = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4", "CDAMP5")
 
+#: Elements that never have any.
+NO_MASS = (*SCALAR, "CELAS1", "CELAS2", "CBUSH1D", "CBUSH2D", "CGAP", "CVISC", "CDAMP1", "CDAMP2")
+
 Cards = Mapping[int, tuple[NastranCard, ...]]
 
 
@@ -94,9 +98,9 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
     owners = _owners(deck, bulk)
     objections = _repeated(deck, owners)
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
-    strange = []
+    strange, unused = [], unused_properties(deck)
     for card in deck.cards:
-        if card in objections or card.name in DEFAULTS:
+        if card in objections or card.name in (*DEFAULTS, *TEMPERATURE_DEPENDENT):
             continue
         try:
             if not NAME.fullmatch(card.name):
@@ -111,10 +115,12 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
                 objections[card] = f"{deck.where(card)}: {card.name}: {_sentence(error)}"
     if 2 * len(strange) > len(deck.cards):
         refuse(objections[card] for card in strange)
-    found = [Objection(card.name, text) for card, text in objections.items()]
+    found = [Objection(card.name, text) for card, text in objections.items() if card not in unused]
     points = scalar_points(deck) - set(bulk.nodes) - set(bulk.spoints) - set(bulk.epoints)
     if points:
         bulk.add_spoint(sorted(points))
+    for number in [n for n, cards in owners.properties.items() if unused.issuperset(cards)]:
+        bulk.properties.pop(number, None)
     while missing := list(_missing(deck, bulk, owners)):
         found += missing
     try:
@@ -128,6 +134,33 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
     except OBJECTIONS as error:
         found.append(Objection("", f"{deck.file}: {_sentence(error)}"))
     return bulk, owners, tuple(found)
+
+
+def has_mass(item: Any) -> bool:
+    """Whether an element or concentrated mass of pyNastran's model has mass or inertia."""
+    if item.type == "CONM1" or (item.type == "CONM2" and any(item.I)):
+        return True
+    try:
+        return bool(item.Mass())
+    except (*OBJECTIONS, NotImplementedError):  # pyNastran has no mass of some kinds
+        return item.type not in NO_MASS
+
+
+def unused_properties(deck: NastranDeck) -> frozenset[NastranCard]:
+    """Cards of properties that no element names."""
+    used = {
+        card.text(2) or card.text(1)
+        for card in deck.cards
+        if card.name.startswith("C") or card.name in DEFAULTS
+    }
+    return frozenset(
+        card
+        for card in deck.cards
+        if card.name.startswith("P")
+        and card.name not in HARMLESS
+        and card.text(1).isdecimal()
+        and not used & {card.text(place) for place in SEVERAL.get(card.name, (1,))}
+    )
 
 
 def refuse(objections: Iterable[str]) -> None:

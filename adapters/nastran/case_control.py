@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.nastran.harmless import CHANGING, changing_parameter
 from modetune.core.errors import ModelError
 
 #: Case control commands that select parts of the model.
@@ -19,6 +20,12 @@ SELECTIONS = frozenset({
     "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "NSM", "MFLUID", "RIGID", "AUTOSPC",
     "BC", "K2GG", "M2GG", "K42GG", "A2GG", "BGSET", "BOUTPUT", "ADAPT",
 })  # fmt: skip
+#: Those that a job on another solver follows or that change no modes.
+FOLLOWED = frozenset({
+    "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "AUTOSPC", "RIGID", "BC", "BOUTPUT",
+})  # fmt: skip
+#: A temperature that loads alone: no modes know it.
+LOADING = re.compile(r"TEMP\w*\s*\(\s*LOAD\s*\)", re.IGNORECASE)
 #: Commands whose meaning a plain modal job would lose, and why it is not a modal job then.
 REFUSED = {
     "STATSUB": "modes of a preloaded structure",
@@ -28,6 +35,8 @@ REFUSED = {
     "AUXCASE": "auxiliary models",
     "AUXMODEL": "auxiliary models",
 }
+#: Subcases that combine or repeat others.
+COMBINED = ("SUBCOM", "SYMCOM", "REPCASE")
 #: The field of a GRID that puts it into a superelement, and cards that make superelements.
 SEID = 8
 PARTS = ("SESET", "SEELT", "SEBULK", "SELOC", "CSUPER", "RELEASE")
@@ -83,6 +92,22 @@ class CaseControl:
     selections: tuple[str, ...]
     parameters: tuple[tuple[str, str], ...]
     method: int
+
+    @property
+    def lost(self) -> list[str]:
+        """A sentence for each selection and parameter that other solvers' jobs would lose."""
+        names = [re.split(r"\W", text, maxsplit=1)[0].upper() for text in self.selections]
+        reasons = [changing_parameter(name, value) for name, value in self.parameters]
+        return [
+            *(f"case control {name}: not translated" for name in names if name not in FOLLOWED),
+            *(f"case control {reason}" for reason in reasons if reason),
+        ]
+
+    @property
+    def temperature(self) -> str:
+        """The selection of the temperature that materials have, empty where there is none."""
+        found = (text for text in self.selections if text.upper().startswith("TEMP"))
+        return next((text for text in found if not LOADING.match(text)), "")
 
     def selected(self, name: str) -> int:
         """The set that a selection names (SPC, MPC), 0 where there is none."""
@@ -217,7 +242,7 @@ def _split(deck: NastranDeck) -> tuple[list[Statement], list[list[Statement]]]:
     for statement in read_statements(deck, deck.case_control):
         if PLOTS.match(statement.text) or statement.name == "BEGIN":
             break
-        if statement.name in ("SUBCASE", "SUBCOM", "SYM", "SYMCOM", "REPCASE"):
+        if statement.name in ("SUBCASE", "SYM", *COMBINED):
             subcases.append([statement])
         elif subcases:
             subcases[-1].append(statement)
@@ -228,20 +253,28 @@ def _split(deck: NastranDeck) -> tuple[list[Statement], list[list[Statement]]]:
 
 def _one(subcases: list[list[Statement]]) -> list[Statement]:
     """The subcase with the one METHOD, or the one SPC, or any where all say the same."""
-    meanings = {
-        tuple(" ".join(s.text.upper().split()) for s in subcase if _selects(s, "METHOD"))
-        for subcase in subcases
-    }
-    if len(meanings) == 1:
-        return subcases[0]
-    for names in (("METHOD",), ("METHOD", "SPC")):
-        chosen = [subcase for subcase in subcases if any(s.name in names for s in subcase)]
-        if len(chosen) == 1:
+    subcases = [subcase for subcase in subcases if subcase[0].name not in COMBINED] or subcases
+    chosen = subcases
+    for names in ((), ("METHOD",), ("METHOD", "SPC")):
+        named = [subcase for subcase in subcases if any(s.name in names for s in subcase)]
+        chosen = named if names else subcases
+        if len({_meaning(subcase) for subcase in chosen}) == 1:
             return chosen[0]
     places = ", ".join(subcase[0].where.rsplit(", ", 1)[-1] for subcase in chosen or subcases)
     raise ModelError(
         f"{subcases[0][0].where}: {len(chosen)} of {len(subcases)} subcases have a METHOD or SPC "
         f"({places}), and which modes are meant cannot be told; leave one"
+    )
+
+
+def _meaning(subcase: list[Statement]) -> tuple[str, ...]:
+    """What of a subcase counts for modes."""
+    return tuple(
+        " ".join(statement.text.upper().split())
+        for statement in subcase
+        if _selects(statement, "METHOD")
+        and not LOADING.match(statement.text)
+        and (statement.parameter in CHANGING if statement.parameter else True)
     )
 
 

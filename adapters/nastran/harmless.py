@@ -1,6 +1,8 @@
-"""Cards without effect on real normal modes: loads, damping, design variables, output."""
+"""Cards and parameters without effect on real normal modes: loads, damping, design, output."""
 
 from __future__ import annotations
+
+from modetune.adapters.nastran.number import read_number
 
 #: Whole parts of a model that jobs on another solver than Nastran do without.
 LEFT_OUT = frozenset(
@@ -14,9 +16,17 @@ LEFT_OUT = frozenset(
     "EPOINT TF NOLIN1 NOLIN2 NOLIN3 NOLIN4 NLRGAP NLRSFD "
     # acoustics
     "ACMODL ACCSSPT "
+    "AMLREG BSURFS BSURF BEDGE ACADAPT ACORDER ACPLNW ACSRCE PMIC MICPNT VATVFS RCROSS PANEL "
     # sets of a reduction, which a job on another solver does without
-    "ASET ASET1 QSET QSET1 BSET BSET1 CSET CSET1 BNDFIX BNDFIX1 BNDFREE BNDFREE1 "
-    "RVDOF RVDOF1 RANDVAR NLSTEP NLPCI NLCNTL NLCNTL2 TSTEP1 TEMPP3 TEMPF".split()
+    "ASET ASET1 QSET QSET1 BSET BSET1 CSET CSET1 OMIT OMIT1 BNDFIX BNDFIX1 BNDFREE BNDFREE1 "
+    "RVDOF RVDOF1 RANDVAR NLSTEP NLPCI NLCNTL NLCNTL2 NLCNTLG TSTEP1 TEMPP3 TEMPF "
+    # how materials and springs change with temperature, strain or frequency
+    "MATT1 MATT2 MATT3 MATT8 MATT9 MATT10 MATT11 MATTC MATS1 MATS3 MATS8 MATDMG PBUSHT PELAST "
+    "PDAMPT PFASTT CREEP TABLEM5 TABLED5 "
+    # contact and bolts of nonlinear solutions, heat, drawing, p-elements' output
+    "BCPARA BCTPARM BCRPARA BOLTFOR BOLTLD TEMPBC QVOL QBDY1 QBDY2 QBDY3 QHBDY RTRPLT VIEW "
+    "OUTPUT OUTRCV PVAL PLOADX CLOAD ABSNMVS ABSTRCT TOPVAR DVTREL1 DMNCON DMRLAW "
+    "PLOTE PLOTG PLOTOPT NORMAL".split()
 )
 #: Without effect on normal modes.
 HARMLESS = LEFT_OUT | frozenset(
@@ -44,3 +54,30 @@ HARMLESS = LEFT_OUT | frozenset(
     "DESVAR DVPREL1 DVPREL2 DVMREL1 DVMREL2 DVCREL1 DVCREL2 DRESP1 DRESP2 DRESP3 DCONSTR DCONADD "
     "DEQATN DVGRID DVBSHAP DVSHAP DOPTPRM DSCREEN DLINK DDVAL DTABLE".split()
 )
+#: Materials' dependence on temperature, which counts where the case control selects one.
+TEMPERATURE_DEPENDENT = ("MATT1", "MATT2", "MATT3", "MATT8", "MATT9", "MATT11")
+#: Parameters that change normal modes and that no job but Nastran's own follows, with the value
+#: that leaves the modes alone: factors on stiffness and on added matrices.
+CHANGING = {
+    "CK1": 1.0, "CK2": 1.0, "CK3": 1.0, "CK41": 1.0, "CM1": 1.0, "CM2": 1.0, "INRLM": 0.0,
+    "BUCKLE": 0.0, "VMOPT": 0.0, "SEP1XOVR": 0.0,
+}  # fmt: skip
+#: What an MDLPRM card may hold: formats of output, and how offsets turn where they are large.
+MODEL_PARAMETERS = frozenset(("HDF5", "H5MDL", "H5NORDOF", "H5GM34", "MRALIAS", "H5INFO"))
+OFFSETS = ("LROFF", "ELMOFF", "NODIF", "NOTHRM")
+
+
+def changing_parameter(name: str, value: str) -> str:
+    """Why a parameter cannot be left out, empty if it can."""
+    try:
+        changes = name in CHANGING and read_number(value or "0") != CHANGING[name]
+    except ValueError:
+        changes = True
+    return f"PARAM,{name},{value} changes normal modes and is not translated" if changes else ""
+
+
+def changing_model_parameter(name: str, value: str) -> str:
+    """Why a parameter of an MDLPRM card cannot be left out, empty if it can."""
+    if name in MODEL_PARAMETERS or (name == "OFFDEF" and value in OFFSETS):
+        return ""
+    return f"MDLPRM,{name},{value}: not known to be without effect on normal modes; take it out"

@@ -55,13 +55,13 @@ def job_text(
     if isinstance(analysis, SensitivityAnalysis) and dialect.name == "mystran":
         raise ModelError("MYSTRAN gives no sensitivities")
     case = read_case_control(model.deck)
-    modal = isinstance(analysis, ModalAnalysis)
+    modal, own = isinstance(analysis, ModalAnalysis), dialect.name == "mystran"
     lines = [
         *system_statements(model.deck),
         "SOL 103" if modal else "SOL 200",
         "CEND",
         "ECHO = NONE",
-        *case.selections,
+        *(text for text in case.selections if not (own and text.upper().startswith("TEMP"))),
         *_requests(model, case, analysis, dialect),
         "BEGIN BULK",
         *_parameters(analysis),

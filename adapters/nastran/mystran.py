@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from modetune.adapters.nastran.bulk import DEFAULTS, Bulk, filled
+from modetune.adapters.nastran.bulk import DEFAULTS, Bulk, filled, unused_properties
 from modetune.adapters.nastran.cards import large_field
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
 from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.adapters.nastran.mystran_beams import CARDS as BEAM_CARDS
 from modetune.adapters.nastran.mystran_beams import BeamCards
-from modetune.adapters.nastran.mystran_scalars import ELEMENTS, PROPERTIES, Card, Scalars
+from modetune.adapters.nastran.mystran_scalars import ALL, ELEMENTS, PROPERTIES, Card, Scalars
 from modetune.core.errors import ModelError
 
 #: Cards whose modes by MYSTRAN were compared with another solver's or a closed form. What is
@@ -19,8 +19,8 @@ COMPARED = frozenset({
     "GRID", "CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S", "PARAM", "CQUAD4", "CTRIA3",
     "CHEXA", "CPENTA", "CTETRA", "CBAR", "CBEAM", "CROD", "CONROD", "CTUBE", "CBUSH", "CONM2",
     "PSHELL", "PCOMP", "PSOLID", "PBAR", "PBARL", "PBEAM", "PBEAML", "PROD", "PTUBE", "PBUSH",
-    "MAT1", "MAT8", "RBE2", "RBE3", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD", "SPOINT", *ELEMENTS,
-    *PROPERTIES,
+    "MAT1", "MAT8", "RBE2", "RBE3", "RBAR", "RBAR1", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD",
+    "SPOINT", *ELEMENTS, *PROPERTIES,
 })  # fmt: skip
 #: Fields: TFLAG of shells; frame of a GRID's results; grid point, offset and
 #: inertia of a CONM2; the first ply of a PCOMP and the distance of plies; densities of materials.
@@ -30,6 +30,8 @@ CONM2_BODY = (5, 6, 7, 9, 10, 11, 12, 13, 14)
 DENSITIES = {"MAT1": 5, "MAT8": 8}
 #: Field of a PSOLID that says how many points a solid is integrated with.
 INTEGRATION = 4
+#: Its field for full integration of shear, and the last corner of a CTETRA without midside nodes.
+ISOP, CORNERS_OF_FOUR = 6, 6
 #: Fields of an EIGRL card: its number, and the shift of the first factorisation.
 EIGRL_ID, EIGRL_SHIFT = 1, 7
 #: A negative shift keeps the stiffness of free structures from being singular, (rad/s)^2. It is
@@ -57,10 +59,14 @@ def mystran_cards(
     bulk: pyNastran's model of the same deck, of which the cards of bars and beams are written.
     n_modes: how many it must be able to find. Blank fields that a GRDSET or BAROR fills are filled.
     MYSTRAN's solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two
-    points a direction). Raises ModelError for all cards it cannot take, with the lines they stand
-    in.
+    points a direction), or what CTETRA of ten nodes require. Raises ModelError for all cards it
+    cannot take, with the lines they stand in.
     """
-    scalars = Scalars(deck)
+    scalars, unused = Scalars(deck), unused_properties(deck)
+    solids: dict[str, set[bool]] = {}  # properties, and whether their solids are CTETRA of ten
+    for card in deck.named("CHEXA", "CPENTA", "CTETRA"):
+        ten = card.name == "CTETRA" and bool(card.text(CORNERS_OF_FOUR + 1))
+        solids.setdefault(card.text(2), set()).add(ten)
     cards: list[Card] = list(scalars.grids())
     problems: dict[str, list[str]] = {}
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
@@ -75,7 +81,7 @@ def mystran_cards(
     }
     beams = BeamCards(bulk(), scalars.new_number) if deck.named(*BEAM_CARDS) else None
     for card in deck.cards:
-        if card.name in HARMLESS or left_out(card):
+        if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
             continue
         reason = _obstacle(card, frames, densities)
         if not reason and card.name in (*ELEMENTS, "CBUSH"):
@@ -93,9 +99,8 @@ def mystran_cards(
             problems.setdefault(reason, []).append(deck.where(card))
             continue
         fields = filled(card, defaults.get(card.name))
-        if card.name == "PSOLID" and not card.text(INTEGRATION):
-            fields += [""] * (INTEGRATION - len(fields))
-            fields[INTEGRATION - 1] = "2"
+        if card.name == "PSOLID":
+            fields = _solid_property(fields, solids.get(card.text(1), set()))
         cards += _written(card, fields, scalars)
     cards += beams.rest() if beams else []
     if problems:
@@ -111,17 +116,46 @@ def mystran_cards(
     return [large_field(name, fields) for name, fields in cards]
 
 
+def _solid_property(fields: list[str], ten: set[bool]) -> list[str]:
+    """A PSOLID of mid, frame and integration alone, which MYSTRAN has no default for.
+
+    ten: whether it belongs to CTETRA with ten nodes, to other solids, or to both.
+    """
+    fields += [""] * (ISOP - len(fields))
+    given = fields[INTEGRATION - 1]
+    points = (
+        given if given in ("3", "THREE") or (given in ("2", "TWO") and True not in ten) else "2"
+    )
+    if points == "2" and True in ten:
+        points = "3" if False in ten else ""
+    full = "FULL" if fields[ISOP - 1] in ("1", "FULL") and True not in ten else ""
+    return [*fields[: INTEGRATION - 1], points, *(["", full] if full else [])]
+
+
 def _written(card: NastranCard, fields: list[str], scalars: Scalars) -> list[Card]:
     """The cards that say to MYSTRAN what a card says; none for what others have in them."""
     if card.name in PROPERTIES or card.name == "SPOINT":
         return []
     if card.name in ELEMENTS:
         return scalars.spring(card) if card.name.startswith("CELAS") else scalars.mass(card)
+    if card.name in ("RBAR", "RBAR1"):
+        return _bar(card)
     if card.name in ("CBUSH", "PBUSH"):
         return scalars.bush(card, fields)
     if card.name in ("SPC", "SPC1", "MPC"):
         return scalars.constraint(card, fields)
     return [(card.name, fields)]
+
+
+def _bar(card: NastranCard) -> list[Card]:
+    """A RBAR of which one end leads, as a RBE2; none for another one."""
+    first, second = card.text(2), card.text(3)
+    if card.name == "RBAR1":
+        return [("RBE2", [card.text(1), first, card.text(4) or ALL, second])]
+    for lead, follow, own, other, chosen in ((first, second, 4, 5, 7), (second, first, 5, 4, 6)):
+        if sorted(card.text(own)) == list(ALL) and not card.text(other).strip("0"):
+            return [("RBE2", [card.text(1), lead, card.text(chosen).strip("0") or ALL, follow])]
+    return []
 
 
 def _obstacle(
@@ -133,6 +167,10 @@ def _obstacle(
     """
     if card.name not in COMPARED:
         return f"MYSTRAN has no {card.name}, or its modes with it were never compared"
+    if card.name == "RBAR" and not _bar(card):
+        return "MYSTRAN's RBAR is led by all six components of one end"
+    if card.name == "RBE3" and any(card.text(field) == "UM" for field in range(len(card.fields))):
+        return "MYSTRAN has no UM of RBE3"
     if card.name in TFLAGS and card.text(TFLAGS[card.name]) not in ("", "0"):
         return f"MYSTRAN takes relative thicknesses (TFLAG 1) of {card.name} for thicknesses"
     if card.name == "PCOMP":

@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from modetune.adapters.nastran.case_control import CaseControl
 from modetune.adapters.nastran.harmless import HARMLESS
 
 #: Translated, or looked at where they are used.
@@ -23,49 +22,34 @@ TRANSLATED = frozenset(
     "MAT1 MAT2 MAT3 MAT8 MAT9 MAT10 MAT11 RBE1 RBE2 RBE3 RBAR RROD RSPLINE RBAR1 "
     "SPC SPC1 SPCADD SPCOFF SPCOFF1 MPC MPCADD PARAM MDLPRM".split()
 )
-#: Parameters that change no frequency of a translated model, or are translated (WTMASS).
-PARAMETERS = frozenset(
-    "WTMASS AUTOSPC AUTOSPCR AUTOSPRT COUPMASS GRDPNT POST POSTEXT OGEOM OIBULK OMACHPR OUGCORD "
-    "K6ROT SNORM SNORMPRT PRGPST USETPRT USETSEL EST ECHO PRTMAXIM MAXRATIO BAILOUT EPZERO EPPRT "
-    "TINY G GFL W3 W4 W3FL W4FL LMODES LMODESFL LFREQ HFREQ LFREQFL HFREQFL RESVEC RESVINER DBALL "
-    "DBDICT NEWSEQ SEQOUT PRTRESLT PATVER PGRPST NOCOMPS NOELOF NOELOP NOGPF OELMSET OGRDSET "
-    "TABS CURV CURVPLOT BIGER NUMOUT S1 S1G MODACC DDRMM IRES INREL EXTOUT EXTRCV CHECKOUT XFLAG "
-    "OUNIT1 OUNIT2 OMID SRCOMPS STRFIT PVALINIT ALPHA1 ALPHA2 ASING ERROR RSPECTRA SCRSPEC SIGMA "
-    "MAXIT EIGFILT OPTEXIT DESPCH DESPCH1 NASPRT DSNOKD OPTION OP4FMT MODEL MECHFIX UNITSYS "
-    "SOLLIN GEOMU PRTPCOMP PRPA PRPJ PRTCSTM PRTEQXIN PRTGPDT PRTGPL PRTGPTT PRTBGPDT PRTMGG "
-    "LGDISP RMS AUTOMSET RGBEAMA RGBEAME RGLCRIT RGSPRGK SPARSEDR".split()
-)
-#: Names of an MDLPRM card that change no frequency.
-MODEL_PARAMETERS = frozenset(("HDF5", "H5MDL", "H5NORDOF", "H5GM34", "MRALIAS"))
-#: Selections of the case control that a translation follows, or that change no modes.
-COMMANDS = frozenset(("SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "AUTOSPC", "RIGID"))
-
-
-def refused_commands(case: CaseControl) -> list[str]:
-    """A sentence for each selection and parameter of the case control that would be lost."""
-    names = [re.split(r"\W", text, maxsplit=1)[0].upper() for text in case.selections]
-    found = [f"case control {name}: not translated" for name in names if name not in COMMANDS]
-    return found + [
-        f"case control PARAM,{name}: not known to be without effect on normal modes"
-        for name, _ in case.parameters
-        if name not in PARAMETERS
-    ]
+#: Families of cards of which those count alone that elements use.
+BY_USE = ("P", "MAT")
 
 
 def refused_cards(bulk: Any) -> list[str]:
     """A sentence for each kind of card that can be neither translated nor left out."""
     counts = {name.upper(): count for name, count in bulk.card_count.items()}
+    used = _used_kinds(bulk)
     found = [
         f"{name}: {count} card{'s' if count > 1 else ''}{_numbers(bulk, name)} not translated"
         for name, count in sorted(counts.items())
-        if name not in TRANSLATED and name not in HARMLESS and count
+        if name not in TRANSLATED
+        and name not in HARMLESS
+        and count
+        and (name in used or not name.startswith(BY_USE))
     ]
-    if bulk.mdlprm is not None:
-        for name in sorted(set(bulk.mdlprm.mdlprm_dict) - MODEL_PARAMETERS):
-            found.append(f"MDLPRM,{name}: not known to be without effect on normal modes")
-    for name in sorted(bulk.params):
-        if name not in PARAMETERS:
-            found.append(f"PARAM,{name}: not known to be without effect on normal modes")
+    return found
+
+
+def _used_kinds(bulk: Any) -> set[str]:
+    """Names of the properties that elements have, and of their materials."""
+    found = set[str]()
+    for element in bulk.elements.values():
+        card = getattr(element, "pid_ref", None) or element
+        names = ("mid_ref", "mid1_ref", "mid2_ref", "mid3_ref", "mid4_ref")
+        materials = [getattr(card, name, None) for name in names]
+        materials += list(getattr(card, "mids_ref", None) or [])
+        found.update(item.type for item in (card, *materials) if item is not None)
     return found
 
 

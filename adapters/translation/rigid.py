@@ -1,8 +1,8 @@
 """Rigid elements, the interpolation element RBE3 and constraints as linear equations.
 
-Rigid elements (RBE2, RBAR) and RBE3 are written as *EQUATION, not as *RIGID BODY or *COUPLING:
-equations take single components, output frames and rotations alike, and shell nodes that carry
-rotations become ccx's rigid knots.
+Rigid elements (RBE1, RBE2, RBAR, RBAR1, RROD) and RBE3 are written as *EQUATION, not as *RIGID BODY
+or *COUPLING: equations take single components, output frames and rotations alike, and shell nodes
+that carry rotations become ccx's rigid knots.
 
 Single-point and multi-point constraints are SPC, SPC1, SPCADD, GRID PS, MPC, MPCADD. AUTOSPC needs
 no counterpart: what it takes out of Nastran's stiffness (rotations of solids, the rotation about a
@@ -18,6 +18,9 @@ import numpy as np
 from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total
 from modetune.adapters.translation.shells import Edges
 from modetune.core.modes import Floats
+
+#: A grid point and its component 1..6.
+Component = tuple[int, int]
 
 
 def translate_rigid_elements(
@@ -39,6 +42,13 @@ def translate_rigid_elements(
             _rigid(freedoms, edges, element.gn, element.Gmi, components, f"RBE2 {element.eid}")
         elif element.type == "RBAR":
             _bar(freedoms, edges, element, problems)
+        elif element.type == "RBAR1":
+            components = _digits(element.cb)
+            _rigid(freedoms, edges, element.ga, [element.gb], components, f"RBAR1 {element.eid}")
+        elif element.type == "RBE1":
+            _body(freedoms, element, *_components_of(element), problems)
+        elif element.type == "RROD":
+            _rod(freedoms, element)
         elif element.type == "RBE3":
             _interpolation(freedoms, element, problems)
         else:
@@ -89,9 +99,93 @@ def leaders(bulk: Any) -> set[int]:
     for element in bulk.rigid_elements.values():
         if element.type == "RBE2":
             found.add(element.gn)
-        elif element.type == "RBAR":
-            found.add(element.ga if str(element.cna or "").strip("0") else element.gb)
+        elif element.type == "RBAR1":
+            found.add(element.ga)
+        elif element.type in ("RBAR", "RBE1"):
+            independent, _ = _components_of(element)
+            found.update(node for node, component in independent if component > 3)
     return found
+
+
+def _components_of(element: Any) -> tuple[list[Component], list[Component]]:
+    """Independent and dependent components of a RBE1 or RBAR, each a grid point and 1..6."""
+    if element.type == "RBE1":
+        pairs = zip(element.Gni, element.Cni, strict=True)
+        dependent = list(zip(element.Gmi, element.Cmi, strict=True))
+    else:
+        ends = (element.ga, element.gb)
+        pairs = zip(ends, (element.cna, element.cnb), strict=True)
+        dependent = list(zip(ends, (element.cma, element.cmb), strict=True))
+        if not any(_digits(components) for _, components in dependent):
+            given = dict(zip(ends, (element.cna, element.cnb), strict=True))
+            dependent = [
+                (node, "".join(c for c in "123456" if c not in str(given[node] or "")))
+                for node in ends
+            ]
+    first = [(node, digit) for node, components in pairs for digit in _digits(components)]
+    second = [(node, digit) for node, components in dependent for digit in _digits(components)]
+    return first, second
+
+
+def _body(
+    freedoms: Freedoms,
+    element: Any,
+    independent: list[Component],
+    dependent: list[Component],
+    problems: list[str],
+) -> None:
+    """Components that follow the rigid motion which six others determine.
+
+    With A and B the motion of the independent and dependent components under a rigid motion,
+    u_m = B A^-1 u_n.
+    """
+    what = f"{element.type} {element.eid}"
+    places = freedoms.builder.coordinates
+    centre, size = places[independent[0][0]], freedoms.builder.size
+
+    def motion(components: list[Component]) -> Floats:
+        rows = []
+        for node, component in components:
+            axis = freedoms.frames.get(node, np.eye(3))[(component - 1) % 3]
+            arm = np.cross((places[node] - centre) / size, axis)
+            rows.append(np.r_[np.zeros(3), axis] if component > 3 else np.r_[axis, arm])
+        return np.array(rows)
+
+    forms = [freedoms.form(node, component) for node, component in independent]
+    known = motion(independent)
+    if len(forms) != 6 or not all(forms) or np.linalg.matrix_rank(known, tol=1e-9) < 6:
+        problems.append(f"{what}: its independent components do not determine a rigid motion")
+        return
+    # Rotations are multiplied by the model's size, which makes the units alike.
+    lengths = np.array([size if component > 3 else 1.0 for _, component in independent])
+    shares = np.linalg.solve(known.T, motion(dependent).T).T * lengths
+    for node, component in (*independent, *dependent):
+        if component > 3:
+            axis = freedoms.frames.get(node, np.eye(3))[component - 4]
+            freedoms.hold(node, size * axis)
+    rows: dict[tuple[int, bool], list[Form]] = {}
+    for (node, component), row in zip(dependent, shares.tolist(), strict=True):
+        own = freedoms.form(node, component, size if component > 3 else 1.0)
+        if own:
+            parts = [
+                {freedom: share * value for freedom, value in form.items()}
+                for share, form in zip(row, forms, strict=True)
+            ]
+            rows.setdefault((node, component > 3), []).append(difference(own, total(parts)))
+    for (node, turning), ties in rows.items():
+        own_freedoms = freedoms.rotations(node) if turning else freedoms.translations(node)
+        freedoms.tie(ties, own_freedoms, what)
+
+
+def _rod(freedoms: Freedoms, element: Any) -> None:
+    """RROD: the distance of its ends stays, to first order."""
+    first, second = element.nodes
+    along = freedoms.builder.coordinates[second] - freedoms.builder.coordinates[first]
+    along = along / np.linalg.norm(along)
+    ends = [freedoms.along(freedoms.translations(node), along) for node in (first, second)]
+    chosen = first if str(element.cma or "").strip("0") else second
+    row = difference(ends[0], ends[1])
+    freedoms.tie([row], freedoms.translations(chosen), f"RROD {element.eid}")
 
 
 def _bar(freedoms: Freedoms, edges: Edges, element: Any, problems: list[str]) -> None:
@@ -104,11 +198,7 @@ def _bar(freedoms: Freedoms, edges: Edges, element: Any, problems: list[str]) ->
             components = [int(digit) for digit in chosen]
             what = f"RBAR {element.eid}"
             return _rigid(freedoms, edges, leader[0], [follower[0]], components, what)
-    problems.append(
-        f"RBAR {element.eid}: independent components {ends[0][1] or 'none'} at {ends[0][0]} and "
-        f"{ends[1][1] or 'none'} at {ends[1][0]} are not translated, only all six at one end"
-    )
-    return None
+    return _body(freedoms, element, *_components_of(element), problems)
 
 
 def _interpolation(freedoms: Freedoms, element: Any, problems: list[str]) -> None:
@@ -118,10 +208,6 @@ def _interpolation(freedoms: Freedoms, element: Any, problems: list[str]) -> Non
     the weights, u_ref = (sum G_i' w G_i)^-1 sum G_i' w u_i. Rotational components are weighted
     with the square of the mean distance, which makes the units alike.
     """
-    what = f"RBE3 {element.eid}"
-    if element.Gmi:
-        problems.append(f"{what}: dependent components elsewhere (UM) are not translated")
-        return
     centre = freedoms.builder.coordinates[element.refgrid]
     entries = [
         (node, int(digit), weight)
@@ -164,6 +250,7 @@ def _write_interpolation(
         )
         return
     shares = np.linalg.solve(normal, weighted)
+    rows: list[Form] = []
     node, frame = element.refgrid, freedoms.frames.get(element.refgrid, np.eye(3))
     for three, freedom in (((1, 2, 3), freedoms.translations), ((4, 5, 6), freedoms.rotations)):
         ties = []
@@ -177,8 +264,19 @@ def _write_interpolation(
                     for factor, form in zip(factors.tolist(), forms, strict=True)
                 ]
                 ties.append(difference(own, total(parts)))
-        if ties:
+        if element.Gmi:
+            rows += ties
+        elif ties:
             freedoms.tie(ties, freedom(node), what)
+    # The same equations with UM, but what depends is elsewhere.
+    elsewhere = [
+        freedom
+        for other, components in zip(element.Gmi, element.Cmi, strict=True)
+        for component in _digits(components)
+        for freedom in freedoms.form(other, component)
+    ]
+    if rows:
+        freedoms.tie(rows, list(dict.fromkeys(elsewhere)), what)
 
 
 def translate_spcs(

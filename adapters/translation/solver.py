@@ -26,7 +26,6 @@ from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number, Solver
-from modetune.adapters.translation.cards import refused_commands
 from modetune.adapters.translation.translate import translate
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
@@ -157,9 +156,6 @@ class TranslatedDeck(Deck):
         """The translation with some lines of the deck changed. Raises ModelError."""
         stem = self.model.deck.file.stem
         case = read_case_control(self.model.deck)
-        lost = refused_commands(case)
-        if lost:
-            raise ModelError(f"{stem} cannot be translated to CalculiX:\n" + "\n".join(lost))
         translation = translate(
             self.model.bulk_at(changed),
             stem,

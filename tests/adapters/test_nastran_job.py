@@ -171,6 +171,9 @@ def test_system_cells_stay_and_what_a_job_cannot_carry_is_refused_all_at_once(
         ("SUBCASE 1\n SPC=1\n METHOD=10\nSUBCASE 2\n SPC=1\n METHOD=10\n", ["SPC = 1"]),
         ("SUBCASE 1\n SPC = 2\n LOAD = 1\nSUBCASE 2\n SPC = 3\n METHOD 10\n", ["SPC = 3"]),
         ("SPC 7\nMETHOD = 10\n", ["SPC = 7"]),
+        # Loads, temperatures that load alone, and combinations make no other modes.
+        ("SUBCASE 1\n METHOD=10\nSUBCASE 2\n METHOD=10\n TEMP(LOAD)=3\n PARAM,EST,1\n", []),
+        ("METHOD=10\nSUBCASE 1\n SPC=4\nSUBCOM 2\n SUBSEQ=1.\n", ["SPC = 4"]),
         (
             "PARAM,WTMASS,.01\nPARAM,POST,0\nTEMP(INIT)=1\nTEMP(LOAD)=2\nMETHOD = 10\n",
             ["TEMP(INIT)=1", "TEMP(LOAD)=2"],
@@ -253,13 +256,14 @@ def test_matrices_and_mystran_sensitivities_are_refused(tmp_path: Path) -> None:
 
 
 def test_mystran_gets_a_shift_and_two_points_in_its_solids(tmp_path: Path) -> None:
-    text = job(tmp_path, HEAD + BULK + "PSOLID,5,1\n", dialect=MYSTRAN)
+    solid = "CTETRA,50,5,1,2,3,4\nGRID,4,,0.,0.,1.\n"
+    text = job(tmp_path, HEAD + BULK + solid + "PSOLID,5,1\n", dialect=MYSTRAN)
     assert "EIGRL,10,,,2,,,-1000.,MASS" in text
     assert "DISPLACEMENT(PLOT,PRINT) = 1" in text
     assert f"PSOLID* {5:<16}{1:<16}{'':16}2\n" in text
     own = BULK.replace("EIGRL         10               5", "EIGRL,10,,,5,,,-50.")
     assert "EIGRL,10,,,2,,,-50.,MASS" in job(tmp_path, HEAD + own, dialect=MYSTRAN)
-    given = job(tmp_path, HEAD + BULK + "PSOLID,5,1,,3\n", dialect=MYSTRAN)
+    given = job(tmp_path, HEAD + BULK + solid + "PSOLID,5,1,,3\n", dialect=MYSTRAN)
     assert f"PSOLID* {5:<16}{1:<16}{'':16}3\n" in given
 
 
@@ -427,10 +431,11 @@ def test_bulk_data_alone_with_several_constraint_sets_is_ambiguous(tmp_path: Pat
     ("card", "message"),
     [  # what MYSTRAN 18 was seen to get wrong without a word
         ("CELAS1,40,9,2,1\n", "CELAS1: its value is not there .PELAS 9"),
-        ("RBAR,40,2,3,123456\n", "RBAR"),
+        ("RBAR,40,2,3,1234,23\n", "RBAR is led by all six components"),
         ("CORD2R,7,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,9,,3.,0.,0.,7\nCONM2,41,9,,1.,.1\n",
          "turns offset and inertia of a CONM2"),
-        ("MAT1,3,7.+4,,.3,2.7-9\nMAT1,4,7.+4,,.3,1.-10\nPCOMP,6\n,3,1.,0.,,4,1.,0.\n",
+        ("MAT1,3,7.+4,,.3,2.7-9\nMAT1,4,7.+4,,.3,1.-10\nPCOMP,6\n,3,1.,0.,,4,1.,0.\n"
+         "CTRIA3,50,6,1,2,3\n",
          "plies of several densities"),
         ("GRID,9,,1.,1.,0.\nPSHELL,5,1,.1\nCQUAD4,50,5,1,2,3,9\n,,1,1.,1.,1.,1.\n", "TFLAG 1"),
     ],

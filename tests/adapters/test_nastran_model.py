@@ -340,7 +340,7 @@ def test_linear_is_only_what_nothing_acts_in_series_with(
 BAD: list[tuple[str, int, str]] = [
     ("MAT1,1,x\n", 2, "E = 'X'"),
     ("CQUAD4,1,1,1\n", 2, "CQUAD4"),
-    ("PCOMP,1\n", 2, "PCOMP"),
+    ("PCOMP,1\nCTRIA3,9,1,1,1,1\n", 2, "PCOMP"),
     ("CONM2,1,7,,1.\n", 2, "CONM2 1"),
     ("GRID,2,,0.,0.,0.\nCROD,1,5,1,2\n", 3, "CROD 1"),
     ("GRID,2,,0.,0.,0.\nGRID,2,,1.,0.,0.\n", 2, "line 3: GRID 2 is there more than once"),
@@ -348,8 +348,8 @@ BAD: list[tuple[str, int, str]] = [
     ("CROD,5,1,1,1\nCBAR,5,1,1,1,1.,0.,0.\n", 2, "line 3: CBAR 5 is there more than once"),
     ("MAT1,1,2.,,.3\nMAT1,1,3.,,.3\n", 2, "line 3: MAT1 1 is there more than once"),
     ("GRID,2,7,0.,0.,0.\n", 2, "coordinate system 7 is not there"),
-    ("PSHELL,1,7,.1\n", 2, "PSHELL 1"),
-    ("PBUSH,1,K,1.,RIGID\n", 2, "= 'RIGID' (field #4)"),
+    ("PSHELL,1,7,.1\nCTRIA3,9,1,1,1,1\n", 2, "PSHELL 1"),
+    ("PBUSH,1,K,1.,RIGID\nCBUSH,9,1,1\n", 2, "= 'RIGID' (field #4)"),
 ]
 
 
@@ -491,3 +491,43 @@ def test_public_decks_are_read_and_written_back(shared_data: Path, tmp_path: Pat
     assert len(decks) > 130
     assert all("include" in text or "superelements" in text for text in refused.values())
     assert len(refused) <= 0.05 * len(decks)
+
+
+ROD = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nCROD,1,1,1,2\nPROD,1,1,1.\nMAT1,1,7.+4,,.3,2.7-9\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("PARAM,CK1,2.\n", r"line 1: PARAM,CK1,2\. changes normal modes"),
+        ("MDLPRM,OFFDEF,NOMASS\n", r"line 1: MDLPRM,OFFDEF,NOMASS"),
+        ("", "nothing in the model has mass.*give its materials a density"),
+    ],
+)
+def test_what_other_solvers_would_lose_is_refused_with_a_remedy(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    bulk = text + (ROD if text else ROD.replace(",2.7-9", ""))
+    with pytest.raises(ModelError, match=message):
+        model_of(tmp_path, bulk).check()
+
+
+def test_a_material_follows_a_temperature_only_where_one_is_selected(tmp_path: Path) -> None:
+    bulk = ROD + "MATT1,1,5\nTEMPD,3,80.\n"
+    for case, taken in (("TEMP(LOAD) = 3\n", True), ("", True), ("TEMP(INIT) = 3\n", False)):
+        model = model_of(tmp_path, f"SOL 103\nCEND\n{case}BEGIN BULK\n{bulk}")
+        if taken:
+            model.check()
+            continue
+        with pytest.raises(ModelError, match=r"line 9: MATT1 makes .*`TEMP\(INIT\) = 3` selects"):
+            model.check()
+
+
+def test_what_changes_no_modes_is_left_out_and_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    # A property of heat that nothing uses, output, an added pole of a control system.
+    bulk = ROD + "PHBDY,7,.1\nPBAR,8,99,1.\nPARAM,NASPDV,1\nPARAM,CK1,1.\nEPOINT,90\nTF,3,90,,1.\n"
+    model_of(tmp_path, bulk).check()
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said.endswith("left out of jobs on this solver: 1 EPOINT, 1 TF, PARAM CK1, PARAM NASPDV")

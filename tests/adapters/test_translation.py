@@ -366,13 +366,12 @@ def test_all_refusals_come_at_once_with_cards_and_numbers(tmp_path: Path) -> Non
         "wrong.bdf",
         "CSHEAR: 1 card (701)",
         "PSHEAR",
-        "PARAM,FOOBAR",
         "CMASS2 909",
         "PSHELL 5: MAT3 5: shells are translated with",
         "SPC set 4",
     ):
         assert part in said
-    for harmless in ("FORCE", "DESVAR", "EIGRL", "MAT9"):
+    for harmless in ("FORCE", "DESVAR", "EIGRL", "MAT9", "FOOBAR"):
         assert harmless not in said
 
 
