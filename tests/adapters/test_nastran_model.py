@@ -519,7 +519,7 @@ def test_a_material_follows_a_temperature_only_where_one_is_selected(tmp_path: P
         if taken:
             model.check()
             continue
-        with pytest.raises(ModelError, match=r"line 9: MATT1 makes .*`TEMP\(INIT\) = 3` selects"):
+        with pytest.raises(ModelError, match=r"line 10: MATT1 makes .*`TEMP\(INIT\) = 3` selects"):
             model.check()
 
 
