@@ -1,8 +1,8 @@
 """CalculiX decks: reading with includes, and editing that changes only the lines that must change.
 
 A deck is a list of cards: a keyword line (`*ELASTIC, TYPE=ISO`) and its data lines. Comments start
-with `**`. Blanks carry no meaning outside quotes and names are not case sensitive, so both are
-taken out of keywords and names. Every line keeps the file and line number it came from, so that
+with `**` or `>**`. Blanks carry no meaning outside quotes and names are not case sensitive, so both
+are taken out of keywords and names. Every line keeps the file and line number it came from, so that
 messages name them and an updated deck differs from the user's in the changed fields only, includes
 kept.
 """
@@ -20,6 +20,8 @@ from modetune.core.errors import ModelError
 
 #: ccx reads at most this many characters of a number.
 FIELD_WIDTH = 20
+#: What comments start with. ccx passes over `>**` before the first keyword and in steps.
+COMMENTS = ("**", ">**")
 INCLUDE = re.compile(r"\s*\*\s*INCLUDE", re.IGNORECASE)
 INCLUDED = re.compile(r"INPUT\s*=\s*(\"[^\"]*\"|[^,]+)", re.IGNORECASE)
 
@@ -125,7 +127,7 @@ def _cards(lines: Sequence[Line]) -> Iterable[KeywordCard]:
     open_header = False
     for position, line in enumerate(lines):
         text = line.text.strip()
-        if not text or text.startswith("**"):
+        if not text or text.startswith(COMMENTS):
             continue
         # ccx 2.20 does not continue keyword lines: only what can be nothing else is taken as such.
         if open_header and "=" in text and not text.startswith("*"):

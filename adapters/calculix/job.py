@@ -1,15 +1,18 @@
 """The deck of one CalculiX job: the user's model, and one *FREQUENCY step with our requests.
 
 Everything up to the user's frequency step stays (preload steps included), without its requests
-for output. The frequency step keeps what belongs to the model, such as *BOUNDARY, and gets our
-number of modes and our output. A deck without steps gets a plain one. A small model gets spare
-unknowns before all else (`spare_unknowns.py`).
+for output. The frequency step keeps what belongs to the model, such as *BOUNDARY, before and after
+*FREQUENCY as it stands, and the options of *FREQUENCY; it gets our number of modes and our output.
+A deck without steps gets a plain one. A small model gets spare unknowns before all else
+(`spare_unknowns.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
+from modetune.adapters.calculix.deck import COMMENTS, KeywordCard
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.spare_unknowns import modes_at_most, spare_unknowns
 from modetune.adapters.solver import Analysis, ModalAnalysis
@@ -21,23 +24,67 @@ OUTPUT = (
     "*NODE FILE", "*NODE PRINT", "*NODE OUTPUT", "*EL FILE", "*EL PRINT", "*ELEMENT OUTPUT",
     "*CONTACT FILE", "*CONTACT PRINT", "*CONTACT OUTPUT", "*SECTION PRINT", "*OUTPUT",
 )  # fmt: skip
+#: Options of *FREQUENCY with which ccx computes no modes, or stores other matrices.
+NO_MODES = (("SOLVER", "MATRIXSTORAGE"), ("GLOBAL", "NO"), ("CYCMPC", "INACTIVE"))
 
 
 def job_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) -> str:
     """The text of a job's deck, comments left out. Raises ModelError."""
-    before, step = _split(model)
+    before, above, frequency, below = _split(model)
     deck = model.deck
     parts = [changed.get(p, deck.lines[p].text) for p in before]
     parts += _sets(model, analysis)
-    frequency = "*FREQUENCY"
+    options = dict(frequency.options) if frequency else {}
     if isinstance(analysis, ModalAnalysis):
         n_modes = modes_at_most(model, analysis.n_modes)
-        parts = [*spare_unknowns(model, n_modes), *parts]
-        step = [*step, frequency, str(n_modes), *_requests(analysis)]
+        cyclic = read_cyclic_symmetry(model)
+        if cyclic is None:
+            parts = [*spare_unknowns(model, n_modes), *parts]
+        else:
+            n_modes = cyclic.rows(n_modes)
+        data, below = str(n_modes), [*below, *_requests(analysis)]
+    elif model.deck.named("*CYCLIC SYMMETRY MODEL"):
+        raise ModelError(
+            f"{deck.file}: ccx stores the matrices of a sector for no nodal diameter; use strain "
+            "energies or finite differences (`sensitivity.method`)"
+        )
     else:
-        step = [*step, f"{frequency}, SOLVER=MATRIXSTORAGE", "1"]
-    kept = [line for line in [*parts, *step, "*END STEP"] if not line.lstrip().startswith("**")]
-    return "\n".join(kept) + "\n"
+        data, options["SOLVER"] = "1", "MATRIXSTORAGE"
+    header = ", ".join(["*FREQUENCY", *(f"{name}={value}" for name, value in options.items())])
+    lines = [*parts, *above, header, data, *below, "*END STEP"]
+    return "\n".join(line for line in lines if not line.lstrip().startswith(COMMENTS)) + "\n"
+
+
+def check_frequency_step(model: CalculixModel) -> list[str]:
+    """What of the user's *FREQUENCY a campaign cannot keep, a sentence each.
+
+    Raises ModelError for what would give other modes than the lowest ones, or none.
+    """
+    notes = []
+    read_cyclic_symmetry(model)
+    for card in model.deck.named("*FREQUENCY")[:1]:
+        where = model.deck.where(card)
+        for option, value in NO_MODES:
+            if card.option(option) == value:
+                raise ModelError(
+                    f"{where}: *FREQUENCY, {option}={value} is of stored matrices, not of modes: "
+                    "leave the option out"
+                )
+        for line in card.data[:1]:
+            given = [place for place, text in enumerate(model.deck.fields(line)) if text]
+            if 1 in given and model.number(line, 1) > 0.0:
+                raise ModelError(
+                    f"{model.deck.lines[line].where}: *FREQUENCY asks for modes above "
+                    f"{model.number(line, 1):g} only, and a campaign for the lowest ones: leave "
+                    "the range out, and name the test's modes that are used by `test.use`"
+                )
+            if 2 in given:
+                notes.append(
+                    f"{model.deck.lines[line].where}: the upper frequency "
+                    f"{model.number(line, 2):g} of *FREQUENCY is left out: as many modes are "
+                    "computed as the campaign needs"
+                )
+    return notes
 
 
 def requested_sets(analysis: ModalAnalysis) -> tuple[str, ...]:
@@ -70,12 +117,17 @@ def _wrapped(words: Iterable[str]) -> list[str]:
     return [", ".join(entries[i : i + 16]) for i in range(0, len(entries), 16)]
 
 
-def _split(model: CalculixModel) -> tuple[list[int], list[str]]:
-    """Positions of the lines before the frequency step, and the lines of it that stay."""
+def _split(
+    model: CalculixModel,
+) -> tuple[list[int], list[str], KeywordCard | None, list[str]]:
+    """Positions of the lines before the frequency step; its *FREQUENCY, and around it what stays.
+
+    Raises ModelError.
+    """
     deck = model.deck
     steps = deck.named("*STEP")
     if not steps:
-        return list(range(len(deck.lines))), ["*STEP"]
+        return list(range(len(deck.lines))), ["*STEP"], None, []
     frequency = deck.named("*FREQUENCY")
     if not frequency:
         raise ModelError(
@@ -97,4 +149,7 @@ def _split(model: CalculixModel) -> tuple[list[int], list[str]]:
     ]
     inside = [card for card in deck.cards if start <= card.lines.start < stop]
     kept = [card for card in inside if not card.is_one_of(*OUTPUT, "*FREQUENCY")]
-    return before, [deck.lines[position].text for card in kept for position in card.lines]
+    places = [position for card in kept for position in card.lines]
+    lines_above = [deck.lines[position].text for position in places if position < first]
+    lines_below = [deck.lines[position].text for position in places if position > first]
+    return before, lines_above, frequency[0], lines_below

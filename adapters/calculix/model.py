@@ -11,6 +11,7 @@ from difflib import get_close_matches
 
 from modetune.adapters.calculix.constants import constant_places
 from modetune.adapters.calculix.deck import (
+    COMMENTS,
     KeywordCard,
     KeywordDeck,
     canonical_name,
@@ -32,6 +33,7 @@ SECTIONS = (
     "*MASS",
     "*DASHPOT",
     "*GAP",
+    "*USER SECTION",
 )
 #: Cards that tie nodes to others: their unknowns are not in the stored matrices.
 DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING")
@@ -46,8 +48,8 @@ NOT_FOLLOWED = (
     "*PRE-TENSION SECTION",
 )
 
-#: Elements whose printed strain energy is zero (SPRINGA) or lacks the hourglass part.
-WITHOUT_ENERGY = re.compile(r"SPRINGA|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
+#: Elements whose printed strain energy is zero (SPRINGA, users' own) or lacks the hourglass part.
+WITHOUT_ENERGY = re.compile(r"SPRINGA|U.*|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
 #: Elements that leave the unknowns of the stored matrices at the nodes of the deck.
 UNEXPANDED = re.compile(r"C3D.*|SPRING[12A]")
 
@@ -104,8 +106,11 @@ class CalculixModel:
         return tuple(dict.fromkeys(card.option("ELSET") for card in self.sections))
 
     def point_mass(self, changed: dict[int, str]) -> float:
-        """Sum of all *MASS elements, which ccx leaves out of its own total."""
-        total = 0.0
+        """Sum of all *MASS elements, which ccx leaves out of its own total.
+
+        NaN beside user elements, of which ccx prints no mass.
+        """
+        total = math.nan if self.deck.named("*USER SECTION") else 0.0
         for card in self.deck.named("*MASS"):
             field = _value(self, card, 0)
             text = changed.get(field.line, self.deck.lines[field.line].text)
@@ -451,7 +456,7 @@ def _spring_stiffness(model: CalculixModel, elset: str) -> list[KeywordField]:
 def _blank_after(model: CalculixModel, card: KeywordCard) -> bool:
     """Whether the first line after the keyword that is not a comment is blank."""
     texts = (model.deck.lines[position].text.strip() for position in card.lines[1:])
-    return next((not text for text in texts if not text.startswith("**")), True)
+    return next((not text for text in texts if not text.startswith(COMMENTS)), True)
 
 
 def _mass(model: CalculixModel, elset: str) -> list[KeywordField]:

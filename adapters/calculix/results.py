@@ -8,11 +8,12 @@ for repeated modes. A good run prints the whole table: an exit code of 0 proves 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.calculix.cyclic_symmetry import CyclicSymmetry, standing_modes
 from modetune.adapters.calculix.job import ALL, NODES
 from modetune.adapters.cross_checks import check_mark
 from modetune.adapters.regular_file import read_regular
@@ -25,6 +26,10 @@ from modetune.core.updating.results import ModalResult
 #: and the square of its frequency by three times that.
 COLUMN_ROUNDING = 1.6e-6
 MODE_HEADING = "E I G E N V A L U E    N U M B E R"
+#: Headings of the table, of which there is one for each nodal diameter of a cyclic structure, and
+#: of the parts of a complex mode.
+TABLE_HEADING = "E I G E N V A L U E   O U T P U T"
+REAL, IMAGINARY = "R E A L   P A R T", "I M A G I N A R Y   P A R T"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +72,67 @@ def read_messages(log: str) -> list[SolverMessage]:
 
 
 def read_modal(
-    dat: Path, analysis: ModalAnalysis, point_mass: float, node_set: str = NODES
+    dat: Path,
+    analysis: ModalAnalysis,
+    point_mass: float,
+    node_set: str = NODES,
+    cyclic: CyclicSymmetry | None = None,
 ) -> ModalResult:
     """The modes of a .dat file. Raises NoResult where it is not whole, or another job's.
 
-    node_set: the name that the job gives the nodes whose shapes are wanted.
+    node_set: the name that the job gives the nodes whose shapes are wanted. cyclic: the symmetry of
+    which the deck is one sector, None where it is the whole.
     """
     try:
         text = read_regular(dat).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise NoResult(f"{dat} cannot be read: {error}") from error
+    if cyclic is not None:
+        return _cyclic_result(dat, text, analysis, point_mass, node_set, cyclic)
+    return _one_table(dat, text, analysis, point_mass, node_set)
+
+
+def _cyclic_result(
+    dat: Path,
+    text: str,
+    analysis: ModalAnalysis,
+    point_mass: float,
+    node_set: str,
+    cyclic: CyclicSymmetry,
+) -> ModalResult:
+    """The lowest modes of all nodal diameters. Raises NoResult."""
+    _, *tables = text.split(TABLE_HEADING)
+    asked = replace(analysis, n_modes=cyclic.rows(analysis.n_modes))
+    if len(tables) != cyclic.last - cyclic.first + 1:
+        raise NoResult(
+            f"{dat} holds {len(tables)} of the nodal diameters {cyclic.first} to {cyclic.last}: "
+            "the run broke off"
+        )
+    found = []
+    for diameter, table in enumerate(tables, start=cyclic.first):
+        head, *modes = table.split(MODE_HEADING)
+        parts = []
+        for mine, other in ((REAL, IMAGINARY), (IMAGINARY, REAL)):
+            own = [_part(mode, mine, other) for mode in modes]
+            whole = MODE_HEADING.join([head, *own]).rstrip() + "\n"
+            parts.append(_one_table(dat, whole, asked, point_mass, node_set))
+        found.append((diameter, parts[0], parts[1]))
+    try:
+        return standing_modes(found, cyclic, analysis.n_modes)
+    except ValueError as error:
+        raise NoResult(f"{dat} holds no whole result: {error}") from error
+
+
+def _part(mode: str, mine: str, other: str) -> str:
+    """One part of a complex mode under its number; empty where the run broke off before."""
+    number, _, _ = mode.strip().partition("\n")
+    return f" {number}\n{mode.partition(mine)[2].partition(other)[0]}"
+
+
+def _one_table(
+    dat: Path, text: str, analysis: ModalAnalysis, point_mass: float, node_set: str
+) -> ModalResult:
+    """The modes of one table of eigenvalues. Raises NoResult."""
     head, *modes = text.split(MODE_HEADING)
     try:
         eigenvalues = _eigenvalues(head)
@@ -148,7 +204,9 @@ def _eigenvalues(head: str) -> Floats:
     """The table's eigenvalues. Raises ValueError where a row's columns contradict each other."""
     table = head.split("P A R T I C I P A T I O N")[0]
     number = r"([-+]?[\d.]+E[-+]\d+)"
-    rows = re.findall(rf"^\s+\d+\s+{number}\s+{number}\s+{number}\s+{number}", table, re.M)
+    rows = re.findall(
+        rf"^\s+(?:\d+\s+)?\d+\s+{number}\s+{number}\s+{number}\s+{number}", table, re.M
+    )
     values = np.array(rows, dtype=np.float64).reshape(-1, 4)
     eigenvalues, real, cycles, imaginary = values.T
     squared = np.where(eigenvalues < 0.0, -(imaginary**2), real**2)
@@ -166,11 +224,15 @@ def _eigenvalues(head: str) -> Floats:
 
 def _displacements(mode: str, node_set: str) -> tuple[Integers, Floats]:
     """Node numbers (n,), and the shape (3 n,) as x, y, z node by node."""
-    _, _, block = mode.partition(" displacements (vx,vy,vz)")
-    check_mark(node_set, block.partition("\n")[0])
-    numbers = block.split("\n", 1)[1].split(" total ")[0]
-    table = np.array([_number(word) for word in numbers.split()]).reshape(-1, 4)
-    return table[:, 0].astype(np.int64), table[:, 1:].reshape(-1)
+    # Beside user elements all unknowns of a node are printed, the translations first.
+    found = re.search(r" displacements \((?:vx,vy,vz|v\(i\),i=1\.\.ndof)\)(.*)\n\s*", mode)
+    if found is None:
+        raise ValueError("a mode has no displacements")
+    check_mark(node_set, found.group(1))
+    numbers = mode[found.end() :].split(" total ")[0]
+    width = len(numbers.partition("\n")[0].split())
+    table = np.array([_number(word) for word in numbers.split()]).reshape(-1, width)
+    return table[:, 0].astype(np.int64), table[:, 1:4].reshape(-1)
 
 
 def _total(mode: str, quantity: str, name: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import shutil
 import tempfile
@@ -16,11 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
+from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
 from modetune.adapters.calculix.deck import read_deck, write_edited
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
 from modetune.adapters.calculix.incidence import Incidence, read_incidence
-from modetune.adapters.calculix.job import NODES, job_text
+from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.results import (
@@ -59,6 +61,8 @@ from modetune.core.parameters import Parameter, Quantity, Values
 from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult, Result
+
+logger = logging.getLogger(__name__)
 
 JOB = "job"
 #: Names another program than `ccx` on PATH.
@@ -128,7 +132,9 @@ class CalculixDeck(Deck):
     def is_linear(self, parameter: Parameter) -> bool:
         """Of engineering constants a single Young's modulus is coupled with the others."""
         coupled = parameter.quantity == "youngs_modulus" and parameter.item in DIRECTIONS
-        return parameter.quantity in LINEAR and not coupled and not self.preload()
+        # ccx stores no matrices of a sector that are those of a nodal diameter.
+        stored = not self.model.deck.named("*CYCLIC SYMMETRY MODEL")
+        return parameter.quantity in LINEAR and not coupled and stored and not self.preload()
 
     def preload(self) -> str:
         return self.model.preload()
@@ -255,7 +261,9 @@ class CalculixProgram:
             point_mass = deck.model.point_mass(deck.changed)
             dat = folder / f"{JOB}.dat"
             asked = replace(analysis, n_modes=modes_at_most(deck.model, analysis.n_modes))
-            result = without_spare(read_modal(dat, asked, point_mass, _node_set(folder)))
+            cyclic = read_cyclic_symmetry(deck.model)
+            found = read_modal(dat, asked, point_mass, _node_set(folder), cyclic)
+            result = without_spare(found)
             if not deck.model.preload():
                 try:
                     check_energies(result.eigenvalues, result.total_strain_energy)
@@ -316,7 +324,10 @@ def _place(messages: list[SolverMessage], model: CalculixModel, changed: Mapping
 
 def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """CalculiX for a deck file. Raises ModelError where the deck cannot be understood."""
-    return Solver(CalculixDeck(understand(read_deck(deck)), parameters), calculix_program())
+    model = understand(read_deck(deck))
+    for note in check_frequency_step(model):
+        logger.warning("%s", note)
+    return Solver(CalculixDeck(model, parameters), calculix_program())
 
 
 def calculix_program() -> CalculixProgram:

@@ -65,5 +65,7 @@ def _free(model: CalculixModel) -> set[Dof]:
 
 
 def modes_at_most(model: CalculixModel, n_modes: int) -> int:
-    """So many modes, or as many as the model has freedoms for."""
+    """So many modes, or as many as the model has freedoms for (one sector tells not)."""
+    if model.deck.named("*CYCLIC SYMMETRY MODEL"):
+        return n_modes
     return min(n_modes, len(_free(model)) or n_modes)

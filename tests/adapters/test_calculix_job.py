@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from modetune.adapters.calculix.deck import read_deck
-from modetune.adapters.calculix.job import job_text
+from modetune.adapters.calculix.job import check_frequency_step, job_text
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.spare_unknowns import spare_unknowns
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
@@ -77,11 +77,35 @@ def test_a_matrix_job_asks_for_the_matrices_and_nothing_else(tmp_path: Path) -> 
 
 def test_a_frequency_step_keeps_its_boundary_and_loses_its_own_requests(tmp_path: Path) -> None:
     step = (
-        "*Step, Perturbation\n** inside\n*Frequency, Solver=ARPACK\n20, 1., 500.\n*Boundary\n"
-        "1, 1, 6\n*NodeFile\nU, RF\n*EL FILE\nS\n*Node Print, NSET=NOPE\nU\n*End Step\n"
+        "*Step, Perturbation\n** inside\n*Boundary\n1, 1, 6\n*Frequency, Solver=Pardiso, "
+        "STORAGE=YES\n20\n*Boundary\n1, 1, 3\n>** more\n*NodeFile\nU, RF\n*EL FILE\nS\n"
+        "*Node Print, NSET=NOPE\nU\n*End Step\n"
     )
-    text = own_text(model_of(tmp_path, MODEL + step), {}, MODAL)
-    assert text == PLAIN + OURS_BEFORE + "*Step, Perturbation\n*Boundary\n1, 1, 6\n" + OURS_INSIDE
+    model = model_of(tmp_path, MODEL + step)
+    above = PLAIN + OURS_BEFORE + "*Step, Perturbation\n*Boundary\n1, 1, 6\n"
+    ours, rest = (
+        OURS_INSIDE[: OURS_INSIDE.index("*NODE")],
+        OURS_INSIDE[OURS_INSIDE.index("*NODE") :],
+    )
+    ours = ours.replace("*FREQUENCY", "*FREQUENCY, SOLVER=PARDISO, STORAGE=YES")
+    held = "*Boundary\n1, 1, 3\n"
+    assert own_text(model, {}, MODAL) == above + ours + held + rest
+    assert check_frequency_step(model) == []
+    stored = own_text(model, {}, MatrixAnalysis())
+    assert "*FREQUENCY, SOLVER=MATRIXSTORAGE, STORAGE=YES\n1\n" + held in stored
+
+
+def test_a_range_of_frequencies_is_refused_or_told(tmp_path: Path) -> None:
+    step = "*STEP\n*FREQUENCY\n20, {}\n*END STEP\n"
+    for data in ("1., 500.", "1."):
+        with pytest.raises(ModelError, match=r"main\.inp, line 18: .*above 1 only"):
+            check_frequency_step(model_of(tmp_path, MODEL + step.format(data)))
+    for data in (", 500.", "0., 500."):
+        (note,) = check_frequency_step(model_of(tmp_path, MODEL + step.format(data)))
+        assert "line 18: the upper frequency 500 of *FREQUENCY is left out" in note
+    stored = step.format("").replace("*FREQUENCY", "*FREQUENCY, SOLVER=MATRIXSTORAGE")
+    with pytest.raises(ModelError, match=r"line 17: \*FREQUENCY, SOLVER=MATRIXSTORAGE is of"):
+        check_frequency_step(model_of(tmp_path, MODEL + stored))
 
 
 def test_a_preload_step_stays_without_its_requests_and_later_steps_go(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,13 @@ import pytest
 
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.model import understand
+from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.calculix.spare_unknowns import spare_unknowns
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.updating.results import ModalResult
+from tests.adapters.test_calculix_model import parameter
 from tests.adapters.test_rigid_modes import STEEL, plate, solved
+from tests.adapters.test_solver_contract import run
 
 
 def chain(n: int) -> str:
@@ -60,3 +66,34 @@ def test_models_of_unknowns_enough_get_none(tmp_path: Path) -> None:
     model = understand(read_deck(file))
     assert spare_unknowns(model, 15) == []  # 77 nodes
     assert spare_unknowns(model, 16) != []
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+def test_users_shells_have_modes_without_energies_and_mass(tmp_path: Path) -> None:
+    """A clamped strip of ccx's own user shells, US3, of which it prints neither."""
+    places = [(i, j) for j in range(3) for i in range(9)]
+    number = {place: at for at, place in enumerate(places, start=1)}
+    rows = []
+    for i, j in places:
+        if i < 8 and j < 2:
+            a, b, c, d = (number[i + x, j + y] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
+            rows += [f"{len(rows) + 1}, {a}, {b}, {c}", f"{len(rows) + 2}, {a}, {c}, {d}"]
+    text = "*NODE\n" + "".join(f"{n}, {25 * i}., {10 * j}., 0.\n" for (i, j), n in number.items())
+    text += "*USER ELEMENT, TYPE=US3, NODES=3, INTEGRATION POINTS=3, MAXDOF=6\n"
+    text += "*ELEMENT, TYPE=US3, ELSET=E\n" + "\n".join(rows)
+    text += "\n*MATERIAL, NAME=A\n*ELASTIC\n70000., 0.\n*DENSITY\n2.7e-9\n"
+    text += "*USER SECTION, ELSET=E, MATERIAL=A, CONSTANTS=1\n2.\n*BOUNDARY\n"
+    text += "".join(f"{number[0, j]}, 1, 6\n" for j in range(3))
+    path = tmp_path / "strip.inp"
+    path.write_text(text)
+    wanted = parameter("youngs_modulus", "A")
+    solver = calculix_solver(path, (wanted,))
+    assert solver.deck.energy_sets(wanted) == ()
+    result = run(solver, {"p": 1.21}, ModalAnalysis(2, (9, 18)), tmp_path)
+    assert isinstance(result, ModalResult)
+    # Euler and Bernoulli, without Poisson's ratio: 1.8751^2 / (2 pi l^2) sqrt(E t^2 / (12 rho)).
+    first = 1.8751**2 / (2 * np.pi * 200.0**2) * np.sqrt(1.21 * 70000.0 * 2.0**2 / (12 * 2.7e-9))
+    assert result.modes.frequencies_hz[0] == pytest.approx(first, rel=0.01)
+    assert result.modes.n_dof == 6  # translations alone of the six unknowns
+    assert np.isnan(result.mass)
+    assert np.isnan(result.total_strain_energy).all()
