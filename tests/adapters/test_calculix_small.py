@@ -73,7 +73,7 @@ def test_users_shells_have_modes_without_energies_and_mass(tmp_path: Path) -> No
     """A clamped strip of ccx's own user shells, US3, of which it prints neither."""
     places = [(i, j) for j in range(3) for i in range(9)]
     number = {place: at for at, place in enumerate(places, start=1)}
-    rows = []
+    rows: list[str] = []
     for i, j in places:
         if i < 8 and j < 2:
             a, b, c, d = (number[i + x, j + y] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
