@@ -79,20 +79,28 @@ def modal_scale_factor(measured: Shapes, computed: Shapes) -> float:
 
 
 def subspace_mac(shape: Shapes, basis: Shapes) -> float:
-    """Share of a shape that lies in the space of several others, in [0, 1].
+    """Share of a shape (n_dof,) that lies in the space of several others, in [0, 1].
 
-    shape: (n_dof,), basis: (n_dof, n). With one column it is the MAC. It does not change when
+    As `subspace_macs`. With one column of the basis it is the MAC.
+    """
+    return float(subspace_macs(shape[:, None], basis)[0])
+
+
+def subspace_macs(shapes: Shapes, basis: Shapes) -> Floats:
+    """Share of each shape that lies in the space of several others, (n_shapes,), in [0, 1].
+
+    shapes: (n_dof, n_shapes), basis: (n_dof, n). It does not change when
     close modes turn within their common space, as their shapes do at the least change of the
     model, so it is how a member of a cluster of close modes is judged. Raises as mac.
     """
-    unit, columns = _unit_columns(np.reshape(shape, (-1, 1))), _unit_columns(basis)
-    if unit.shape[0] != columns.shape[0]:
+    units, columns = _unit_columns(shapes), _unit_columns(basis)
+    if units.shape[0] != columns.shape[0]:
         raise ModesError(
-            f"shapes at {unit.shape[0]} and {columns.shape[0]} degrees of freedom have no MAC"
+            f"shapes at {units.shape[0]} and {columns.shape[0]} degrees of freedom have no MAC"
         )
     directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     q = directions[:, sizes > 1e-10 * sizes[0]]
-    return float(min(np.sum(np.abs(q.conj().T @ unit) ** 2), 1.0))
+    return np.asarray(np.minimum(np.sum(np.abs(q.conj().T @ units) ** 2, axis=0), 1.0))
 
 
 def comac(measured: Shapes, computed: Shapes) -> Floats:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
-from modetune.core.correlation.correlation import Shapes, mac, subspace_mac
+from modetune.core.correlation.correlation import Shapes, mac, subspace_macs
 from modetune.core.errors import ModesError
 from modetune.core.modes import CLOSE, Floats, Integers, ModeSet, close_sets, common_dofs
 
@@ -203,8 +203,8 @@ def _likeness(table: Floats, shapes_m: Shapes, shapes_c: Shapes, frequencies_hz:
     for column in range(frequencies_hz.size):
         cluster = close_modes(frequencies_hz, column)
         if 1 < cluster.size < shapes_c.shape[0]:
-            space = [_space_or_zero(shape, shapes_c[:, cluster]) for shape in shapes_m.T]
-            likeness[:, column] += (1.0 - OWN_SHARE) * (np.array(space) - table[:, column])
+            spaces = _spaces_or_zero(shapes_m, shapes_c[:, cluster])
+            likeness[:, column] += (1.0 - OWN_SHARE) * (spaces - table[:, column])
     return likeness
 
 
@@ -285,9 +285,17 @@ def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
     return table
 
 
+def _spaces_or_zero(shapes: Shapes, basis: Shapes) -> Floats:
+    """Share of each shape (n_dof, n_shapes) in a space, 0 where one rests, (n_shapes,)."""
+    moving, moves = basis[:, basis.any(axis=0)], shapes.any(axis=0)
+    spaces = np.zeros(shapes.shape[1])
+    if moving.shape[1] and moves.any():
+        spaces[moves] = subspace_macs(shapes[:, moves], moving)
+    return spaces
+
+
 def _space_or_zero(shape: Shapes, basis: Shapes) -> float:
-    moving = basis[:, basis.any(axis=0)]
-    return subspace_mac(shape, moving) if moving.shape[1] and shape.any() else 0.0
+    return float(_spaces_or_zero(shape[:, None], basis)[0])
 
 
 def cluster_mac(shapes: Shapes, basis: Shapes) -> float:

@@ -35,6 +35,7 @@ from modetune.core.updating.results import (
     ModeDerivatives,
     ParameterMatrices,
     ReducedModel,
+    ReducedRange,
     Result,
 )
 
@@ -51,6 +52,7 @@ KINDS: dict[str, type[Result]] = {
     "derivatives": ModeDerivatives,
     "parameter_matrices": ParameterMatrices,
     "reduced": ReducedModel,
+    "reduced_range": ReducedRange,
 }
 
 

@@ -106,15 +106,7 @@ class ReducedModel:
 
     def combinations(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
         """As `modes`, the shapes by what they have of each vector of the basis, (r, n_modes)."""
-        inverted, vectors = self._solved(theta)
-        with_mass = int(np.sum(inverted > LEAST_MASS * inverted[0]))
-        if n_modes > with_mass:
-            raise ModesError(
-                f"{n_modes} modes were asked of a reduced model that has {with_mass}; "
-                "make it of more modes"
-            )
-        kept = inverted[:n_modes]
-        return self.shift + 1.0 / kept, vectors[:, :n_modes] / np.sqrt(kept)
+        return lowest(*self.at(theta), self.shift, n_modes)
 
     def derivatives(
         self, theta: Floats, modes: Integers, shapes: Floats | None = None
@@ -132,12 +124,11 @@ class ReducedModel:
         d_lam = np.zeros((modes.size, self.reference.size))
         d_phi = np.zeros((self.size, modes.size, self.reference.size))
         close = _close(inverted, modes, self.shift)
-        eigenvalues = self.shift + 1.0 / inverted[modes]
-        phi = vectors[:, modes] / np.sqrt(inverted[modes])
-        if shapes is not None:
-            turn = _turn(inverted, self.rows @ vectors, close, shapes)
-            phi = (vectors / np.sqrt(np.abs(inverted))) @ turn
-            eigenvalues = (self.shift + 1.0 / inverted) @ turn**2
+        if shapes is None:
+            shapes = self.modes(theta, int(modes.max()) + 1)[1][:, modes]
+        turn = _turn(inverted, self.rows @ vectors, close, shapes)
+        phi = (vectors / np.sqrt(np.abs(inverted))) @ turn
+        eigenvalues = (self.shift + 1.0 / inverted) @ turn**2
         apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
         dividing = np.where(close, 0.0, 1.0 / np.where(close, 1.0, apart))
         for column in range(self.reference.size):
@@ -157,15 +148,38 @@ class ReducedModel:
 
     def _solved(self, theta: Floats) -> tuple[Floats, Floats]:
         """mu (r,), descending, and vectors (r, r) with x^T (K - s M) x = 1."""
-        stiffness, mass = self.at(theta)
-        try:
-            inverted, vectors = eigh(mass, stiffness - self.shift * mass)
-        except (LinAlgError, ValueError) as error:
-            raise ModesError(
-                "a reduced model has an eigenvalue below its shift or no modes at all at these "
-                f"parameter values: {np.array2string(theta, precision=4)}"
-            ) from error
-        return inverted[::-1], vectors[:, ::-1]
+        return _inverted(*self.at(theta), self.shift, self.size)
+
+
+def lowest(stiffness: Floats, mass: Floats, shift: float, n_modes: int) -> tuple[Floats, Floats]:
+    """The lowest modes of small matrices (r, r), some vectors of which may be without mass.
+
+    shift: (rad/s)^2, below all eigenvalues. Returns eigenvalues (n_modes,) ascending and
+    mass-normalised shapes (r, n_modes). Raises ModesError where there are no such modes.
+    """
+    size = mass.shape[0]
+    inverted, vectors = _inverted(stiffness, mass, shift, min(n_modes, size))
+    with_mass = int(np.sum(inverted > LEAST_MASS * inverted[0]))
+    if n_modes > with_mass:
+        raise ModesError(
+            f"{n_modes} modes were asked of a reduced model that has {with_mass}; "
+            "make it of more modes"
+        )
+    return shift + 1.0 / inverted, vectors / np.sqrt(inverted)
+
+
+def _inverted(stiffness: Floats, mass: Floats, shift: float, count: int) -> tuple[Floats, Floats]:
+    """The largest mu (count,), descending, and vectors (r, count) with x^T (K - s M) x = 1."""
+    size = mass.shape[0]
+    some = None if count == size else (size - count, size - 1)
+    try:
+        inverted, vectors = eigh(mass, stiffness - shift * mass, subset_by_index=some)
+    except (LinAlgError, ValueError) as error:
+        raise ModesError(
+            "a reduced model has an eigenvalue below its shift or no modes at all at some "
+            "parameter values"
+        ) from error
+    return inverted[::-1], vectors[:, ::-1]
 
 
 def _close(inverted: Floats, modes: Integers, shift: float) -> NDArray[np.bool_]:

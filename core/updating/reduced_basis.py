@@ -17,6 +17,7 @@ to M + e diag(K), e so small that only vectors that move (nearly) no mass feel i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,9 @@ from modetune.core.updating.derivative_vectors import (
 )
 from modetune.core.updating.parameter_matrices import ParameterMatrices, ParameterMatrix
 from modetune.core.updating.reduced import ReducedModel, ReducedPart
+
+#: A positive definite matrix times a block of vectors (n, k).
+Weight = Callable[[Floats], Floats]
 
 #: Most vectors of a basis.
 MOST_VECTORS = 150
@@ -73,7 +77,7 @@ def reduce(
     widened = basis
     if previous is not None and basis.shape[1] < most:
         metric = _Metric.of(affine.at(theta))
-        widened = _with_directions(metric, basis, previous, most - basis.shape[1])
+        widened = with_directions(metric.weighted, basis, previous, most - basis.shape[1])
     stiffness_parts = _reduced_parts(affine.base.upper_stiffness, affine.stiffness, widened)
     mass_parts = _reduced_parts(affine.base.upper_mass, affine.mass, widened)
     inertia = projected(mass, widened)
@@ -102,15 +106,21 @@ def unreduced(affine: ParameterMatrices, shift: float, observer: sparse.csr_arra
 
     shift: (rad/s)^2, below zero; observer: (n_rows, n).
     """
-    every = np.eye(observer.shape[1])
+    return projected_model(affine, np.eye(observer.shape[1]), shift, observer)
+
+
+def projected_model(
+    affine: ParameterMatrices, basis: Floats, shift: float, observer: sparse.csr_array
+) -> ReducedModel:
+    """A model on any basis (n, r). shift: (rad/s)^2, below zero; observer: (n_rows, n)."""
     return ReducedModel(
         reference=affine.reference,
         shift=shift,
-        base_stiffness=projected(affine.base.upper_stiffness, every),
-        base_mass=projected(affine.base.upper_mass, every),
-        stiffness=_reduced_parts(affine.base.upper_stiffness, affine.stiffness, every),
-        mass=_reduced_parts(affine.base.upper_mass, affine.mass, every),
-        rows=observer.toarray(),
+        base_stiffness=projected(affine.base.upper_stiffness, basis),
+        base_mass=projected(affine.base.upper_mass, basis),
+        stiffness=_reduced_parts(affine.base.upper_stiffness, affine.stiffness, basis),
+        mass=_reduced_parts(affine.base.upper_mass, affine.mass, basis),
+        rows=np.asarray(observer @ basis),
     )
 
 
@@ -156,12 +166,13 @@ class _Metric:
         return found
 
 
-def _with_directions(metric: _Metric, basis: Floats, block: Floats, room: int) -> Floats:
+def with_directions(weight: Weight, basis: Floats, block: Floats, room: int) -> Floats:
     """A basis with the directions that a block has outside it, the strongest first.
 
-    basis: (n, r); block: (n, k); room: how many of them the basis takes.
+    weight: for the product of vectors; basis: (n, r); block: (n, k); room: how many of them the
+    basis takes.
     """
-    weighted, own = metric.weighted(basis), metric.weighted(block)
+    weighted, own = weight(basis), weight(block)
     gram = block.T @ own
     moves = np.flatnonzero(gram.diagonal() > 0.0)
     scale = 1.0 / np.sqrt(gram.diagonal()[moves])

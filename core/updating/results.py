@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, ModeSet
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
+from modetune.core.updating.reduced_range import ReducedRange
 from modetune.core.updating.sensitivity import ModeDerivatives
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "ModeDerivatives",
     "ParameterMatrices",
     "ReducedModel",
+    "ReducedRange",
     "Result",
     "finite",
 ]
@@ -48,6 +50,34 @@ class ModalResult:
     n_rigid: int = 0
 
     __repr__ = brief
+
+    @classmethod
+    def of_shapes(
+        cls,
+        eigenvalues: Floats,
+        shapes: Floats,
+        nodes: Integers,
+        components: Integers,
+        energies: Floats,
+        n_rigid: int,
+    ) -> ModalResult:
+        """Modes that were solved for here. shapes: (n_dof, n_modes), mass-normalised, whose degrees
+        of freedom have these nodes and components; energies: (n_modes,), of the whole model."""
+        return cls(
+            eigenvalues=eigenvalues,
+            modes=mode_set(
+                np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
+                shapes,
+                nodes,
+                components,
+                normalisation="mass",
+            ),
+            groups=(),
+            strain_energies=np.zeros((0, eigenvalues.size)),
+            total_strain_energy=energies,
+            mass=np.nan,
+            n_rigid=n_rigid,
+        )
 
     def __post_init__(self) -> None:
         n_modes = self.modes.n_modes
@@ -106,7 +136,9 @@ class ModalResult:
 
 
 #: What a store keeps: what solvers give, and what is made of it at a cost.
-Result = ModalResult | MatrixResult | ModeDerivatives | ParameterMatrices | ReducedModel
+Result = (
+    ModalResult | MatrixResult | ModeDerivatives | ParameterMatrices | ReducedModel | ReducedRange
+)
 
 
 def finite(result: Result) -> Result:
@@ -130,6 +162,8 @@ def _numbers(result: Result) -> list[Floats | NDArray[np.complex128]]:
         case ReducedModel():
             parts = [part.values for part in (*result.stiffness, *result.mass)]
             return [result.reference, result.base_stiffness, result.base_mass, result.rows, *parts]
+        case ReducedRange():
+            return [*_numbers(result.whole), result.solved, result.errors]
         case ModalResult():
             return [result.modes.mode_shapes, result.eigenvalues]
         case ModeDerivatives():

@@ -105,6 +105,8 @@ def _show(found: PosteriorRecord, written: list[Path]) -> None:
         f"samples: {found.walkers} walkers, {found.steps - found.burned} steps kept, effective "
         f"{found.effective_sizes.min():.0f}, R-hat {found.r_hat.max():.3f}",
     ]
+    if found.points_by:
+        lines.insert(0, found.points_by)
     for line in lines:
         console.print(Text(line), soft_wrap=True)
     for finding in findings(found):

@@ -85,8 +85,8 @@ class ModeTrack:
     grows: bool
 
     def next(self, thetas: Floats, waiting: Sequence[int]) -> int:
-        """The waiting set that is nearest to one that is known."""
-        if not self.known or len(waiting) == 1:
+        """The waiting set that is nearest to one that is known, where the known grow by it."""
+        if not (self.known and self.grows) or len(waiting) == 1:
             return waiting[0]
         return min(waiting, key=lambda point: self._distances(thetas[point]).min())
 

@@ -19,8 +19,9 @@ import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModetuneError
-from modetune.core.modes import Floats, Integers, mode_set
+from modetune.core.modes import Floats, Integers
 from modetune.core.updating.reduced import ReducedModel
+from modetune.core.updating.reduced_range import ReducedRange
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
@@ -84,6 +85,13 @@ class ByMatrices:
         """As `modes`, by the newest reduced model. Raises ModesError where it has no such modes."""
         return self._stored(()).foreseen(theta, analysis)
 
+    def over(
+        self, point: Point, thetas: Floats, analysis: ModalAnalysis, accuracy: float
+    ) -> tuple[str, ReducedRange]:
+        """The key and a reduced model for all these sets (n_sets, n_parameters), from an evaluated
+        one on. Raises ModelError, ModesError, UnlikeMatrices."""
+        return self._stored(()).over(point, thetas, analysis, accuracy)
+
     def release(self) -> None:
         """Leave the factors' memory to others."""
         self._modes = None
@@ -145,21 +153,7 @@ def reduced_modal(
     it has no such modes.
     """
     eigenvalues, shapes = reduced.modes(theta, n_modes)
-    return ModalResult(
-        eigenvalues=eigenvalues,
-        modes=mode_set(
-            np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
-            shapes,
-            nodes,
-            components,
-            normalisation="mass",
-        ),
-        groups=(),
-        strain_energies=np.zeros((0, eigenvalues.size)),
-        total_strain_energy=0.5 * eigenvalues,
-        mass=np.nan,
-        n_rigid=n_rigid,
-    )
+    return ModalResult.of_shapes(eigenvalues, shapes, nodes, components, 0.5 * eigenvalues, n_rigid)
 
 
 def reduced_columns(reduced: ReducedModel, point: Point) -> Columns:

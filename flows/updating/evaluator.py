@@ -53,6 +53,9 @@ from modetune.flows.updating.finders import (
 
 logger = logging.getLogger(__name__)
 
+#: So many sets are worth a reduced model that holds for all of them.
+MANY = 16
+
 
 class Foresight(Protocol):
     """What is foreseen of sets that are not solved for, where reduced models are there."""
@@ -89,10 +92,25 @@ class Foresight(Protocol):
         ...
 
 
+class Ranges(Protocol):
+    """Many sets by reduced models that hold for all of them, where matrices are there."""
+
+    @property
+    def said(self) -> str:
+        """How sets were evaluated so, and what confirmed it; empty where none was."""
+        ...
+
+    def points(
+        self, title: str, thetas: Floats, known: Sequence[Evaluation], grows: bool
+    ) -> list[Evaluation | ModetuneError] | None:
+        """As `Evaluator.points`; None where a case has no such model, or it is not believed."""
+        ...
+
+
 class Evaluator:
     """Evaluates parameter sets in all cases of a campaign, and counts what it cost.
 
-    foresight: of reduced models, where modes come from stored matrices.
+    foresight, ranges: of reduced models, where modes come from stored matrices.
     """
 
     def __init__(
@@ -109,6 +127,7 @@ class Evaluator:
         self.execution: Execution = FirstAlone(execution) if runs else execution
         self.ledger = ledger
         self.foresight: Foresight | None = None
+        self.ranges: Ranges | None = None
         self._runs = RunCounts()
 
     @property
@@ -181,6 +200,10 @@ class Evaluator:
         known: evaluation points that modes are tracked from; grows: whether new ones join them.
         Raises what is not a set's own failure.
         """
+        if self.ranges and known and len(thetas) >= MANY:
+            found = self.ranges.points(title, thetas, known, grows)
+            if found is not None:
+                return found
         # Shapes of the whole surface, which a report shows, would fill the store for nothing.
         asked = [
             AskedModes(

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.correlation.pairing import LostMode
+from modetune.core.correlation.pairing import LostMode, close_modes
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step
@@ -164,8 +164,10 @@ class ReducedForesight:
         wanted = [part.pairing.computed]
         if part.held_out is not None:
             wanted.append(part.held_out.computed)
-        # Each mode and all energies cost the solver time: only what is compared is asked for.
-        last = part.modal.n_rigid + int(np.max(np.concatenate(wanted))) + 1
+        # Each mode and all energies cost the solver time: only what is compared is asked for, with
+        # the modes next to it, in whose space it is judged.
+        compared = int(np.max(np.concatenate(wanted)))
+        last = part.modal.n_rigid + int(close_modes(part.seen.frequencies_hz, compared).max()) + 1
         every = replace(state.analysis, groups=())
         try:
             return self._by_solver(title, state, part, replace(every, n_modes=last))

@@ -255,14 +255,17 @@ class MatrixSource:
         return self.engine.solve(job).result(MatrixResult)
 
 
-def modes_source(campaign: Campaign, engine: JobEngine) -> MatrixSource | None:
-    """Where the matrices come from whose modes stand for the solver's; None where none do."""
+def modes_source(campaign: Campaign, engine: JobEngine, many: bool = False) -> MatrixSource | None:
+    """Where the matrices come from whose modes stand for the solver's; None where none do.
+
+    many: whether so many sets are evaluated at once that even small models' runs count.
+    """
     if campaign.case.eigensolver == "solver":
         return None
     solver, parameters = campaign.case.solver, campaign.parameters
     reason = None
     if campaign.case.eigensolver == "auto":  # first: the rest takes a look at the whole deck
-        reason = _slower(solver, campaign.run.engine)
+        reason = _slower(solver, campaign.run.engine, many)
     if reason is None:
         reason = unsuitable(solver, parameters.parameters, campaign.sensitivity.method)
     if reason is not None:
@@ -271,9 +274,10 @@ def modes_source(campaign: Campaign, engine: JobEngine) -> MatrixSource | None:
     return MatrixSource(engine, parameters, campaign.sensitivity.step)
 
 
-def _slower(solver: Solver, place: str) -> str | None:
+def _slower(solver: Solver, place: str, many: bool) -> str | None:
     """Why the solver itself is as fast, None where it is not."""
-    if solver.deck.summary.n_elements < SMALL:
+    summary = solver.deck.summary
+    if summary.n_elements < SMALL and not (many and summary.matrices is None):
         return f"it is as fast below {SMALL} elements"
     if place != "local":
         return "jobs run on other machines"

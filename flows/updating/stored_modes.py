@@ -14,6 +14,7 @@ what its next search begins with is found once more, set by set.
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from dataclasses import dataclass
 
@@ -30,11 +31,12 @@ from modetune.core.algebra.rigid_modes import (
     matrix_energies,
 )
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, Integers, mode_set
+from modetune.core.modes import Floats, Integers
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
+from modetune.core.updating.reduced_range import ReducedRange, reduce_over
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
@@ -47,6 +49,7 @@ logger = logging.getLogger(__name__)
 #: Raised by hand when the same matrices are solved, or reduced, to other numbers.
 MODES_VERSION = 4
 REDUCED_VERSION = 3
+RANGE_VERSION = 1
 #: Unobservable nodes that a message names.
 NAMED = 5
 
@@ -235,6 +238,39 @@ class MatrixModes:
         found = self.engine.derived(asked, compute, ModalResult)
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
 
+    def over(
+        self, point: Point, thetas: Floats, analysis: ModalAnalysis, accuracy: float
+    ) -> tuple[str, ReducedRange]:
+        """The key and a reduced model for all these sets (n_sets, n_parameters), from an evaluation
+        point on, whose frequencies are off by `accuracy` at most, relative."""
+        self.reduced(point, analysis)
+        around = self._around
+        assert around is not None
+        values = np.array([self.source.written(theta) for theta in thetas])
+        asked: Json = {
+            "reduced range": RANGE_VERSION,
+            "around": around.key,
+            "n_modes": analysis.n_modes,
+            "sets": hashlib.sha256(values.tobytes()).hexdigest(),
+            "accuracy": accuracy,
+        }
+
+        def compute() -> ReducedRange:
+            begin = self._solutions.basis(around)
+            with self.engine.all_cores():
+                return reduce_over(
+                    self.affine,
+                    values,
+                    (begin.reduced, begin.vectors),
+                    analysis.n_modes,
+                    begin.n_rigid,
+                    around.observer,
+                    accuracy,
+                )
+
+        found = self.engine.derived(asked, compute, ReducedRange)
+        return content_key(canonical_json(asked)), found
+
     def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:
         """The reduced model around an evaluation point, for its pairs, at the campaign's nodes."""
         item, nodes = self._set(point.theta, analysis.n_modes), self.campaign.case.nodes
@@ -288,21 +324,9 @@ class MatrixModes:
         eigenvalues = eigenvalues[: analysis.n_modes]
         nodes, components = _named(analysis.nodes)
         shapes = self._observer(nodes, components) @ shapes[:, : analysis.n_modes]
-        return ModalResult(
-            eigenvalues=eigenvalues,
-            modes=mode_set(
-                np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
-                shapes,
-                nodes,
-                components,
-                normalisation="mass",
-            ),
-            groups=(),
-            strain_energies=np.zeros((0, eigenvalues.size)),
-            total_strain_energy=energies[: eigenvalues.size],
-            mass=np.nan,
-            n_rigid=min(n_rigid, eigenvalues.size),
-        )
+        rigid = min(n_rigid, eigenvalues.size)
+        energies = energies[: eigenvalues.size]
+        return ModalResult.of_shapes(eigenvalues, shapes, nodes, components, energies, rigid)
 
     def _observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
         """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""

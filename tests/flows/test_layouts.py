@@ -52,13 +52,14 @@ def digest(kind: Any) -> str:
     ("kind", "number", "expected"),
     [
         (CAMPAIGN.kind, CAMPAIGN.format, (4, "31b355803a51")),
-        (SCREENING.kind, SCREENING.format, (2, "e83fafee7642")),
-        (POSTERIOR.kind, POSTERIOR.format, (2, "dc7474e4c855")),
+        (SCREENING.kind, SCREENING.format, (3, "309ff64c3425")),
+        (POSTERIOR.kind, POSTERIOR.format, (3, "afe1bcce626f")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),
         (store.KINDS["matrices"], store.FORMAT, (4, "fc2e991bf643")),
         (store.KINDS["derivatives"], store.FORMAT, (4, "98c110189d0b")),
         (store.KINDS["parameter_matrices"], store.FORMAT, (4, "60f226b2c49d")),
         (store.KINDS["reduced"], store.FORMAT, (4, "adff64dcddcc")),
+        (store.KINDS["reduced_range"], store.FORMAT, (4, "3947a67c6b4b")),
     ],
     ids=lambda item: getattr(item, "__name__", None),
 )

@@ -62,20 +62,20 @@ def learn(
     limits: lower and upper end of the range. Raises CampaignError where the surrogate stays too
     poor; SolverError, StoreError.
     """
-    tell(f"{points.shape[0]} solver runs over the range")
+    tell(f"{points.shape[0]} sets over the range")
     solved = solver.solve("training", points)
     training, keys, left = solved.training, solved.keys, more
     begun = len(keys)
     each = 2 * points.shape[1] + 2
     while True:
-        tell(f"learning from {len(keys)} solver runs")
+        tell(f"learning from {len(keys)} sets")
         learned = _learned(solver, training, keys, limits, begun, rng)
         good = learned.near.sum() >= each and learned.errors.max() <= GOOD
         if good or left <= 0:
             break
         wanted = new_points(learned, min(each, left), walkers, rng)
         left -= wanted.shape[0]
-        tell(f"{wanted.shape[0]} solver runs near the posterior")
+        tell(f"{wanted.shape[0]} sets near the posterior")
         solved = solver.solve("training near the posterior", wanted)
         training, keys = training.plus(solved.training), keys + solved.keys
     refuse_poor(learned, each)

@@ -5,8 +5,10 @@ single values are attributes, arrays and tuples datasets, dataclasses groups, ea
 its field.
 
     attributes      name, seed, walkers, steps (of each walker), burned, acceptance, enough (chains
-                    long enough), begun (training points before any was added near the posterior),
-                    solver, solver_version, modetune_version, units, campaign_text, wall_s
+                    long enough), points_by (how the modes of training points were
+                    found, where not each took a run of the solver), begun (training points before
+                    any was added near the posterior), solver, solver_version,
+                    modetune_version, units, campaign_text, wall_s
     (n_parameters,) names, lower, upper (range of the samples), bound_lower, bound_upper,
                     prior_mean, prior_deviation, mean, deviation, interval_lower, interval_upper
                     (95 %), most_likely, linear_deviation, autocorrelation_times,
@@ -59,6 +61,7 @@ class PosteriorRecord:
     modetune_version: str
     units: str
     wall_s: float
+    points_by: str
     campaign_text: str
     names: tuple[str, ...]
     lower: Floats
@@ -95,7 +98,7 @@ class PosteriorRecord:
     __repr__ = brief
 
 
-POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 2)
+POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 3)
 
 
 def write_posterior(path: Path, record: PosteriorRecord) -> None:

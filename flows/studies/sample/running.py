@@ -37,8 +37,8 @@ MOST = 100_000
 class SamplingRequest:
     """What is asked for.
 
-    points: solver runs over the range; as many again may follow near the posterior. steps: of each
-    walker at first. checks: solver runs at points of the posterior. None: by the number of
+    points: sets over the range; as many again may follow near the posterior. steps: of each
+    walker at first. checks: sets of the posterior that are solved for. None: by the number of
     parameters.
     """
 
@@ -97,7 +97,8 @@ def sample_campaign(
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine:
         try:
-            evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+            threads = ThreadExecution(engine, campaign.parallel)
+            evaluator = evaluator_of(campaign, engine, threads, sets=asked)
             solver = PointSolver(campaign, evaluator)
             # Where nothing was measured but frequencies, pairs are those that updating begins with.
             solver.solve("start", campaign.start[None])
@@ -105,18 +106,19 @@ def sample_campaign(
             learned = learn(solver, points, limits, asked, walkers, at_search, progress.working)
             progress.working("sampling")
             chains = sample(learned.posterior, learned.peaks, walkers, request.steps, at_chains)
-            progress.working(f"{request.checks} solver runs at points of the posterior")
+            progress.working(f"{request.checks} sets of the posterior")
             checks = check_surrogate(solver, learned.surrogate, chains, request.checks, at_checks)
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling
             raise
-        runs = evaluator.runs
+        runs, said = evaluator.runs, evaluator.ranges.said if evaluator.ranges else ""
     record = _record(campaign, request, learned, chains, checks)
     return replace(
         record,
         solver_version=version,
         failures=tuple(solver.failures),
         runs=runs,
+        points_by=said,
         wall_s=time.monotonic() - started,
     )
 
@@ -208,4 +210,5 @@ def _record(
         check_errors=checks.errors,
         failures=(),
         runs=RunCounts(),
+        points_by="",
     )

@@ -4,7 +4,7 @@ The file is the dataclass Screening below as `core/storage/codec` writes it, beh
 values are attributes, arrays datasets, dataclasses groups, each by the name of its field.
 
 /                     attributes: name, seed, solver, solver_version, units, campaign_text (of the
-                      file), wall_s, wanted; datasets: names, deviations, importance
+                      file), wall_s, wanted, points_by; datasets: names, deviations, importance
                       (n_parameters,), numbers, test_hz, nominal_hz, nominal_mac (n_modes,)
 design/               points (n_points, n_parameters), blocks (n_points,), lower, upper
                       (n_parameters,); attributes method, levels
@@ -81,7 +81,7 @@ class Screening:
     names, deviations: of the parameters; numbers: of the used modes; test_hz, nominal_hz,
     nominal_mac: (n_modes,), of the pairs at the deck's values. indices: None for `local`.
     importance: (n_parameters,). wanted: how many parameters were asked for, 0 where the choice
-    was free.
+    was free. points_by: how the points' modes were found, where not each took a run of the solver.
     """
 
     name: str
@@ -105,6 +105,7 @@ class Screening:
     runs: RunCounts = field(default_factory=RunCounts)
     wall_s: float = 0.0
     wanted: int = 0
+    points_by: str = ""
 
     __repr__ = brief
 
@@ -116,7 +117,7 @@ class Screening:
         return frequencies + (macs if self.responses.mac.shape[1] else ())
 
 
-SCREENING = RecordFile(Screening, "screening", FILE, 2)
+SCREENING = RecordFile(Screening, "screening", FILE, 3)
 
 
 def write_screening(path: Path, screening: Screening) -> None:

@@ -42,7 +42,7 @@ POINTS = "points of the design"
 class ScreeningRequest:
     """What is asked for.
 
-    points: solver runs of the design at most, about ten a parameter where None; levels: of a
+    points: sets of the design at most, about ten a parameter where None; levels: of a
     parameter in morris and factorial; choose: how many parameters are proposed.
     """
 
@@ -94,12 +94,13 @@ def screen_campaign(
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine, _ended(engine):
         progress.working("deck's values, sensitivities")
-        evaluator = evaluator_of(campaign, engine, _Shown(engine, campaign.parallel, progress))
+        shown = _Shown(engine, campaign.parallel, progress)
+        evaluator = evaluator_of(campaign, engine, shown, sets=len(design.points))
         nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
         assert matrix is not None
         points = evaluator.points(POINTS, design.points, [nominal])
         responses = _responses(campaign, nominal, points)
-        runs = evaluator.runs
+        runs, said = evaluator.runs, evaluator.ranges.said if evaluator.ranges else ""
     local = local_sensitivity(campaign, nominal, matrix)
     found = None
     if request.method != "local":
@@ -116,6 +117,7 @@ def screen_campaign(
         runs,
         version,
         time.monotonic() - started,
+        said,
     )
 
 
@@ -141,6 +143,7 @@ def _screening(
     runs: RunCounts,
     version: str,
     wall_s: float,
+    points_by: str,
 ) -> Screening:
     numbers = tuple(campaign.test.numbers[place] for place in nominal.pairing.measured.tolist())
     values = importance(campaign, design, local, found)
@@ -181,6 +184,7 @@ def _screening(
         runs=runs,
         wall_s=wall_s,
         wanted=request.choose or 0,
+        points_by=points_by,
     )
 
 

@@ -36,6 +36,7 @@ def told(screening: Screening) -> dict[str, Json]:
         method=design.method,
         points=len(design.points),
         points_failed=screening.responses.n_failed,
+        points_by=screening.points_by,
         points_used=screening.indices.used if screening.indices else 0,
         levels=design.levels,
         solver_runs=runs,
@@ -228,6 +229,8 @@ def lines(screening: Screening) -> list[str]:
         f"proposed: {', '.join(chosen) if chosen else 'none of them'}" + _explained(screening)
     )
     said.extend(f"note: {note}" for note in notes(screening))
+    if screening.points_by:
+        said.append(screening.points_by)
     said.append(
         f"solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered "
         f"by the store; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes"

@@ -1,0 +1,179 @@
+"""A reduced model that holds over a range of values, and by how much it may be off anywhere in it.
+
+A reduced model made at one set (`reduced_basis`) loses its modes with the distance from it. Where
+many sets are asked for, it grows until it holds for all of them (greedy reduced basis: Prud'homme
+et al. 2002): of the sets the one where it is worst is solved in full, and its modes join the basis,
+until the full solution there says that nothing is missing any more.
+
+Where it is worst is told by residuals. What a reduced mode leaves of its equation, r = K phi -
+lambda M phi, moves the structure by about w = (K_0 - s M_0)^-1 r, which is what the shape lacks.
+Its length is estimated by what random loads g with the variance of the masses have of it: as
+g^T w = z^T r with z = (K_0 - s M_0)^-1 g, a few vectors z that are projected beside the basis once
+tell it at any set from small matrices (probabilistic estimates: Smetana, Zahm and Patera 2019).
+Eigenvalues err by the square of what shapes lack, times a factor that the full solution at the
+worst set gives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from threadpoolctl import threadpool_limits
+
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.matrices import upper_product
+from modetune.core.algebra.pencil import shift_below
+from modetune.core.modes import Floats
+from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.reduced import ReducedModel, ReducedPart, lowest
+from modetune.core.updating.reduced_basis import projected_model, with_directions
+
+#: Random loads: the estimate of a length is good to a quarter.
+LOADS = 24
+#: Sets at which the worst is looked for, and full solutions at most.
+LOOKED_AT, SOLUTIONS = 48, 24
+#: Numbers of all basis vectors at most, and vectors, whatever the model's size.
+NUMBERS, LEAST_ROOM, MOST_ROOM = 120_000_000, 150, 400
+#: What shapes lack is never told below this.
+LEAST = 1e-12
+
+
+@dataclass(frozen=True)
+class ReducedRange:
+    """A reduced model for a range of values.
+
+    whole: of the basis and the answers to random loads, the first `size` vectors the basis;
+    n_rigid: modes that are rigid. solved: (n_solved, n_parameters), where the full model was solved
+    to see how far it is off, and errors: (n_solved,), of frequencies there, relative, before the
+    modes found there joined it. factor: of the squared estimate of what shapes lack.
+    """
+
+    whole: ReducedModel
+    size: int
+    n_rigid: int
+    solved: Floats
+    errors: Floats
+    factor: float
+
+    @cached_property
+    def model(self) -> ReducedModel:
+        """The reduced model itself."""
+        return leading(self.whole, self.size)
+
+    def modes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats, float]:
+        """Eigenvalues (n_modes,), shapes (n_rows, n_modes), and what frequencies may be off by,
+        relative. Raises ModesError where the reduced model has no such modes."""
+        found = lacking_modes(self.whole, self.size, theta, n_modes, self.n_rigid)
+        eigenvalues, combined, lacking = found
+        return eigenvalues, self.whole.rows[:, : self.size] @ combined, self.factor * lacking**2
+
+
+def reduce_over(
+    affine: ParameterMatrices,
+    thetas: Floats,
+    begin: tuple[ReducedModel, Floats],
+    n_modes: int,
+    n_rigid: int,
+    observer: sparse.csr_array,
+    accuracy: float,
+) -> ReducedRange:
+    """A reduced model whose frequencies are as good as `accuracy`, relative, at all these sets.
+
+    thetas: (n_sets, n_parameters); begin: a reduced model around one set, and its basis (n, r);
+    n_modes: the lowest ones wanted, rigid ones included; observer: (n_rows, n). Where the number of
+    full solutions runs out the last of `errors` is above the accuracy. Raises ModelError where the
+    matrices allow no solution, ModesError where the model has no such modes.
+    """
+    model, basis = begin
+    base = affine.base
+    chosen = _spread(thetas, model.reference)
+    solver = ModeSolver()
+    solver.solve(base.upper_stiffness, base.upper_mass, n_modes, model.shift)
+    answers = _answers_to_loads(solver, base.upper_mass)
+
+    def energy(block: Floats) -> Floats:
+        """(K_0 - s M_0) times a block: what a direction lacks of it, eigenvalues lack."""
+        inertia = model.shift * upper_product(base.upper_mass, block)
+        return upper_product(base.upper_stiffness, block) - inertia
+
+    room = int(np.clip(NUMBERS // basis.shape[0], LEAST_ROOM, MOST_ROOM))
+    solved: list[Floats] = []
+    errors: list[float] = []
+    while True:
+        whole = projected_model(affine, np.hstack([basis, answers]), model.shift, observer)
+        with threadpool_limits(1):
+            looked = [lacking_modes(whole, basis.shape[1], at, n_modes, n_rigid) for at in chosen]
+        worst = int(np.argmax([lacking for _, _, lacking in looked]))
+        eigenvalues, combined, lacking = looked[worst]
+        here = affine.at(chosen[worst])
+        first = float(eigenvalues[min(n_rigid, n_modes - 1)])
+        found = solver.solve(
+            here.upper_stiffness, here.upper_mass, n_modes, shift_below(first), basis @ combined
+        )
+        apart = np.sqrt(eigenvalues[n_rigid:] / found.eigenvalues[n_rigid:]) - 1.0
+        solved.append(chosen[worst])
+        errors.append(float(np.max(np.abs(apart), initial=0.0)))
+        widened = basis
+        if errors[-1] > accuracy and len(solved) < min(SOLUTIONS, len(chosen)):
+            shapes = found.shapes[:, n_rigid:]
+            widened = with_directions(energy, basis, shapes, room - basis.shape[1])
+        if widened.shape[1] == basis.shape[1]:  # good enough, or nothing can be added
+            factor = errors[-1] / max(lacking, LEAST) ** 2
+            at = np.array(solved), np.array(errors)
+            return ReducedRange(whole, basis.shape[1], n_rigid, *at, factor)
+        basis = widened
+
+
+def leading(whole: ReducedModel, size: int) -> ReducedModel:
+    """The model on the first so many vectors of its basis."""
+
+    def parts(given: tuple[ReducedPart, ...]) -> tuple[ReducedPart, ...]:
+        return tuple(
+            replace(part, values=np.ascontiguousarray(part.values[:, :size, :size]))
+            for part in given
+        )
+
+    return replace(
+        whole,
+        base_stiffness=whole.base_stiffness[:size, :size],
+        base_mass=whole.base_mass[:size, :size],
+        stiffness=parts(whole.stiffness),
+        mass=parts(whole.mass),
+        rows=whole.rows[:, :size],
+    )
+
+
+def lacking_modes(
+    whole: ReducedModel, size: int, theta: Floats, n_modes: int, n_rigid: int
+) -> tuple[Floats, Floats, float]:
+    """The lowest modes on the first `size` vectors of a basis, and about what they lack.
+
+    Returns eigenvalues (n_modes,), what shapes have of the basis (size, n_modes), and of the
+    elastic shapes, of mass 1, the most that one lacks, by what their residuals do to the other
+    vectors, answers to random loads. Raises ModesError where there are no such modes.
+    """
+    stiffness, mass = whole.at(theta)
+    own = slice(None, size)
+    eigenvalues, combined = lowest(stiffness[own, own], mass[own, own], whole.shift, n_modes)
+    left = stiffness[size:, own] @ combined - (mass[size:, own] @ combined) * eigenvalues
+    lacking = np.linalg.norm(left[:, n_rigid:], axis=0)
+    return eigenvalues, combined, float(np.max(lacking, initial=0.0))
+
+
+def _answers_to_loads(solver: ModeSolver, mass: sparse.csr_array) -> Floats:
+    """What a model's structure does under random loads of its masses' variance, (n, LOADS)."""
+    deviations = np.sqrt(np.maximum(mass.diagonal(), 0.0) / LOADS)
+    random = np.random.default_rng(0).standard_normal((deviations.size, LOADS))
+    return np.asarray(solver.inverse(np.asfortranarray(deviations[:, None] * random)))
+
+
+def _spread(thetas: Floats, reference: Floats) -> Floats:
+    """Sets at which the worst is looked for: of all some by their order, and those farthest off."""
+    if len(thetas) <= LOOKED_AT:
+        return thetas
+    far = np.argsort(-np.linalg.norm(thetas / reference - 1.0, axis=1), kind="stable")
+    some = np.linspace(0, len(thetas) - 1, LOOKED_AT // 2).round().astype(np.int64)
+    return thetas[np.union1d(some, far[: LOOKED_AT // 2])]

@@ -1,0 +1,128 @@
+"""Many sets by one reduced model against as many runs of ccx, on small decks, for real."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modetune.core.modes import Floats
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.studies.screen.record import Screening
+from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.updating import by_range
+from tests.adapters.ccx_decks import bar
+from tests.flows.updating.test_by_matrices import BAR, OWN, SKEW, THICKNESS, Case, written
+
+pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+
+
+def on_springs() -> str:
+    """A square bar of two materials on three soft springs at each corner of both ends: six modes
+    near 0 Hz that are no rigid ones, and bending in pairs of one frequency."""
+    deck = bar("C3D8I", held="", bricks=8).replace(", 8.0\n", ", 10.0\n")
+    deck = deck.replace("*SOLID SECTION, ELSET=V, MATERIAL=A\n", "")
+    deck += "*MATERIAL, NAME=B\n*ELASTIC\n70000., 0.3\n*DENSITY\n2.7e-9\n"
+    for place, first, last in (("A", 1, 4), ("B", 5, 8)):
+        deck += f"*ELSET, ELSET=V{place}, GENERATE\n{first}, {last}\n"
+        deck += f"*SOLID SECTION, ELSET=V{place}, MATERIAL={place}\n"
+    number = 100
+    for component in (1, 2, 3):
+        deck += f"*ELEMENT, TYPE=SPRING1, ELSET=S{component}\n"
+        for node in (1, 2, 3, 4, 33, 34, 35, 36):
+            number += 1
+            deck += f"{number}, {node}\n"
+        deck += f"*SPRING, ELSET=S{component}\n{component}\n0.5\n"
+    return deck
+
+
+#: Materials in a row; a thickness of skew shells; a square bar on soft mounts.
+CASES = {
+    "bar": BAR,
+    "skew shells": replace(THICKNESS, deck=SKEW),
+    "square bar on soft mounts": Case(
+        on_springs(),
+        (
+            ("E_A", "youngs_modulus", "material: A"),
+            ("rho_A", "density", "material: A"),
+            ("E_B", "youngs_modulus", "material: B"),
+        ),
+        (1.1, 1.05, 0.9),
+        tuple(range(1, 37)),
+        n_modes=14,
+    ),
+}
+
+
+class Watched:
+    def __init__(self) -> None:
+        self.ran = 0
+
+    def working(self, text: str) -> None:
+        return
+
+    def points(self, done: int, total: int, ran: int, failed: int) -> None:
+        self.ran = ran
+
+
+def screened(case: Case, folder: Path, *settings: str, points: int = 24) -> Screening:
+    campaign = load_campaign(written(case, folder), list(settings))
+    return screen_campaign(campaign, ScreeningRequest("lhs", points=points), Watched())
+
+
+def apart(found: Floats, expected: Floats) -> float:
+    """Largest difference, relative, where ccx itself found its modes."""
+    assert not np.isnan(found).any()
+    assert np.isnan(expected).any(axis=1).sum() <= 4  # of bodies that float it finds none at times
+    return float(np.nanmax(np.abs(found / expected - 1.0)))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_points_are_those_of_the_solver_for_a_few_runs(name: str, tmp_path: Path) -> None:
+    found = screened(CASES[name], tmp_path / "range")
+    own = screened(CASES[name], tmp_path / "own", OWN)
+    assert own.runs.modal + own.responses.n_failed == 25
+    assert own.points_by == ""
+    good = np.array([not said for said in own.responses.failures])
+    # Matrix jobs: the deck's, one a set of parameters that share no node, four a thickness.
+    assert found.runs.modal == 1
+    assert found.runs.sensitivity <= (6 if "shells" in name else 4)
+    assert "confirmed by calculix at set " in found.points_by
+    # 1e-5 is asked of the model at its worst point; ccx prints seven digits of eigenvalues.
+    assert apart(found.responses.frequencies_hz, own.responses.frequencies_hz) < 1e-4
+    np.testing.assert_allclose(found.responses.mac[good], own.responses.mac[good], atol=2e-3)
+    assert found.choice.chosen == own.choice.chosen
+
+
+def test_the_same_again_runs_nothing_and_gives_the_same_bits(tmp_path: Path) -> None:
+    file = written(BAR, tmp_path / "bar")
+    request = ScreeningRequest("morris", points=40)
+    first, again = (screen_campaign(load_campaign(file), request, Watched()) for _ in range(2))
+    assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
+    np.testing.assert_array_equal(first.responses.frequencies_hz, again.responses.frequencies_hz)
+    assert first.points_by == again.points_by
+
+
+def test_few_points_are_runs_of_the_solver(tmp_path: Path) -> None:
+    found = screened(BAR, tmp_path / "bar", points=8)
+    assert (found.runs.modal, found.points_by) == (9, "")
+
+
+def test_a_reduced_model_that_the_solver_does_not_confirm_gives_way_to_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    made: Callable[..., object] = by_range.ByRange._reduced
+
+    def too_stiff(self: by_range.ByRange, theta: Floats, n_modes: int) -> object:
+        return made(self, 1.001 * theta, n_modes)
+
+    monkeypatch.setattr(by_range.ByRange, "_reduced", too_stiff)
+    found = screened(BAR, tmp_path / "bar")
+    assert "the solver's own frequencies differ by 5." in caplog.text
+    assert found.points_by == ""
+    # All of them, and the one that did not confirm.
+    assert found.runs.modal == 25
