@@ -21,7 +21,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from threadpoolctl import threadpool_limits
 
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import upper_product
@@ -104,8 +103,7 @@ def reduce_over(
     errors: list[float] = []
     while True:
         whole = projected_model(affine, np.hstack([basis, answers]), model.shift, observer)
-        with threadpool_limits(1):
-            looked = [lacking_modes(whole, basis.shape[1], at, n_modes, n_rigid) for at in chosen]
+        looked = [lacking_modes(whole, basis.shape[1], at, n_modes, n_rigid) for at in chosen]
         worst = int(np.argmax([lacking for _, _, lacking in looked]))
         eigenvalues, combined, lacking = looked[worst]
         here = affine.at(chosen[worst])

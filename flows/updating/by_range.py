@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError, ModesError, ModetuneError
@@ -27,6 +26,7 @@ from modetune.flows.updating.finders import REDUCED, Columns, ModeFinder
 from modetune.flows.updating.foresight import BELIEVED
 from modetune.flows.updating.loop import CONFIRMED
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
+from modetune.flows.updating.stored_modes import one_thread
 
 logger = logging.getLogger(__name__)
 
@@ -161,6 +161,5 @@ class Ranges:
 def _points(
     within: Evaluator, title: str, thetas: Floats, known: Sequence[Evaluation], grows: bool
 ) -> list[Evaluation | ModetuneError]:
-    """Sets one after the other: their matrices are so small that threads would only wait."""
-    with threadpool_limits(1):
+    with one_thread():
         return within.points(title, thetas, known, grows)

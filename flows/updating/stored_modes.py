@@ -16,10 +16,12 @@ from __future__ import annotations
 
 import hashlib
 import logging
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from threadpoolctl import ThreadpoolController
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.eigen import ModeSolver
@@ -257,7 +259,7 @@ class MatrixModes:
 
         def compute() -> ReducedRange:
             begin = self._solutions.basis(around)
-            with self.engine.all_cores():
+            with self.engine.all_cores(), one_thread():
                 return reduce_over(
                     self.affine,
                     values,
@@ -340,6 +342,13 @@ class MatrixModes:
                 "unknowns"
             )
         return seen.matrix
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Small matrices on one thread, where more would wait for each other; MKL keeps its own."""
+    limited: AbstractContextManager[object]
+    limited = ThreadpoolController().select(internal_api="openblas").limit(limits=1)
+    return limited
 
 
 def _named(nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
