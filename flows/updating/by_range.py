@@ -86,7 +86,7 @@ class ByRange:
         )
 
 
-class Ranges:
+class ReducedRanges:
     """Evaluates many sets by reduced models that hold for all of them, one a case.
 
     said: how, and what confirmed it, for people; empty where no such model was made.

@@ -39,10 +39,11 @@ def evaluator_of(
         states.append(CaseState(case, own, columns, at, finder, campaign_analysis(own)))
     evaluator = Evaluator(campaign, states, execution, engine.ledger)
     if any(state.finder.name != state.case.solver.program.name for state in states):
-        from modetune.flows.updating.by_range import Ranges
+        from modetune.flows.updating.by_range import ReducedRanges
         from modetune.flows.updating.foresight import ReducedForesight
 
-        evaluator.foresight, evaluator.ranges = ReducedForesight(evaluator), Ranges(evaluator)
+        evaluator.foresight = ReducedForesight(evaluator)
+        evaluator.ranges = ReducedRanges(evaluator)
     return evaluator
 
 
