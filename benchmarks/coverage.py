@@ -108,7 +108,7 @@ def aircraft(rng: Generator) -> Structure:
         affine = source.matrices(campaign.start, every)
     here, solver = affine.at(campaign.start), ModeSolver()
     solved = solver.solve(here.upper_stiffness, here.upper_mass, 24, -1e3)
-    observer = observe(here.nodes, here.components, here.nodes, here.components).matrix
+    observer = observe(here, here.nodes, here.components).matrix
     reduced, basis = reduce(
         affine,
         campaign.start,
@@ -192,7 +192,7 @@ class Model:
         nodes = np.repeat(np.array(sorted(loaded.case.nodes), dtype=np.int64), 3)
         self.nodes, self.components = nodes, np.tile(np.arange(1, 4), nodes.size // 3)
         here = affine.base
-        observer = observe(here.nodes, here.components, self.nodes, self.components).matrix
+        observer = observe(here, self.nodes, self.components).matrix
         largest = np.abs(here.upper_stiffness.diagonal()).max() / here.upper_mass.diagonal().min()
         self.reduced = unreduced(affine, -1e-6 * float(largest), observer)
         self.n_modes = min(loaded.case.n_modes, here.nodes.size)

@@ -25,6 +25,7 @@ from modetune.adapters.solver import AffectedElements
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
+from modetune.core.updating.matrix_samples import with_tied
 
 #: Powers of a shell's thickness, and of a beam's dimension, besides the constant.
 THICKNESS = (-1, 1, 2, 3)
@@ -110,16 +111,7 @@ def _with_tied(model: CalculixModel, nodes: frozenset[int]) -> frozenset[int]:
         {node, *(term for term, _ in terms)} for (node, _), terms in constraints.dependent.items()
     ]
     ties += [{node, body.reference, body.rotation} for node, body in constraints.bodies.items()]
-    by_node: dict[int, list[int]] = {}
-    for place, tied in enumerate(ties):
-        for node in tied:
-            by_node.setdefault(node, []).append(place)
-    reached, new = set(nodes), set(nodes)
-    while new:
-        places = {place for node in new for place in by_node.get(node, [])}
-        new = set[int]().union(*(ties[place] for place in places)) - reached
-        reached |= new
-    return frozenset(reached) & model.mesh.nodes
+    return frozenset(with_tied(nodes, ((tied, tied) for tied in ties))) & model.mesh.nodes
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,7 @@ class MatrixDeck(Deck):
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers
     ) -> Observation:
-        return observe(matrices.nodes, matrices.components, nodes, components)
+        return observe(matrices, nodes, components)
 
     def edited(self, values: Values) -> EditedMatrices:
         return EditedMatrices(self.model, self._factors(values))

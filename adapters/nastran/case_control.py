@@ -51,7 +51,7 @@ PLOTS = re.compile(r"OUTPUT\s*\(", re.IGNORECASE)
 #: Parameters of output that a job sets itself, or does without.
 OWN_PARAMETERS = frozenset({
     "POST", "POSTEXT", "OGEOM", "GRDPNT", "TINY", "OPTEXIT", "OUGCORD", "PRTMAXIM", "NASPRT",
-    "IUNIT",
+    "IUNIT", "PRTDOF",
 })  # fmt: skip
 
 

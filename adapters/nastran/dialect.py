@@ -141,6 +141,6 @@ MYSTRAN = Dialect(
     logs=(f"{JOB}.ERR",),
     threads="",
     displays="PLOT,PRINT",  # its F06 is read where its OP2 falls short
-    capabilities=Capabilities(strain_energies=False, matrices=False),
+    capabilities=Capabilities(strain_energies=False, matrices=True, matrix_modes=True),
 )
 DIALECTS: dict[DialectName, Dialect] = {"msc": MSC, "nx": NX, "mystran": MYSTRAN}

@@ -23,11 +23,15 @@ from modetune.adapters.nastran.design import design_cards, design_commands
 from modetune.adapters.nastran.dialect import Dialect
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.mystran import first_shift, mystran_cards
+from modetune.adapters.nastran.restart import KEEP, PRINT_TABLE
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModelError
 
 #: SET numbers of the nodes and of the elements asked for; no user's SET stays beside them.
 NODES, ELEMENTS = 1, 2
+#: Modes of a job for matrices, which MYSTRAN has before it looks for any. To find one alone of the
+#: six rigid ones of a free structure takes it a hundred times as long as to find two.
+LEAST_MODES = 2
 #: Columns of case control that Nastran reads.
 COLUMNS = 72
 #: Cards that ask for modes in the user's way, and cards of design optimisation.
@@ -50,15 +54,17 @@ def job_text(
     changed: position of a line of the deck to its edited text. Raises ModelError with file and line
     for what no job can carry.
     """
-    if isinstance(analysis, MatrixAnalysis):
+    matrices = isinstance(analysis, MatrixAnalysis)
+    if matrices and dialect.name != "mystran":
         raise ModelError("matrices are not read from Nastran runs")
     if isinstance(analysis, SensitivityAnalysis) and dialect.name == "mystran":
         raise ModelError("MYSTRAN gives no sensitivities")
     case = read_case_control(model.deck)
-    modal, own = isinstance(analysis, ModalAnalysis), dialect.name == "mystran"
+    own = dialect.name == "mystran"
     lines = [
         *system_statements(model.deck),
-        "SOL 103" if modal else "SOL 200",
+        *([KEEP] if matrices else []),
+        "SOL 200" if isinstance(analysis, SensitivityAnalysis) else "SOL 103",
         "CEND",
         "ECHO = NONE",
         *(text for text in case.selections if not (own and text.upper().startswith("TEMP"))),
@@ -66,7 +72,7 @@ def job_text(
         "BEGIN BULK",
         *_parameters(analysis),
         *(f"PARAM,{name},{value}" for name, value in case.parameters),
-        _eigrl(model, case, analysis.n_modes, dialect),
+        _eigrl(model, case, analysis, dialect),
     ]
     if isinstance(analysis, SensitivityAnalysis):
         lines += design_cards(model, changed, analysis)
@@ -98,7 +104,8 @@ def _requests(
     method = f"METHOD = {_method(case)}"
     if isinstance(analysis, SensitivityAnalysis):
         return design_commands(analysis, method)
-    assert isinstance(analysis, ModalAnalysis)
+    if isinstance(analysis, MatrixAnalysis):
+        return [method]
     sets, commands = list[str](), [method]
     if analysis.nodes:
         sets += wrapped_set(NODES, analysis.nodes)
@@ -111,7 +118,10 @@ def _requests(
 
 
 def _parameters(analysis: Analysis) -> list[str]:
+    # MYSTRAN has the stiffness of a PCOMP wrong where it does not weigh the model (18.0).
     lines = ["PARAM,POST,-1", "PARAM,GRDPNT,0"]
+    if isinstance(analysis, MatrixAnalysis):
+        lines.append(PRINT_TABLE)
     if isinstance(analysis, ModalAnalysis) and analysis.groups:
         lines.append("PARAM,TINY,0.")  # else energies below 0.001 % of the total are not given
     if isinstance(analysis, SensitivityAnalysis):
@@ -123,7 +133,8 @@ def _method(case: CaseControl) -> int:
     return case.method or 1
 
 
-def _eigrl(model: NastranModel, case: CaseControl, n_modes: int, dialect: Dialect) -> str:
+def _eigrl(model: NastranModel, case: CaseControl, analysis: Analysis, dialect: Dialect) -> str:
+    n_modes = LEAST_MODES if isinstance(analysis, MatrixAnalysis) else analysis.n_modes
     shift = first_shift(model.deck, _method(case)) if dialect.name == "mystran" else ""
     return f"EIGRL,{_method(case)},,,{n_modes},,,{shift},MASS"
 

@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from modetune.adapters.nastran.affected_elements import affected_elements_of, powers_of
 from modetune.adapters.nastran.bulk import Bulk, Objection, has_mass, read_bulk, refuse
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
@@ -37,10 +38,13 @@ from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.places import ValuePlace as ValuePlace
 from modetune.adapters.nastran.places import find_places
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.solver import Deck, ModelSummary, Number
+from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
+from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values
+from modetune.core.updating.observation import Observation, observe
 
 logger = logging.getLogger(__name__)
 
@@ -51,6 +55,8 @@ LINEAR = (
 )  # fmt: skip
 #: Case control may hold parameters too, in free field.
 WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
+#: Cards that reduce a model: what is left of its matrices is linear in nothing.
+REDUCTIONS = ("ASET", "ASET1", "OMIT", "OMIT1")
 #: K1 and K2, the shear stiffness factors of a PBAR.
 SHEAR_FACTORS = (17, 18)
 
@@ -142,6 +148,7 @@ class NastranModel(Deck):
             components=frozenset(range(1, 7)),
             n_elements=len(self.bulk.elements) + len(self.bulk.masses),
             solid_shapes=False,
+            matrix_shapes=not self.deck.named(*REDUCTIONS),
             file=self.deck.file,
         )
 
@@ -326,6 +333,20 @@ class NastranModel(Deck):
             return all(self._without_shear(place.card) for place in self.places(parameter))
         except ModelError:
             return False
+
+    def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
+        if self.problems((parameter,)):
+            return None
+        places, whole = self.places(parameter), bool(self.energy_sets(parameter))
+        powers = powers_of(parameter, places, self.is_linear(parameter))
+        if not powers:
+            return None
+        return affected_elements_of(self.structure, parameter, places, powers, whole)
+
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return observe(matrices, nodes, components)
 
     def _without_shear(self, card: NastranCard) -> bool:
         """Whether a bar bends without shear, so that its stiffness is linear in A and I.

@@ -32,6 +32,10 @@ DENSITIES = {"MAT1": 5, "MAT8": 8}
 INTEGRATION = 4
 #: Its field for full integration of shear, and the last corner of a CTETRA without midside nodes.
 ISOP, CORNERS_OF_FOUR = 6, 6
+#: Fields of two lines in large field, as many as one in small field has.
+PAIR_OF_LINES = 8
+#: Cards of which MYSTRAN reads the last odd line past the places that it has for it.
+COUNTED = ("MPC", "RBE3")
 #: Fields of an EIGRL card: its number, and the shift of the first factorisation.
 EIGRL_ID, EIGRL_SHIFT = 1, 7
 #: A negative shift keeps the stiffness of free structures from being singular, (rad/s)^2. It is
@@ -113,7 +117,13 @@ def mystran_cards(
         )
     if n_modes:
         cards += scalars.spare(n_modes)
-    return [large_field(name, fields) for name, fields in cards]
+    return [large_field(name, _paired(name, fields)) for name, fields in cards]
+
+
+def _paired(name: str, fields: list[str]) -> list[str]:
+    """The fields of a card, blank ones added where MYSTRAN counts in whole pairs of lines."""
+    more = -len(fields) % PAIR_OF_LINES if name in COUNTED else 0
+    return [*fields, *[""] * more]
 
 
 def _solid_property(fields: list[str], ten: set[bool]) -> list[str]:

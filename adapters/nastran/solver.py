@@ -19,12 +19,14 @@ from modetune.adapters.nastran.f06 import F06, FatalMessage, read_f06
 from modetune.adapters.nastran.job import job_text
 from modetune.adapters.nastran.model import EditedNastran, NastranModel, understand
 from modetune.adapters.nastran.op2 import read_op2
+from modetune.adapters.nastran.restart import read_restart
 from modetune.adapters.nastran.results import completed, modal_result, mode_derivatives
 from modetune.adapters.process import as_block, log_tail
 from modetune.adapters.solver import (
     Analysis,
     Capabilities,
     Command,
+    MatrixAnalysis,
     ModalAnalysis,
     Rendered,
     SensitivityAnalysis,
@@ -56,6 +58,8 @@ RESOURCES = re.compile(
 MISWEIGHED = (
     "CHEXA", "CPENTA", "CTETRA", "PCOMP", "PCOMPG", "CMASS1", "CMASS2", "CMASS3", "CMASS4",
 )  # fmt: skip
+#: What analyses are called in keys.
+ANALYSES = {ModalAnalysis: "modal", SensitivityAnalysis: "sensitivity", MatrixAnalysis: "matrices"}
 #: Messages of one run that an error shows.
 SHOWN = 5
 
@@ -92,7 +96,7 @@ class NastranProgram:
             "version": self.version(),
             "reader": self.reader_version,
             "deck": hashlib.sha256(data).hexdigest(),
-            "analysis": "modal" if isinstance(analysis, ModalAnalysis) else "sensitivity",
+            "analysis": ANALYSES[type(analysis)],
             "groups": [[name, list(sets)] for name, sets in groups],
             # The deck numbers them; the values divide what it gives.
             "parameters": [[name, float(deck.values.get(name, 1.0))] for name in asked],
@@ -111,7 +115,8 @@ class NastranProgram:
         try:
             if isinstance(analysis, SensitivityAnalysis):
                 return self._derivatives(deck.values, analysis, folder, printed)
-            assert isinstance(analysis, ModalAnalysis)
+            if isinstance(analysis, MatrixAnalysis):
+                return read_restart(folder, self.dialect.print_file)
             return self._modes(deck.model, analysis, folder, printed)
         except SolverCrashed as error:
             raise NoResult(str(error)) from error

@@ -21,6 +21,18 @@ ROWS_AT_ONCE = 16384
 
 
 @dataclass(frozen=True, slots=True)
+class DependentDofs:
+    """Degrees of freedom that constraints and rigid elements make sums of a model's equations.
+
+    nodes, components: (n_dependent,). matrix: (n_dependent, n), CSR, their sums over equations.
+    """
+
+    nodes: Integers
+    components: Integers
+    matrix: sparse.csr_array
+
+
+@dataclass(frozen=True, slots=True)
 class MatrixResult:
     """Stiffness and mass of one model state on the solver's own equations.
 
@@ -28,12 +40,14 @@ class MatrixResult:
     indices, in the deck's units.
     nodes, components: (n,), what each equation is called; a name may stand more than once where
     the solver has unknowns of its own (incompatible modes, expanded shells).
+    dependent: what the solver has eliminated, None where it does not tell.
     """
 
     upper_stiffness: sparse.csr_array
     upper_mass: sparse.csr_array
     nodes: Integers
     components: Integers
+    dependent: DependentDofs | None = None
 
     @classmethod
     def of_full(

@@ -143,6 +143,19 @@ def separate(
     return [_rows(difference, owners == place) for place in range(len(node_groups))]
 
 
+def with_tied(nodes: Iterable[int], ties: Iterable[tuple[set[int], set[int]]]) -> set[int]:
+    """These nodes and all that ties lead to from them; ties: nodes, and those they depend on."""
+    leads: dict[int, set[int]] = {}
+    for dependent, others in ties:
+        for node in dependent:
+            leads.setdefault(node, set()).update(others)
+    reached, new = set(nodes), set(nodes)
+    while new:
+        new = set[int]().union(*(leads.get(node, ()) for node in new)) - reached
+        reached |= new
+    return reached
+
+
 def _beside(whole: sparse.csr_array, rows: Integers, owner: Integers) -> Integers:
     """The group of the nodes that each of these rows is coupled with, (n_rows,); -1 where none.
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import Integers
 
 Weights = dict[int, float]
@@ -59,17 +60,23 @@ def from_rows(rows: list[Weights | None], n_equations: int) -> Observation:
 
 
 def observe(
-    nodes: Integers, components: Integers, wanted_nodes: Integers, wanted_components: Integers
+    matrices: MatrixResult, wanted_nodes: Integers, wanted_components: Integers
 ) -> Observation:
-    """Where each name stands once, and what has no equation is held in place.
+    """Where each name stands once, as an equation or as dependent on some.
 
-    nodes, components: (n_equations,), names of the equations; wanted_nodes, wanted_components:
-    (n_wanted,).
+    What has neither is held in place. wanted_nodes, wanted_components: (n_wanted,).
     """
-    rows = named_rows(nodes, components, wanted_nodes)
+    rows = named_rows(matrices.nodes, matrices.components, wanted_nodes)
+    size, dependent = matrices.nodes.size, matrices.dependent
+    whole = sparse.csr_array(sparse.eye_array(size))
+    if dependent is not None:
+        ties = named_rows(dependent.nodes, dependent.components, wanted_nodes)
+        rows |= {dof: [size + row for row in found] for dof, found in ties.items()}
+        whole = sparse.csr_array(sparse.vstack([whole, dependent.matrix]))
     wanted = zip(wanted_nodes.tolist(), wanted_components.tolist(), strict=True)
     found: list[Weights | None] = [dict.fromkeys(rows.get(dof, ())[:1], 1.0) for dof in wanted]
-    return from_rows(found, nodes.size)
+    chosen = from_rows(found, whole.shape[0])
+    return Observation(sparse.csr_array(chosen.matrix @ whole), chosen.unknown)
 
 
 def named_rows(

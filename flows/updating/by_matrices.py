@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.errors import ModetuneError
+from modetune.core.errors import ModetuneError, NoResult
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_range import ReducedRange
@@ -29,6 +29,7 @@ from modetune.flows.jobs.work import Done, Work
 from modetune.flows.updating.evaluation import CaseEvaluation, Point
 from modetune.flows.updating.finders import REDUCED, BySolver, Columns, ModeFinder, unless_failed
 from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.semi_analytic import UnlikeMatrices
 from modetune.flows.updating.stored_modes import MatrixModes
 
 logger = logging.getLogger(__name__)
@@ -99,6 +100,8 @@ class ByMatrices:
     def _stored(self, done: Sequence[Done]) -> MatrixModes:
         """Modes by the matrices of all values, once their jobs are done."""
         for item in done:
+            if isinstance(item, NoResult):
+                raise UnlikeMatrices(str(item)) from item
             unless_failed(item)
         if self._modes is None:
             self._modes = MatrixModes(self.campaign, self.engine, self.source)

@@ -49,8 +49,10 @@ logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are taken apart in another way.
 VERSION = 2
-#: Models of fewer elements are solved by the solver itself as fast.
+#: Models of fewer elements are solved by the solver itself as fast, where its modes cost one run.
 SMALL = 2000
+#: Runs for modes and for each column's differences that updating takes without matrices.
+RUNS = 4
 #: Upper triangles of stiffness and mass.
 Triangles = tuple[sparse.csr_array, sparse.csr_array]
 NOTHING = sparse.csr_array((0, 0))
@@ -263,22 +265,36 @@ def modes_source(campaign: Campaign, engine: JobEngine, many: bool = False) -> M
     if campaign.case.eigensolver == "solver":
         return None
     solver, parameters = campaign.case.solver, campaign.parameters
+    source = MatrixSource(engine, parameters, campaign.sensitivity.step)
+    auto = campaign.case.eigensolver == "auto"
     reason = None
-    if campaign.case.eigensolver == "auto":  # first: the rest takes a look at the whole deck
+    if auto:  # first: the rest takes a look at the whole deck
         reason = _slower(solver, campaign.run.engine, many)
     if reason is None:
         reason = unsuitable(solver, parameters.parameters, campaign.sensitivity.method)
+    if reason is None and auto and not many:
+        reason = _more_runs(source, campaign.start)
     if reason is not None:
         logger.info("modes are the solver's own: %s", reason)
         return None
-    return MatrixSource(engine, parameters, campaign.sensitivity.step)
+    return source
 
 
 def _slower(solver: Solver, place: str, many: bool) -> str | None:
     """Why the solver itself is as fast, None where it is not."""
-    summary = solver.deck.summary
-    if summary.n_elements < SMALL and not (many and summary.matrices is None):
+    summary, energies = solver.deck.summary, solver.program.capabilities.strain_energies
+    small = summary.n_elements < SMALL
+    if small and energies and not (many and summary.matrices is None):
         return f"it is as fast below {SMALL} elements"
     if place != "local":
         return "jobs run on other machines"
-    return None if is_available() else "MKL's PARDISO is not installed"
+    return None if small or is_available() else "MKL's PARDISO is not installed"
+
+
+def _more_runs(source: MatrixSource, theta: Floats) -> str | None:
+    """Why a solver whose derivatives are differences takes no more runs by itself."""
+    columns = range(len(source.parameters))
+    jobs, others = len(source.jobs(theta, columns)), RUNS * (1 + len(columns))
+    if source.engine.solver.program.capabilities.strain_energies or jobs < others:
+        return None
+    return f"its matrices take {jobs} jobs, and differences about {others}"

@@ -197,7 +197,7 @@ class ChainDeck(Deck):
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers
     ) -> Observation:
-        return observe(matrices.nodes, matrices.components, nodes, components)
+        return observe(matrices, nodes, components)
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         return (parameter.name,) if parameter.quantity == "spring_stiffness" else ()

@@ -100,7 +100,9 @@ def test_the_same_campaign_updates_on_mystran(folder: Path) -> None:
     campaign = load_campaign(folder / "shell.yaml", ["model.solver=mystran"])
     record = update_campaign(campaign, folder / "mystran", silent).record
     assert record.solver == "mystran"
-    assert set(record.iterations[1].sensitivity_methods) == {"finite_difference"}
+    # Of one material of a laminate MYSTRAN's matrices are no polynomial.
+    methods = set(record.iterations[1].sensitivity_methods)
+    assert methods == {"finite_difference", "semi_analytic"}
     assert np.abs(record.best.frequency_errors).mean() <= 0.015
 
 
