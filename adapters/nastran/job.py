@@ -61,6 +61,7 @@ def job_text(
         raise ModelError("MYSTRAN gives no sensitivities")
     case = read_case_control(model.deck)
     own = dialect.name == "mystran"
+    n_modes = LEAST_MODES if isinstance(analysis, MatrixAnalysis) else analysis.n_modes
     lines = [
         *system_statements(model.deck),
         *([KEEP] if matrices else []),
@@ -72,12 +73,12 @@ def job_text(
         "BEGIN BULK",
         *_parameters(analysis),
         *(f"PARAM,{name},{value}" for name, value in case.parameters),
-        _eigrl(model, case, analysis, dialect),
+        _eigrl(model, case, n_modes, dialect),
     ]
     if isinstance(analysis, SensitivityAnalysis):
         lines += design_cards(model, changed, analysis)
     given = {name for name, _ in case.parameters}
-    cards = _bulk(model, changed, dialect, given, analysis.n_modes)
+    cards = _bulk(model, changed, dialect, given, n_modes)
     return "\n".join([*lines, *cards, "ENDDATA"]) + "\n"
 
 
@@ -133,8 +134,7 @@ def _method(case: CaseControl) -> int:
     return case.method or 1
 
 
-def _eigrl(model: NastranModel, case: CaseControl, analysis: Analysis, dialect: Dialect) -> str:
-    n_modes = LEAST_MODES if isinstance(analysis, MatrixAnalysis) else analysis.n_modes
+def _eigrl(model: NastranModel, case: CaseControl, n_modes: int, dialect: Dialect) -> str:
     shift = first_shift(model.deck, _method(case)) if dialect.name == "mystran" else ""
     return f"EIGRL,{_method(case)},,,{n_modes},,,{shift},MASS"
 

@@ -16,12 +16,14 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from modetune.adapters.cross_checks import SPARE_EIGENVALUE
 from modetune.adapters.nastran.dialect import JOB
 from modetune.adapters.regular_file import open_regular
 from modetune.core.algebra.matrices import DependentDofs, MatrixResult, upper_triangle
@@ -57,12 +59,18 @@ def read_restart(folder: Path, print_file: str) -> MatrixResult:
         stiffness, mass = (_matrix(folder / name, size, size) for name in (STIFFNESS, MASS))
         if table[:, [IN_O, IN_R]].any():
             raise ValueError("matrices of a reduced model (OMIT, ASET or SUPORT)")
+        dependent = _dependent(folder / DEPENDENT, table)
+        # Unknowns that let it find all modes of a small model are not the model's.
+        spare = stiffness.diagonal() >= 0.5 * SPARE_EIGENVALUE * mass.diagonal()
+        own = np.flatnonzero(~spare | (mass.diagonal() == 0.0))
+        if dependent is not None:
+            dependent = replace(dependent, matrix=sparse.csr_array(dependent.matrix[:, own]))
         return MatrixResult(
-            upper_triangle(stiffness),
-            upper_triangle(mass),
-            kept[:, NODE],
-            kept[:, COMPONENT],
-            _dependent(folder / DEPENDENT, table),
+            upper_triangle(sparse.csr_array(stiffness[own][:, own])),
+            upper_triangle(sparse.csr_array(mass[own][:, own])),
+            kept[own, NODE],
+            kept[own, COMPONENT],
+            dependent,
         )
     except (OSError, ValueError, IndexError) as error:
         raise NoResult(f"the matrices of the MYSTRAN run in {folder}: {error}") from error
