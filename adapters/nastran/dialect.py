@@ -108,7 +108,9 @@ _NASTRAN = Capabilities(
     frequency_sensitivities=True,
     shape_sensitivities=True,
     # No licence of it is at hand here, so each site shows for its own that they are right.
-    to_confirm=frozenset(("frequency_sensitivities", "shape_sensitivities")),
+    to_confirm=frozenset(
+        ("frequency_sensitivities", "shape_sensitivities", "matrices", "matrix_modes")
+    ),
 )
 
 MSC = Dialect(

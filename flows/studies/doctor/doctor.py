@@ -13,15 +13,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import get_args
 
 from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.storage.files import storage_errors
 from modetune.core.storage.keys import Json
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.campaign.schema import ModelFile, NastranDialect, SolverName
+from modetune.flows.campaign.schema import ModelFile, NastranDialect
 from modetune.flows.campaign.self_test import note_passed
 from modetune.flows.campaign.site import RunSection
+from modetune.flows.campaign.solvers import SOLVERS, registered
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.doctor.installation import look_around
 from modetune.flows.studies.doctor.lines import DoctorLine, Tell, without_names
@@ -62,12 +62,13 @@ def run_doctor(
     tell: is given each line as it comes, without names of people and machines; working: what is
     under way. Raises CampaignError for a solver or campaign that cannot be tested.
     """
-    known = get_args(SolverName)
+    known = (*SOLVERS, *registered())
     if solver is not None and solver not in known:
         raise CampaignError(f"--solver {solver!r}: there are {', '.join(known)}")
     if solver is not None and campaign is None and solver not in MODELS:
         raise CampaignError(
-            f"--solver {solver}: nobody can write a deck for it but you; name a campaign file"
+            f"--solver {solver}: there is no model of ten elements for it; name a campaign file "
+            "in its place, whose own model is tried"
         )
     lines: list[DoctorLine] = []
 

@@ -322,8 +322,4 @@ def _first_line(error: Exception) -> str:
 
 
 def _remedy(error: ModetuneError) -> str:
-    if isinstance(error, LicenceDenied):
-        return "try again when a licence is free"
-    if isinstance(error, SolverMissing):
-        return ""
-    return "the lines above are the end of what the program said"
+    return "try again when a licence is free" if isinstance(error, LicenceDenied) else ""

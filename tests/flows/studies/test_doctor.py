@@ -278,3 +278,40 @@ def test_the_command_prints_a_line_each_and_writes_a_file_to_send(tmp_path: Path
     assert failed.returncode == 4
     assert "Traceback" not in failed.stderr
     assert run_command(tmp_path, "doctor", "--dialect", "cosmic").returncode == 2
+
+
+COMMAND = """
+import numpy as np
+K, LINKS = <<k=50.0:.10E>>, 12
+stiffness = K * (2.0 * np.eye(LINKS) - np.eye(LINKS, k=1) - np.eye(LINKS, k=-1))
+stiffness[-1, -1] = K
+values, shapes = np.linalg.eigh(stiffness / 0.001)
+hertz = np.sqrt(values) / 2.0 / np.pi
+rows = [["mode", *range(1, LINKS + 1)], ["frequency_hz", *hertz]]
+rows += [[f"{node}.x", *shape] for node, shape in enumerate(shapes / 0.001**0.5, start=1)]
+open("modes.csv", "w").write("".join(",".join(map(str, row)) + "\\n" for row in rows))
+print("CHAIN SOLVED")
+"""
+
+
+def test_a_program_that_a_command_line_starts_is_tried_on_its_template() -> None:
+    Path("chain.py").write_text(COMMAND)
+    nodes = "".join(f"{node},{node}.,0.,0.\n" for node in range(1, 13))
+    Path("nodes.csv").write_text(f"node,x,y,z\n{nodes}")
+    Path("chain.yaml").write_text(
+        "name: chain\nmodel:\n  deck: chain.py\n  solver: command\n  units: mm-t-s\n  command:\n"
+        "    name: chain\n    run: ['{python}', '{deck}']\n    version: '1'\n"
+        "    delimiters: ['<<', '>>']\n    nodes: nodes.csv\n    results: modes.csv\n"
+        "    components: [x]\n"
+        "    success: ['^CHAIN SOLVED']\n    fatal: ['Error:']\n"
+        "parameters: [{name: k, quantity: spring_stiffness}]\n"
+        "run: {licence_messages: [no chain for you]}\n"
+    )
+    report = run_doctor(campaign=Path("chain.yaml"))
+    told = states(report, "chain")
+    wanted = dict.fromkeys(("program", "modes", "fatal error", "licence"), "passed")
+    assert {item: told.get(item) for item in wanted} == wanted, [row.text for row in report.lines]
+    # Fixed-free chain of equal links: sqrt(k / m) / pi sin(pi / (4 n + 2)).
+    first = (50.0 / 0.001) ** 0.5 / math.pi * math.sin(math.pi / 50.0)
+    assert f"first {first:.5g} Hz" in line(report, "chain", "modes").said
+    assert "1 of the site's own messages" in line(report, "chain", "licence").said
