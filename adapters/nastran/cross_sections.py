@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -52,7 +53,7 @@ class Station:
         return np.array([[self.inertia_1, cross], [cross, self.inertia_2]])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class CrossSection:
     """places: of the stations, 0 to 1 of the length; shear_1, shear_2: factors on the area in
     planes 1 and 2, 0 for no shear strain. is_rod: carries nothing but tension and torsion.
@@ -74,9 +75,12 @@ class CrossSection:
         rows = np.array([astuple(station) for station in self.stations])
         return Station(*(float(np.interp(place, self.places, row)) for row in rows.T))
 
-    @property
+    @cached_property
     def is_uniform(self) -> bool:
-        return all(station == self.stations[0] for station in self.stations)
+        return all(
+            station is self.stations[0] or station == self.stations[0]
+            for station in self.stations[1:]
+        )
 
     @property
     def stretches(self) -> list[tuple[float, float]]:

@@ -156,7 +156,7 @@ class BeamCards:
         """Add second moments of mass, of y and z (2, 2), to the inertia at both ends."""
         moments = np.zeros((3, 3))
         moments[1:, 1:] = second
-        inertia = axes.T @ (np.trace(moments) * np.eye(3) - moments) @ axes
+        inertia = np.trace(moments) * np.outer(axes[0], axes[0])
         if np.any(inertia):
             for node in ends:
                 self._inertias[node] = self._inertias.get(node, np.zeros((3, 3))) + inertia

@@ -20,7 +20,7 @@ and K = L D L^T writes the energy as six squares. A uniform beam's are Timoshenk
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -32,6 +32,8 @@ from modetune.core.modes import Floats
 #: Gauss points between two stations: two are exact for a uniform beam, whose integrands are
 #: quadratic; eight give a taper of 1 to 10 in inertia to 1e-6.
 UNIFORM_POINTS, POINTS = 2, 8
+#: Couplings of deformations below this share of both are rounding: a uniform beam has none.
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
@@ -85,19 +87,24 @@ class Beam:
         flexibility = np.zeros((6, 6))
         for x, weight in self._points(0.0, 1.0):
             forces = self._forces(x)
-            flexibility += weight * forces.T @ self._flexible(self.section.at(x)) @ forces
+            flexibility += weight * forces.T @ self._flexible(x) @ forces
+        size = np.sqrt(np.outer(flexibility.diagonal(), flexibility.diagonal()))
+        flexibility[np.abs(flexibility) <= ROUNDING * size] = 0.0
         carried = self._carried
         stiffness = np.zeros((6, 6))
-        chosen = np.ix_(carried, carried)
-        stiffness[chosen] = np.linalg.inv(flexibility[chosen])
+        if _is_diagonal(flexibility):
+            stiffness[carried, carried] = 1.0 / flexibility[carried, carried]
+        else:
+            chosen = np.ix_(carried, carried)
+            stiffness[chosen] = np.linalg.inv(flexibility[chosen])
         return stiffness
 
     @property
     def springs(self) -> tuple[Floats, Floats]:
         """Six forms (6, 12) of the ends' displacements, and the stiffness of each (6,)."""
         carried = self._carried
-        lower, values = np.eye(6), np.zeros(6)
-        if carried.any():
+        lower, values = np.eye(6), self.stiffness.diagonal().copy()
+        if not _is_diagonal(self.stiffness):
             root = np.linalg.cholesky(self.stiffness[np.ix_(carried, carried)])
             size = root.diagonal()
             lower[np.ix_(carried, carried)] = root / size
@@ -114,7 +121,7 @@ class Beam:
         strains = np.zeros((6, 6))
         lever = np.zeros((6, 6))
         for place, weight in self._points(0.0, x):
-            row = self._flexible(self.section.at(place)) @ self._forces(place)
+            row = self._flexible(place) @ self._forces(place)
             strains += weight * row
             lever += weight * (x - place) * length * row
         forces = self.stiffness @ self.deformations
@@ -153,7 +160,7 @@ class Beam:
         """Gauss points and weights (lengths), not across a station."""
         inner = [place for place in self.section.places if start < place < stop]
         count = UNIFORM_POINTS if self.section.is_uniform else POINTS
-        gauss, weights = special.roots_legendre(count)
+        gauss, weights = _gauss(count)
         found: list[tuple[float, float]] = []
         for a, b in pairwise([start, *inner, stop]):
             places = 0.5 * (a + b) + 0.5 * (b - a) * gauss
@@ -168,7 +175,17 @@ class Beam:
         rows[2, 3], rows[4, 5] = arm, -arm
         return rows
 
-    def _flexible(self, station: Station) -> Floats:
+    @cached_property
+    def _uniform(self) -> Floats:
+        return self._flexibility_of(self.section.stations[0])
+
+    def _flexible(self, x: float) -> Floats:
+        """As `_flexibility_of` at a place."""
+        return (
+            self._uniform if self.section.is_uniform else self._flexibility_of(self.section.at(x))
+        )
+
+    def _flexibility_of(self, station: Station) -> Floats:
         """(6, 6), strains of N, T, M_z, V_y, M_y, V_z; 0 for what is not carried."""
         section = self.section
         e, g = section.youngs_modulus, section.shear_modulus
@@ -182,11 +199,35 @@ class Beam:
         # theta_z' and theta_y' of M_z and M_y: strain is -y theta_z' + z theta_y'.
         moments = np.array([[1.0, -1.0], [-1.0, 1.0]]) * station.moments
         inner = [place // 2 - 1 for place in bent]
-        rows[np.ix_(bent, bent)] = np.linalg.inv(e * moments[np.ix_(inner, inner)])
+        rows[np.ix_(bent, bent)] = _inverse(e * moments[np.ix_(inner, inner)])
         for place, factor in ((3, section.shear_1), (5, section.shear_2)):
             if carried[place] and factor and g and station.area:
                 rows[place, place] = 1.0 / (factor * g * station.area)
         return rows
+
+
+def _is_diagonal(matrix: Floats) -> bool:
+    return np.count_nonzero(matrix) == np.count_nonzero(matrix.diagonal())
+
+
+def _inverse(matrix: Floats) -> Floats:
+    """Of a positive definite matrix of 0 to 2 rows, where np.linalg takes a hundred times as long.
+
+    Raises LinAlgError.
+    """
+    if len(matrix) < 2:
+        return 1.0 / matrix
+    (a, b), (_, c) = matrix
+    determinant = a * c - b * b
+    if not determinant > 0.0:
+        raise np.linalg.LinAlgError("not positive definite")
+    return np.asarray(np.array([[c, -b], [-b, a]]) / determinant)
+
+
+@cache
+def _gauss(count: int) -> tuple[Floats, Floats]:
+    points, weights = special.roots_legendre(count)
+    return points, weights
 
 
 def cross_matrix(arm: Floats) -> Floats:

@@ -188,9 +188,10 @@ def _moved(station: Floats, centre: Floats, lever: Floats, torsional_share: floa
 
 
 def _root(second: Floats) -> Floats:
-    """The symmetric square root of a (2, 2) matrix."""
-    values, vectors = np.linalg.eigh(second)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T)
+    """The symmetric square root of a positive semi-definite (2, 2) matrix."""
+    middle = math.sqrt(max(second[0, 0] * second[1, 1] - second[0, 1] ** 2, 0.0))
+    size = math.sqrt(second[0, 0] + second[1, 1] + 2.0 * middle)
+    return (second + middle * np.eye(2)) / size if size else np.zeros((2, 2))
 
 
 def _mass_material(builder: CalculixText, density: float, youngs_modulus: float) -> str:
