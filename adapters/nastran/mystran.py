@@ -22,11 +22,10 @@ COMPARED = frozenset({
     "MAT1", "MAT8", "RBE2", "RBE3", "RBAR", "RBAR1", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD",
     "SPOINT", *ELEMENTS, *PROPERTIES,
 })  # fmt: skip
-#: Fields: TFLAG of shells; frame of a GRID's results; grid point, offset and
-#: inertia of a CONM2; the first ply of a PCOMP and the distance of plies; densities of materials.
-GRID_CD, CONM2_GRID, PLY, PLIES_APART = 6, 2, 9, 4
+#: Fields: the first ply of a PCOMP and the distance of plies; TFLAG of shells; densities of
+#: materials.
+PLY, PLIES_APART = 9, 4
 TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
-CONM2_BODY = (5, 6, 7, 9, 10, 11, 12, 13, 14)
 DENSITIES = {"MAT1": 5, "MAT8": 8}
 #: Field of a PSOLID that says how many points a solid is integrated with.
 INTEGRATION = 4
@@ -60,7 +59,7 @@ def mystran_cards(
 ) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
-    bulk: pyNastran's model of the same deck, of which the cards of bars and beams are written.
+    bulk: pyNastran's model of the same deck, of which cards of beams and bodies are written.
     n_modes: how many it must be able to find. Blank fields that a GRDSET or BAROR fills are filled.
     MYSTRAN's solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two
     points a direction), or what CTETRA of ten nodes require. Raises ModelError for all cards it
@@ -74,25 +73,21 @@ def mystran_cards(
     cards: list[Card] = list(scalars.grids())
     problems: dict[str, list[str]] = {}
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
-    frames = {
-        card.text(1): filled(card, defaults.get("GRID"))[GRID_CD - 1 : GRID_CD]
-        for card in deck.named("GRID")
-    }
     densities = {
         card.text(1): card.text(field)
         for name, field in DENSITIES.items()
         for card in deck.named(name)
     }
-    beams = BeamCards(bulk(), scalars.new_number) if deck.named(*BEAM_CARDS) else None
+    beams = BeamCards(bulk, scalars.new_number)
     for card in deck.cards:
         if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
             continue
-        reason = _obstacle(card, frames, densities)
+        reason = _obstacle(card, densities)
         if not reason and card.name in (*ELEMENTS, "CBUSH"):
             reason = scalars.obstacle(card)
-        if beams and card.name in BEAM_CARDS:
+        if card.name in BEAM_CARDS:
             try:
-                written = beams.cards(card.name, int(card.text(1)))
+                written = beams.cards(card)
             except ValueError as error:
                 reason = f"{card.name} in MYSTRAN: {error}"
             else:
@@ -106,7 +101,7 @@ def mystran_cards(
         if card.name == "PSOLID":
             fields = _solid_property(fields, solids.get(card.text(1), set()))
         cards += _written(card, fields, scalars)
-    cards += beams.rest() if beams else []
+    cards += beams.rest()
     if problems:
         raise ModelError(
             "\n".join(
@@ -168,12 +163,10 @@ def _bar(card: NastranCard) -> list[Card]:
     return []
 
 
-def _obstacle(
-    card: NastranCard, frames: Mapping[str, list[str]], densities: Mapping[str, str]
-) -> str:
+def _obstacle(card: NastranCard, densities: Mapping[str, str]) -> str:
     """Why MYSTRAN cannot take a card, or takes it for another one; empty if it can.
 
-    frames: CD of the grid points; densities of materials, both as the deck writes them.
+    densities: of materials, as the deck writes them.
     """
     if card.name not in COMPARED:
         return f"MYSTRAN has no {card.name}, or its modes with it were never compared"
@@ -187,7 +180,4 @@ def _obstacle(
         plies = {card.text(place) for place in range(PLY, len(card.fields), PLIES_APART)} - {""}
         if len({densities.get(ply, "") for ply in plies}) > 1:
             return "MYSTRAN has the mass of a PCOMP with plies of several densities wrong"
-    turned = frames.get(card.text(CONM2_GRID), []) not in ([], [""], ["0"])
-    if card.name == "CONM2" and turned and any(card.text(field) for field in CONM2_BODY):
-        return "MYSTRAN turns offset and inertia of a CONM2 where its GRID has a CD frame"
     return ""

@@ -1,11 +1,15 @@
-"""Bars and beams as the CBAR and PBAR cards that MYSTRAN has.
+"""Bars, beams and bodies as the CBAR, PBAR and CONM2 cards that MYSTRAN has right.
 
 The energy of a beam is that of the tension of its neutral axis and, apart from it, that of bending,
 shear and torsion about its shear centres. So a beam whose axes are two becomes two bars side by
 side: one with an area alone, offset to the neutral axis, and one without an area, offset to the
-shear centres. MYSTRAN moves the mass of a bar with its offset, but lumps it without the inertia of
-the cross-section, which a CONM2 at each grid point adds (in the grid point's output frame, where
-MYSTRAN reads it right). A tapered beam is cut into uniform pieces, with grid points of their own.
+shear centres. MYSTRAN moves the mass of a bar with its offset, but lumps it without its inertia
+about the axis, which MSC Nastran gives a CBEAM and not a CBAR; a CONM2 at each grid point adds it.
+
+A tapered beam is cut into uniform pieces, with grid points of their own.
+
+MYSTRAN 18 reads the offset and the inertia of a CONM2 right in the grid point's output frame alone,
+and takes the products of the offset's components with the wrong sign.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import astuple, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +25,7 @@ import numpy as np
 from scipy import special
 
 from modetune.adapters.nastran.beam_axes import BeamAxes, beam_axes
+from modetune.adapters.nastran.bodies import PointMass, point_mass
 from modetune.adapters.nastran.bulk import Bulk
 from modetune.adapters.nastran.cards import LARGE
 from modetune.adapters.nastran.cross_sections import (
@@ -28,13 +34,16 @@ from modetune.adapters.nastran.cross_sections import (
     check_warping,
     cross_section,
 )
+from modetune.adapters.nastran.deck import NastranCard
 from modetune.adapters.nastran.geometry import output_frames
 from modetune.adapters.nastran.mystran_scalars import Card
 from modetune.adapters.nastran.number import format_number
 from modetune.core.modes import Floats
 
 #: Cards that are rewritten; a CBAR only where its OFFT is not MYSTRAN's one.
-CARDS = frozenset(("CBAR", "CBEAM", "PBARL", "PBEAM", "PBEAML", "CTUBE", "PTUBE"))
+CARDS = frozenset(("CBAR", "CBEAM", "PBARL", "PBEAM", "PBEAML", "CTUBE", "PTUBE", "CONM2"))
+#: Fields of a CONM2: offset and inertia.
+BODY = (5, 6, 7, 9, 10, 11, 12, 13, 14)
 #: Pieces of a tapered beam for each factor of e between its stations: 0.1 % of a cantilever's
 #: frequency, as the error falls with their square.
 PIECES, FEWEST, MOST = 8.0, 2, 32
@@ -47,27 +56,41 @@ NOTHING = 1e-9
 class BeamCards:
     """Writes the cards of one deck; what elements share is written once."""
 
-    def __init__(self, bulk: Bulk, new_number: Callable[[], str]) -> None:
-        """bulk: pyNastran's model of the deck as it is run; new_number: one that no card has."""
-        self._bulk = bulk
-        self._frames = output_frames(bulk)
-        self._places = {
-            number: np.asarray(grid.get_position(), dtype=np.float64)
-            for number, grid in bulk.nodes.items()
-        }
+    def __init__(self, bulk: Callable[[], Bulk], new_number: Callable[[], str]) -> None:
+        """bulk: makes pyNastran's model of the deck as it is run; new_number: one no card has."""
+        self._made = bulk
+        self._new_number = new_number
         self._inertias: dict[int, Floats] = {}
         self._properties: dict[tuple[int, Station, tuple[float, float]], int] = {}
-        self._new_number = new_number
 
-    def cards(self, name: str, number: int) -> list[Card] | None:
+    @cached_property
+    def _bulk(self) -> Bulk:
+        return self._made()
+
+    @cached_property
+    def _frames(self) -> dict[int, Floats]:
+        return output_frames(self._bulk)
+
+    @cached_property
+    def _places(self) -> dict[int, Floats]:
+        return {
+            number: np.asarray(grid.get_position(), dtype=np.float64)
+            for number, grid in self._bulk.nodes.items()
+        }
+
+    def cards(self, card: NastranCard) -> list[Card] | None:
         """What MYSTRAN reads in a card's place, None for the card as it is.
 
         Raises ValueError with what it cannot be given.
         """
+        name, number = card.name, int(card.text(1))
         if name in ("PBEAM", "PBEAML"):
             return []  # their elements write them
         if name in ("PBARL", "PTUBE"):
             return [self._section(name, number)]
+        if name == "CONM2":
+            has_body = any(card.text(field) for field in BODY)
+            return [self._body(point_mass(self._bulk.masses[number]))] if has_body else None
         element = self._bulk.elements[number]
         if name == "CTUBE":
             return [_card("CROD", number, element.pid, *element.node_ids)]
@@ -82,13 +105,23 @@ class BeamCards:
         return list(self._beam(element, where))
 
     def rest(self) -> Iterator[Card]:
-        """Cards that no card of the deck stands for: inertia of cross-sections."""
-        for node, basic in self._inertias.items():
-            frame = self._frames.get(node, np.eye(3))
-            system = self._bulk.nodes[node].Cd() if node in self._bulk.nodes else 0
-            t = frame @ basic @ frame.T
-            moments = (t[0, 0], -t[1, 0], t[1, 1], -t[2, 0], -t[2, 1], t[2, 2])
-            yield _card("CONM2", int(self._new_number()), node, system, 0.0, *[""] * 4, *moments)
+        """Cards that no card of the deck stands for: beams' inertia about their axes."""
+        for node, inertia in self._inertias.items():
+            place = self._places[node]
+            yield self._body(PointMass(int(self._new_number()), node, 0.0, place, inertia))
+
+    def _body(self, body: PointMass) -> Card:
+        frame = self._frames.get(body.node, np.eye(3))
+        grid = self._bulk.nodes.get(body.node)
+        offset = frame @ (body.centre - self._places[body.node])
+        inertia = frame @ body.inertia @ frame.T
+        products = 2.0 * body.mass * np.outer(offset, offset) - inertia
+        moments = [
+            inertia[0, 0], products[1, 0], inertia[1, 1],
+            products[2, 0], products[2, 1], inertia[2, 2],
+        ]  # fmt: skip
+        system = grid.Cd() if grid else 0
+        return _card("CONM2", body.eid, body.node, system, body.mass, *offset, "", *moments)
 
     def _section(self, name: str, number: int) -> Card:
         card = self._bulk.properties[number]
@@ -142,7 +175,7 @@ class BeamCards:
         )
         length = (stretch[1] - stretch[0]) * where.length
         across = where.axes[1:]
-        self._turn(ends, 0.5 * length * second, where.axes)
+        self._turn(ends, 0.5 * length * float(np.trace(second)), where.axes[0])
         for part, shear, beside, towards in _parts(section, station, stretch, mass, centre):
             key = (element.pid_ref.Mid(), part, shear)
             if key not in self._properties:
@@ -152,13 +185,11 @@ class BeamCards:
             yield self._bar(number, self._properties[key], ends, moved, towards @ across, pins)
             number = int(self._new_number())
 
-    def _turn(self, ends: tuple[int, int], second: Floats, axes: Floats) -> None:
-        """Add second moments of mass, of y and z (2, 2), to the inertia at both ends."""
-        moments = np.zeros((3, 3))
-        moments[1:, 1:] = second
-        inertia = np.trace(moments) * np.outer(axes[0], axes[0])
-        if np.any(inertia):
+    def _turn(self, ends: tuple[int, int], polar: float, axis: Floats) -> None:
+        """Add a moment of inertia about the axis to both ends."""
+        if polar:
             for node in ends:
+                inertia = polar * np.outer(axis, axis)
                 self._inertias[node] = self._inertias.get(node, np.zeros((3, 3))) + inertia
 
     def _bar(

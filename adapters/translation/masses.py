@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.bodies import PointMass, point_mass
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
 from modetune.adapters.translation.freedoms import (
@@ -39,31 +40,12 @@ CORNER_SIGNS = np.array(
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class PointMass:
-    """A rigid body at a grid point, in basic coordinates and the deck's own unit (no WTMASS).
-
-    centre: (3,), of gravity; inertia: (3, 3), about the centre, as a tensor.
-    """
-
-    eid: int
-    node: int
-    mass: float
-    centre: Floats
-    inertia: Floats
-
-    @property
-    def name(self) -> str:
-        """Of its set and material in CalculiX."""
-        return f"CONM2_{self.eid}_{self.node}"
-
-
 def point_masses(bulk: Any, problems: list[str]) -> list[PointMass]:
     """All concentrated masses of the model."""
     found = []
     for element in bulk.masses.values():
         if element.type == "CONM2":
-            found.append(_conm2(element))
+            found.append(point_mass(element))
         elif element.type == "CONM1":
             body = _body_of(element)
             found += [body] if body else []
@@ -162,20 +144,6 @@ def _scalar_masses(element: Any, freedoms: Freedoms) -> Iterator[tuple[Form, flo
             form = total(freedoms.along(three, share) for three, share in parts if three)
             if form and abs(mass) > NOTHING * float(np.abs(masses).max()):
                 yield form, mass
-
-
-def _conm2(element: Any) -> PointMass:
-    node = element.nid_ref
-    place = np.asarray(node.get_position(), dtype=np.float64)
-    offset = np.asarray(element.X, dtype=np.float64)
-    xx, xy, yy, xz, yz, zz = element.I
-    # The card has the products of inertia as positive integrals; the tensor has them negative.
-    inertia = np.array([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
-    if element.cid == -1:
-        return PointMass(element.eid, element.Nid(), element.mass, offset, inertia)
-    axes = local_axes(element.cid_ref, place)
-    centre = place + offset @ axes
-    return PointMass(element.eid, element.Nid(), element.mass, centre, axes.T @ inertia @ axes)
 
 
 def translate_masses(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.bodies import PointMass
 from modetune.adapters.translation.beams import KINDS as BARS
 from modetune.adapters.translation.beams import beam_of
 from modetune.adapters.translation.element_geometry import SHAPES, Points, integration_points
@@ -21,7 +22,6 @@ from modetune.adapters.translation.mass_properties import (
     of_volume,
     second_moment,
 )
-from modetune.adapters.translation.masses import PointMass
 from modetune.adapters.translation.shells import Shell
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.core.modes import Floats

@@ -211,6 +211,39 @@ def test_a_ladder_frame_of_hats_and_angles_agrees(tmp_path: Path) -> None:
 
 
 @needs_solvers
+def test_bodies_keep_offset_and_products_of_inertia_in_any_frame(tmp_path: Path) -> None:
+    body = "CONM2,9,4,8,10.,.1,.12,.05\n,.4,.02,.5,.03,.04,.6\n"
+    frames = "CORD2C,7,,.3,.2,0.,.3,.2,1.\n,1.,.5,0.\nCORD2R,8,,0.,0.,0.,.3,.4,1.\n,1.,.5,0.\n"
+    card = "PBAR,1,1,1.E-3,1.E-7,2.E-7,1.5E-7\n"
+    found = {}
+    for tail in ("", ",7"):
+        folder = tmp_path / (tail or "basic")
+        folder.mkdir()
+        nodes = grids([(0.2 * i, 0.0, 0.1 * i) for i in range(4)], tail)
+        bars = "".join(f"CBAR,{i},1,{i},{i + 1},0.,1.,0.,BGG\n" for i in range(1, 4))
+        found[tail] = solve(LIGHT + CLAMPED + nodes + frames + card + bars + body, folder, 5)
+        assert hz(found[tail], "mystran", 5) == pytest.approx(
+            hz(found[tail], "calculix", 5), rel=1e-5
+        )
+    assert hz(found[""], "mystran", 5) == pytest.approx(hz(found[",7"], "mystran", 5), rel=1e-6)
+
+
+@needs_solvers
+def test_a_bar_and_beam_of_rods_agree_with_msc_nastran(shared_data: Path, tmp_path: Path) -> None:
+    path = shared_data / "nastran" / "pn_beam_modes" / "beam_modes.dat"
+    solver = mystran_solver(path, ())
+    analysis = ModalAnalysis(10, (1, 11))
+    solver.render({}, analysis).write(tmp_path)
+    run = run_process(solver.program.command(1), tmp_path, 60.0, threading.Event())
+    result = solver.read({}, analysis, tmp_path, run.return_code)
+    assert isinstance(result, ModalResult)
+    # MSC's LAMA: both lump the mass; torsion is that of a CBEAM's inertia at the tip. The OP2 file
+    # has seven digits.
+    wanted = [456.66034, 456.66034, 2674.5874, 2674.5874, 3554.9229, 4507.4873, 6626.104, 6626.104]
+    assert result.modes.frequencies_hz[:8] == pytest.approx(wanted, rel=2e-6)
+
+
+@needs_solvers
 def test_offsets_in_the_elements_axes_are_those_in_the_basic_ones(tmp_path: Path) -> None:
     deck = ALUMINIUM + CLAMPED + line(4, 1.0) + "PBAR,1,1,1.E-3,1.E-7,2.E-7,1.5E-7\n"
     deck += "CONM2,9,5,,1.\n"
@@ -236,7 +269,7 @@ def test_offsets_in_the_elements_axes_are_those_in_the_basic_ones(tmp_path: Path
     [
         ("PBEAM,1,1,1.E-3,1.E-7,2.E-7,,1.E-7\n,,,,,,,,\n,,\n,,,,,.01,,.01\n"
          "CBEAM,1,1,1,2,0.,1.,0.\n,5\n", "no pin flags for a neutral axis off the shear centre"),
-        ("PBEAML,1,7,,HAT\n,.06,.004,.05,.03\nCBEAM,1,1,1,2,0.,1.,0.\nMAT8,7,1.E9,1.E9,.3,1.E9\n",
+        ("PBEAML,1,7,,HAT\n,.06,.004,.05,.03\nCBEAM,1,1,1,2,0.,1.,0.\nMAT8,7,1.E9,1.E9,.3,1.E9,,,9.\n",
          "its material is not a MAT1"),
         ("PTUBE,1,1,.1,.01,,.08\nCTUBE,1,1,1,2\n", "no tapered tubes"),
     ],
