@@ -8,8 +8,8 @@ include and where it looks for it is the adapter's to say.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.adapters.regular_file import largest, read_regular
@@ -23,11 +23,15 @@ INCLUDES = "includes"
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of a deck without its line end, and where it stands."""
+    """One line of a deck without its line end, and where it stands.
+
+    added: the file does not have it; it goes behind the file's line of that number.
+    """
 
     text: str
     file: Path
     number: int
+    added: bool = False
 
     @property
     def where(self) -> str:
@@ -91,6 +95,20 @@ def check_include(
         )
 
 
+def with_added(
+    lines: Sequence[Line], changed: Mapping[int, str], added: Mapping[int, Iterable[str]]
+) -> tuple[Line, ...]:
+    """Lines of a deck, some with other texts, some with new lines behind them.
+
+    changed, added: position of a line to its text, or to the texts of the lines behind it.
+    """
+    found: list[Line] = []
+    for position, line in enumerate(lines):
+        found.append(replace(line, text=changed.get(position, line.text)))
+        found += (Line(text, line.file, line.number, True) for text in added.get(position, ()))
+    return tuple(found)
+
+
 def write_edited(
     main: Path,
     lines: Sequence[Line],
@@ -101,7 +119,8 @@ def write_edited(
 ) -> Path:
     """Write a deck and its includes with some lines changed; all else stays byte for byte.
 
-    changed: index into lines to the new text. Includes keep their places relative to the main
+    changed: index into lines to the new text; lines that were added and texts that were changed
+    since the deck was read are written too. Includes keep their places relative to the main
     file; one that the solver could not find there (an absolute path, a path that leads out of the
     main file's folder) goes into the folder `includes`, and the lines that name it are the only
     others that change. Returns the main file's path in `folder`. Raises ModelError,
@@ -115,13 +134,23 @@ def write_edited(
             texts = renamed(include.lines, places[include.target], places[holder])
             numbers = [line.number for line in include.lines]
             edits[holder].update(zip(numbers, texts, strict=True))
-    for position, text in changed.items():
-        line = lines[position]
-        edits[line.file][line.number] = text
+    behind: dict[Path, dict[int, list[str]]] = {file: {} for file in places}
+    for position, line in enumerate(lines):
+        text = changed.get(position, line.text)
+        if line.added:
+            behind[line.file].setdefault(line.number, []).append(text)
+        else:
+            edits[line.file].setdefault(line.number, text)
+            if position in changed:  # of a file that is included twice
+                edits[line.file][line.number] = text
     for file, texts_by_number in edits.items():
         pieces = read_text(file).split("\n")
         for number, text in texts_by_number.items():
-            pieces[number - 1] = text + ("\r" if pieces[number - 1].endswith("\r") else "")
+            end = "\r" if pieces[number - 1].endswith("\r") else ""
+            if text != pieces[number - 1].rstrip("\r"):
+                pieces[number - 1] = text + end
+            new = behind[file].get(number, ())
+            pieces[number - 1] += "".join(f"\n{line}{end}" for line in new)
         with writing(folder / places[file]) as part:
             part.write_bytes("\n".join(pieces).encode("utf-8", "surrogateescape"))
     return folder / main.name

@@ -8,7 +8,7 @@ solver, write a folder with the two and name it in `flows/campaign/solvers`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh, shortest_length
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, Values
+from modetune.core.parameters import Parameter, Values, reached
 from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation, nothing_known
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -154,7 +154,8 @@ class AffectedElements:
     besides the unknowns inside of elements and knots there. stiffness, mass: which matrices it
     moves. powers: with theta the relative value, K = K_0 + sum over powers of theta^k K_k, and M
     alike, K_0 being what does not depend on it. proportional: whether it moves the stiffness alone
-    and all of that of its elements is proportional to it.
+    and all of that of its elements is proportional to it. related: whether expressions of it move
+    numbers too.
     """
 
     elements: frozenset[int]
@@ -163,18 +164,58 @@ class AffectedElements:
     mass: bool
     powers: tuple[int, ...]
     proportional: bool
+    related: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number of a deck that a parameter scales.
+    """A number of a deck that a parameter moves.
 
-    place: tells it from all others of the deck; where: says so in a message.
+    place: tells it from all others of the deck; where: says so in a message. along: whether it only
+    keeps its ratio to the number before it.
     """
 
     place: Any
     value: float
     where: str
+    along: bool = False
+
+
+def moved_numbers(
+    parameter: Parameter, numbers: Iterable[Number], value: float
+) -> list[tuple[Number, float]]:
+    """Numbers of a deck with what they are at a value. Raises ModelError where one cannot be so."""
+    found: list[tuple[Number, float]] = []
+    ratio = 1.0
+    for number in numbers:
+        if number.along:
+            found.append((number, number.value * ratio))
+            continue
+        there = parameter.number(number.value, value)
+        refusal = parameter.refusal(there)
+        if refusal:
+            remedy = "mend the expression" if parameter.expression else "mend its bounds"
+            raise ModelError(f"{number.where}: parameter {parameter.name}: {refusal}; {remedy}")
+        # A factor is taken as it is: value / number would lose its last digit.
+        factor = parameter.shown(value)
+        if parameter.values != "relative":
+            factor = there / number.value if number.value else 1.0
+        ratio = factor
+        found.append((number, there))
+    return found
+
+
+def check_one(parameter: Parameter, where: str, items: Iterable[int]) -> None:
+    """Refuse an absolute or additive parameter of several numbers, by their items.
+
+    Raises ModelError.
+    """
+    several = sorted({item for item in items if item > 0})
+    if parameter.values != "relative" and len(several) > 1:
+        raise ModelError(
+            f"{where} has several numbers of {parameter.quantity}: give the {parameter.values} "
+            f"parameter an item of {', '.join(map(str, several))}"
+        )
 
 
 #: A deck at some parameter values: what an adapter's deck makes for its program.
@@ -191,7 +232,10 @@ class Deck(Protocol):
     def summary(self) -> ModelSummary: ...
 
     def numbers(self, parameter: Parameter) -> list[Number]:
-        """What the parameter scales, at least one. Raises ModelError for why it can be nothing."""
+        """What the parameter moves, at least one but of a variable.
+
+        Raises ModelError for why it can be nothing.
+        """
         ...
 
     def edited(self, values: Values) -> Edited:
@@ -209,6 +253,8 @@ class Deck(Protocol):
         for parameter in parameters:
             try:
                 numbers = self.numbers(parameter)
+                for there in reached(parameter, parameters):
+                    moved_numbers(parameter, numbers, there)
             except ModelError as error:
                 found.append(f"parameter {parameter.name}: {error}")
                 continue
@@ -220,8 +266,17 @@ class Deck(Protocol):
                     )
         return found
 
+    def splits(self) -> tuple[str, ...]:
+        """Cards that were added to the deck for the elements of parameters, a sentence each."""
+        return ()
+
     def deck_value(self, parameter: Parameter) -> float:
-        """The value the deck gives the parameter's quantity (the first one if several)."""
+        """The value the deck gives the parameter's quantity (the first one if several).
+
+        That of a variable, which stands nowhere in the deck, is its start.
+        """
+        if parameter.quantity == "variable":
+            return 1.0 if parameter.values == "relative" else parameter.shown(1.0)
         return self.numbers(parameter)[0].value
 
     def mesh(self) -> Mesh:

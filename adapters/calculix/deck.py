@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.adapters import deck_files
@@ -87,6 +87,14 @@ def parse_deck(file: Path, text: str) -> KeywordDeck:
     """A deck from its text, which includes nothing; `file` is what messages call it."""
     lines = tuple(Line(line, file, number) for number, line in enumerate(text.split("\n"), start=1))
     return KeywordDeck(file, lines, tuple(_cards(lines)), ())
+
+
+def with_added(
+    deck: KeywordDeck, changed: Mapping[int, str], added: Mapping[int, Iterable[str]]
+) -> KeywordDeck:
+    """The deck with some lines changed and new ones behind some. Raises ModelError."""
+    lines = deck_files.with_added(deck.lines, changed, added)
+    return replace(deck, lines=lines, cards=tuple(_cards(lines)))
 
 
 def _read_file(

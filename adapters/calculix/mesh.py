@@ -11,6 +11,8 @@ from modetune.core.errors import ModelError
 
 #: Number of nodes of the element types whose name does not end with it.
 NODES_OF = {"SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "MASS": 1, "DASHPOTA": 2, "GAPUNI": 2}
+#: Elements by a number, or by the first and the last one.
+RANGE = re.compile(r"(\d+)(?:-(\d+))?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,17 @@ class CalculixMesh:
     element_nodes: frozenset[int]
     elements: dict[int, Element]
     element_sets: dict[str, frozenset[int]]
+
+    def named(self, target: str) -> frozenset[int]:
+        """Elements of a set, or of a number or range such as `101-120`; none where none is so."""
+        name = canonical_name(target)
+        if name in self.element_sets:
+            return self.element_sets[name]
+        span = RANGE.fullmatch(name)
+        if span is None:
+            return frozenset()
+        first, last = int(span.group(1)), int(span.group(2) or span.group(1))
+        return frozenset(number for number in self.elements if first <= number <= last)
 
 
 def read_mesh(deck: KeywordDeck) -> CalculixMesh:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 
 from modetune.adapters.calculix.constants import constant_places
@@ -20,7 +20,8 @@ from modetune.adapters.calculix.deck import (
 )
 from modetune.adapters.calculix.incidence import roles_of
 from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh
-from modetune.adapters.solver import ModelSummary
+from modetune.adapters.solver import ModelSummary, Number, check_one, moved_numbers
+from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity
 
@@ -69,10 +70,16 @@ class KeywordField:
 
 @dataclass(frozen=True, slots=True)
 class CalculixModel:
-    """A deck understood: its mesh, and where its numbers stand."""
+    """A deck understood: its mesh, and where its numbers stand.
+
+    copies: materials that were added for parameters' elements, by the one they are copies of;
+    split: what was added so, a sentence each.
+    """
 
     deck: KeywordDeck
     mesh: CalculixMesh
+    copies: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    split: tuple[str, ...] = ()
 
     @property
     def summary(self) -> ModelSummary:
@@ -184,14 +191,42 @@ class CalculixModel:
 
     def fields(self, parameter: Parameter) -> list[KeywordField]:
         """Where the parameter stands. Raises ModelError with the first reason why it does not."""
-        if parameter.quantity not in _FINDERS or parameter.by not in ("material", "elset"):
+        if parameter.quantity not in _FINDERS or parameter.by in ("property", "part"):
             raise ModelError(
                 f"a CalculiX deck has no {parameter.quantity} by {parameter.by} to update"
             )
+        names = tuple(map(canonical_name, parameter.targets))
+        if parameter.quantity in OF_MATERIALS:
+            names = self.materials(parameter)
         found: list[KeywordField] = []
-        for target in parameter.targets:
-            found += _FINDERS[parameter.quantity](self, canonical_name(target))
+        for name in names:
+            found += _FINDERS[parameter.quantity](self, name)
         return _picked(found, parameter)
+
+    def materials(self, parameter: Parameter) -> tuple[str, ...]:
+        """Materials that a parameter names, or those of its elements. Raises ModelError."""
+        targets = list(map(canonical_name, parameter.targets))
+        if parameter.by == "material":
+            return tuple(name for old in targets for name in (old, *self.copies.get(old, ())))
+        found: dict[str, None] = {}
+        for target in targets:
+            elements = self.mesh.named(target)
+            if not elements:
+                what = "element set" if parameter.by == "elset" else "element"
+                raise ModelError(
+                    f"the deck has no {what} {target}{_suggest(target, self.mesh.element_sets)}"
+                )
+            sections = [card for card in self.sections if self.members(card) & elements]
+            names = [card.option("MATERIAL") for card in sections]
+            names += [name for card in sections for name in sorted(self.layers(card))]
+            if not any(names):
+                raise ModelError(f"no section gives the elements of {target} a material")
+            found.update(dict.fromkeys(filter(None, names)))
+        return tuple(found)
+
+    def members(self, card: KeywordCard) -> frozenset[int]:
+        """Elements of a section."""
+        return self.mesh.element_sets.get(card.option("ELSET"), frozenset())
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """Element sets whose strain energy is proportional to the parameter.
@@ -199,16 +234,17 @@ class CalculixModel:
         None where sections overlap or a laminate uses the material among others (the energy of
         the set is then not the parameter's own), or where ccx prints no whole energy.
         """
-        names = {canonical_name(target) for target in parameter.targets}
         if parameter.item:
             return ()
         if parameter.quantity == "youngs_modulus":
-            users = self.users(names)
+            users = self.users(set(self.materials(parameter)))
             if any("COMPOSITE" in card.options for card in users):
                 return ()
             sets = sorted({card.option("ELSET") for card in users})
         elif parameter.quantity == "spring_stiffness":
-            sets = sorted(names)
+            targets = map(canonical_name, parameter.targets)
+            cards = [card for name in targets for card in _section_cards(self, name, "*SPRING")]
+            sets = sorted({card.option("ELSET") for card in cards})
         else:
             return ()
         members = self.mesh.element_sets
@@ -223,20 +259,28 @@ class CalculixModel:
         alone = len(union) == sum(map(len, inside)) and union.isdisjoint(set().union(*outside))
         return tuple(sets) if alone else ()
 
-    def edit(self, parameters: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
-        """New texts of the lines that these relative values change.
+    def numbers(self, parameter: Parameter) -> list[Number]:
+        """What the parameter moves. Raises ModelError for why it can be nothing."""
+        if parameter.quantity == "variable":
+            return []
+        lines = self.deck.lines
+        return [
+            Number((f.line, f.place), f.value, lines[f.line].where, f.item < 0)
+            for f in self.fields(parameter)
+        ]
 
-        A value of exactly 1 changes nothing. Raises ModelError.
+    def edit(self, parameters: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
+        """New texts of the lines that these values change.
+
+        A number that stays what it is changes nothing. Raises ModelError.
         """
         changed: dict[int, str] = {}
-        for parameter, factor in parameters:
-            if factor == 1.0:
-                continue
-            for field in self.fields(parameter):
-                text = changed.get(field.line, self.deck.lines[field.line].text)
-                changed[field.line] = replace_field(
-                    text, field.place, format_number(field.value * factor)
-                )
+        for parameter, value in parameters:
+            for number, there in moved_numbers(parameter, self.numbers(parameter), value):
+                if there != number.value:
+                    line, place = number.place
+                    text = changed.get(line, self.deck.lines[line].text)
+                    changed[line] = replace_field(text, place, format_number(there))
         return changed
 
     def users(self, materials: set[str]) -> list[KeywordCard]:
@@ -244,10 +288,10 @@ class CalculixModel:
         return [
             card
             for card in self.sections
-            if card.option("MATERIAL") in materials or materials & self._layers(card)
+            if card.option("MATERIAL") in materials or materials & self.layers(card)
         ]
 
-    def _layers(self, card: KeywordCard) -> set[str]:
+    def layers(self, card: KeywordCard) -> set[str]:
         """Materials of a laminate: the third field of each layer."""
         if "COMPOSITE" not in card.options:
             return set()
@@ -337,7 +381,9 @@ def _picked(found: list[KeywordField], parameter: Parameter) -> list[KeywordFiel
     if quantity == "dimension" and not item:
         raise ModelError(f"{names}: a cross-section has several dimensions: give the item")
     picked = [field for field in found if field.item == item or not item]
-    return [field for field in picked if field.value] or picked
+    check_one(parameter, names, [field.item for field in picked])
+    whole = parameter.values != "relative"
+    return [f for f in picked if f.value or (whole and f.item >= 0)] or picked
 
 
 def _elastic(quantity: Quantity) -> Callable[[CalculixModel, str], list[KeywordField]]:
@@ -362,9 +408,17 @@ def _density(model: CalculixModel, material: str) -> list[KeywordField]:
 
 
 def _section_cards(model: CalculixModel, elset: str, keyword: str) -> list[KeywordCard]:
-    """The cards of one keyword for an element set that has elements. Raises ModelError."""
+    """The cards of one keyword for an element set that has elements, or for parts of it.
+
+    Raises ModelError.
+    """
     cards = [card for card in model.deck.named(keyword) if card.option("ELSET") == elset]
     if not cards:
+        members = model.mesh.named(elset)
+        parts = [card for card in model.deck.named(keyword) if model.members(card)]
+        cards = [card for card in parts if model.members(card) <= members]
+        if cards:
+            return cards
         known = [card.option("ELSET") for card in model.deck.named(keyword)]
         raise ModelError(f"the deck has no {keyword} for {elset}{_suggest(elset, known)}")
     if not model.mesh.element_sets.get(elset):
@@ -442,7 +496,7 @@ def _spring_stiffness(model: CalculixModel, elset: str) -> list[KeywordField]:
         where = model.deck.where(card)
         if "NONLINEAR" in card.options:
             raise ModelError(f"{where}: a nonlinear spring has no one stiffness to update")
-        kinds = {model.mesh.elements[number].kind for number in model.mesh.element_sets[elset]}
+        kinds = {model.mesh.elements[number].kind for number in model.members(card)}
         if kinds != {"SPRINGA"}:
             first = 1
         elif card.data and not _blank_after(model, card):

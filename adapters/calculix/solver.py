@@ -32,6 +32,7 @@ from modetune.adapters.calculix.results import (
     read_version,
 )
 from modetune.adapters.calculix.spare_unknowns import modes_at_most
+from modetune.adapters.calculix.splitting import split_model
 from modetune.adapters.cross_checks import check_energies, mark_of, without_spare
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
 from modetune.adapters.regular_file import read_regular
@@ -55,9 +56,10 @@ from modetune.core.errors import (
     SolverMissing,
     SolverRejected,
 )
+from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh, cell_sizes
 from modetune.core.modes import Floats, Integers, ModeSet
-from modetune.core.parameters import Parameter, Quantity, Values
+from modetune.core.parameters import Parameter, Quantity, Values, assigned, driven_by
 from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult, Result
@@ -69,7 +71,7 @@ JOB = "job"
 PROGRAM_VARIABLE = "MODETUNE_CCX"
 #: Stiffness and mass matrices are linear in these.
 LINEAR: frozenset[Quantity] = frozenset(
-    {"youngs_modulus", "shear_modulus", "density", "spring_stiffness", "mass"}
+    {"youngs_modulus", "shear_modulus", "density", "spring_stiffness", "mass", "variable"}
 )
 #: Items of Young's moduli of engineering constants.
 DIRECTIONS = (1, 2, 3)
@@ -111,11 +113,10 @@ class CalculixDeck(Deck):
         return self._mesh
 
     def numbers(self, parameter: Parameter) -> list[Number]:
-        lines = self.model.deck.lines
-        return [
-            Number((field.line, field.place), field.value, lines[field.line].where)
-            for field in self.model.fields(parameter)
-        ]
+        return self.model.numbers(parameter)
+
+    def splits(self) -> tuple[str, ...]:
+        return self.model.split
 
     def wave_speeds(self) -> dict[str, float]:
         return self.model.wave_speeds()
@@ -127,14 +128,24 @@ class CalculixDeck(Deck):
         return min(super().least_length(), self.model.least_thickness())
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
-        return () if self.preload() else self.model.energy_sets(parameter)
+        if self.preload() or not parameter.proportional or driven_by(parameter, self.parameters):
+            return ()
+        return self.model.energy_sets(parameter)
 
     def is_linear(self, parameter: Parameter) -> bool:
         """Of engineering constants a single Young's modulus is coupled with the others."""
-        coupled = parameter.quantity == "youngs_modulus" and parameter.item in DIRECTIONS
         # ccx stores no matrices of a sector that are those of a nodal diameter.
         stored = not self.model.deck.named("*CYCLIC SYMMETRY MODEL")
-        return parameter.quantity in LINEAR and not coupled and stored and not self.preload()
+        return (
+            stored
+            and not self.preload()
+            and all(
+                item.quantity in LINEAR
+                and (item.quantity != "youngs_modulus" or item.item not in DIRECTIONS)
+                and degree(item.expression or "0") < 2
+                for item in (parameter, *driven_by(parameter, self.parameters))
+            )
+        )
 
     def preload(self) -> str:
         return self.model.preload()
@@ -144,11 +155,16 @@ class CalculixDeck(Deck):
         return read_incidence(self.model.deck, self.model.mesh)
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
+        driven = driven_by(parameter, self.parameters)
         across = parameter.quantity in ("thickness", "dimension")
-        if not across and not self.is_linear(parameter):
+        plain = parameter.proportional and not driven
+        if not (across and plain) and not self.is_linear(parameter):
             return None
-        fields = self.model.fields(parameter)
-        return self.affected_elements_of({(field.line, field.place) for field in fields})
+        numbers = [n for item in (parameter, *driven) for n in self.model.numbers(item)]
+        found = self.affected_elements_of({number.place for number in numbers})
+        return found and replace(
+            found, proportional=found.proportional and plain, related=bool(driven)
+        )
 
     def affected_elements_of(
         self, places: Collection[Place], powers: tuple[int, ...] = (1,)
@@ -170,7 +186,7 @@ class CalculixDeck(Deck):
         return write_edited(self.model.deck, self._changed(values), folder)
 
     def _changed(self, values: Values) -> dict[int, str]:
-        return self.model.edit((p, values[p.name]) for p in self.parameters if p.name in values)
+        return self.model.edit(assigned(self.parameters, values))
 
 
 @dataclass(frozen=True)
@@ -324,7 +340,7 @@ def _place(messages: list[SolverMessage], model: CalculixModel, changed: Mapping
 
 def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """CalculiX for a deck file. Raises ModelError where the deck cannot be understood."""
-    model = understand(read_deck(deck))
+    model = split_model(understand(read_deck(deck)), parameters)
     for note in check_frequency_step(model):
         logger.warning("%s", note)
     return Solver(CalculixDeck(model, parameters), calculix_program())

@@ -16,11 +16,11 @@ from modetune.adapters.command.template import (
     read_template,
     read_value,
 )
-from modetune.adapters.solver import Deck, ModelSummary, Number
+from modetune.adapters.solver import Deck, ModelSummary, Number, moved_numbers
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.mesh import Cells, Mesh
-from modetune.core.parameters import Parameter, Values
+from modetune.core.parameters import Parameter, Values, assigned
 from modetune.core.storage.files import writing
 
 logger = logging.getLogger(__name__)
@@ -62,6 +62,8 @@ class CommandDeck(Deck):
 
     def numbers(self, parameter: Parameter) -> list[Number]:
         spots = self.template.spots.get(parameter.name)
+        if parameter.quantity == "variable" and not spots:
+            return []
         if not spots:
             names = ", ".join(name for name in self.template.spots if name != N_MODES) or "none"
             raise ModelError(
@@ -72,14 +74,27 @@ class CommandDeck(Deck):
         return [Number((spot.where, spot.start), spot.number, spot.where) for spot in spots]
 
     def written(self, parameter: Parameter, value: float) -> float:
-        spot = self.template.spots[parameter.name][0]
-        return read_value(spot.written(spot.number * value)) / spot.number
+        for spot in self.template.spots.get(parameter.name, ())[:1]:
+            read = read_value(spot.written(parameter.number(spot.number, value)))
+            return parameter.relative_to(spot.number, read)
+        return value
 
     def edited(self, values: Values) -> EditedTemplate:
-        return EditedTemplate(self.template, values)
+        return EditedTemplate(self.template, self._factors(values))
+
+    def _factors(self, values: Values) -> Values:
+        """Factors on the template's numbers. Raises ModelError."""
+        found = {}
+        for parameter, value in assigned(self.parameters, values):
+            spots = [] if parameter.quantity == "variable" else self.numbers(parameter)
+            for spot, there in moved_numbers(parameter, spots[:1], value):
+                plain = parameter.values == "relative"
+                found[parameter.name] = parameter.shown(value) if plain else there / spot.value
+        return found
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         """Write the template with new values, and below FILLED the deck that a program runs."""
+        values = self._factors(values)
         texts = self.template.updated(values)
         if self.template.has_placeholders:
             filled = self.template.filled(values, SHOWN_MODES)

@@ -34,7 +34,7 @@ from modetune.adapters.solver import Deck, ModelSummary, Number
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, Values
+from modetune.core.parameters import Parameter, Values, assigned
 from modetune.core.storage.files import storage_errors, writing
 from modetune.core.updating.observation import Observation, observe
 from modetune.core.updating.results import MatrixResult
@@ -78,12 +78,18 @@ class MatrixDeck(Deck):
         )
 
     def numbers(self, parameter: Parameter) -> list[Number]:
+        if parameter.expression or parameter.quantity == "variable":
+            raise ModelError(
+                "relations between parameters are unavailable for a model of matrices; update its "
+                "parts themselves"
+            )
         parts = zip(parameter.targets, self.model.targets(parameter), strict=True)
         return [Number(target, part.value, f"part {target}") for target, part in parts]
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         parts = self.model.targets(parameter)
-        return parameter.targets if all(part.mass is None for part in parts) else ()
+        own = parameter.proportional and all(part.mass is None for part in parts)
+        return parameter.targets if own else ()
 
     def is_linear(self, parameter: Parameter) -> bool:
         return True
@@ -101,10 +107,9 @@ class MatrixDeck(Deck):
 
     def _factors(self, values: Values) -> dict[str, float]:
         return {
-            target: values[parameter.name]
-            for parameter in self.parameters
-            if parameter.name in values
-            for target in parameter.targets
+            target: factor
+            for parameter, value in assigned(self.parameters, values)
+            for target, factor in self.model.factors(parameter, value).items()
         }
 
 

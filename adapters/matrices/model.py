@@ -97,6 +97,12 @@ class MatrixModel:
     def matrices(self, parameters: tuple[Parameter, ...]) -> ParameterMatrices:
         """K and M for all values of these parameters."""
         names = list(self.parts)
+        here, there = (
+            {name: f for p in parameters for name, f in self.factors(p, value).items()}
+            for value in (1.0, 2.0)
+        )
+        slopes = {names.index(name): there[name] - here[name] for name in here}
+        moved = any(factor != 1.0 for factor in here.values())
         columns = {
             names.index(target): column
             for column, parameter in enumerate(parameters)
@@ -104,13 +110,27 @@ class MatrixModel:
         }
         stiffness, mass = (
             tuple(
-                replace(part, column=columns[part.column])
+                replace(
+                    part,
+                    column=columns[part.column],
+                    values=part.values * slopes[part.column],
+                )
                 for part in parts
                 if part.column in columns
             )
             for parts in (self.by_parts.stiffness, self.by_parts.mass)
         )
-        return ParameterMatrices(np.ones(len(parameters)), self.by_parts.base, stiffness, mass)
+        base = self.assembled(here) if moved else self.by_parts.base
+        return ParameterMatrices(np.ones(len(parameters)), base, stiffness, mass)
+
+    def factors(self, parameter: Parameter, value: float) -> dict[str, float]:
+        """Factors on the parts of a parameter at its value."""
+        shown, plain = parameter.shown(value), parameter.values == "relative"
+        return {
+            name: shown if plain else parameter.number(part.value, value) / part.value
+            for name in parameter.targets
+            if (part := self.parts.get(name)) is not None
+        }
 
     def assembled(self, factors: Factors) -> MatrixResult:
         """K and M with these parts scaled."""

@@ -11,7 +11,7 @@ thicknesses between half and double is off by 3e-6 of the stiffness and of the e
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from modetune.adapters.nastran.places import ValuePlace
 from modetune.adapters.nastran.structure import Structure
@@ -20,8 +20,8 @@ from modetune.core.parameters import Parameter
 from modetune.core.updating.matrix_samples import with_tied
 
 #: Quantities that move one of the two matrices; the others may move both.
-STIFFNESS_ALONE = ("youngs_modulus", "spring_stiffness")
-MASS_ALONE = ("density", "mass")
+STIFFNESS_ALONE = frozenset(("youngs_modulus", "spring_stiffness"))
+MASS_ALONE = frozenset(("density", "mass"))
 
 
 #: Powers of a plate's thickness, and between which relative values they hold.
@@ -39,25 +39,27 @@ def powers_of(parameter: Parameter, places: Iterable[ValuePlace], linear: bool) 
 
 def affected_elements_of(
     structure: Structure,
-    parameter: Parameter,
+    parameters: Sequence[Parameter],
     places: Iterable[ValuePlace],
     powers: tuple[int, ...],
     whole: bool,
 ) -> AffectedElements:
-    """What a parameter moves in these powers.
+    """What a parameter and those that follow it by expressions move in these powers.
 
-    places: where it stands; whole: whether all stiffness of its elements is proportional to it.
+    places: where they stand; whole: whether all stiffness of its elements is proportional to it.
     """
+    moved = {item.quantity for item in parameters} - {"variable"}
     elements = frozenset[int]().union(*(_elements(structure, place) for place in places))
     known = structure.bulk.elements | structure.bulk.masses
     nodes = {node for number in elements for node in known[number].node_ids if node}
     return AffectedElements(
         elements=elements,
         nodes=frozenset(with_tied(nodes, _ties(structure))),
-        stiffness=parameter.quantity not in MASS_ALONE,
-        mass=parameter.quantity not in STIFFNESS_ALONE,
+        stiffness=not moved <= MASS_ALONE,
+        mass=not moved <= STIFFNESS_ALONE,
         powers=powers,
-        proportional=whole and parameter.quantity in STIFFNESS_ALONE,
+        proportional=whole and moved <= STIFFNESS_ALONE,
+        related=len(parameters) > 1,
     )
 
 

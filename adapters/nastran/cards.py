@@ -284,7 +284,7 @@ def large_field(name: str, fields: Sequence[str]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float]) -> dict[int, str]:
+def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float | int]) -> dict[int, str]:
     """New texts of the lines in which these fields get new numbers; nothing else changes.
 
     A number keeps its field's format and place: 8 or 16 columns, at the left or the right as it
@@ -318,16 +318,25 @@ def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float]) -> d
     return changed
 
 
-def _free(line: Line, field: CardField, old: str, value: float) -> str:
+def _number(value: float | int, width: int) -> str:
+    """An integer or a real number in at most so many characters. Raises ValueError."""
+    if not isinstance(value, int):
+        return format_number(value, width)
+    if len(str(value)) > width:
+        raise ValueError(f"{value} does not fit {width} characters")
+    return str(value)
+
+
+def _free(line: Line, field: CardField, old: str, value: float | int) -> str:
     large = "*" in line.text.partition(",")[0]
     width = LARGE if large else min(max(SMALL, len(field.text)), LARGE)
     blanks = len(old) - len(old.lstrip())
-    return f"{old[:blanks]}{format_number(value, width)}{old[len(old.rstrip()) :]}"
+    return f"{old[:blanks]}{_number(value, width)}{old[len(old.rstrip()) :]}"
 
 
-def _fixed(field: CardField, old: str, value: float) -> str:
+def _fixed(field: CardField, old: str, value: float | int) -> str:
     """The field's columns with another number; a field cut short by the line's end stays so."""
-    number = format_number(value, field.width)
+    number = _number(value, field.width)
     if not old and not field.lead:  # the line ends where the field begins
         return number.rjust(field.width)
     columns = old.expandtabs(SMALL)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -80,7 +80,17 @@ def with_lines(deck: NastranDeck, changed: Mapping[int, str]) -> NastranDeck:
     return replace(deck, lines=tuple(lines), cards=read_cards(lines, deck.bulk))
 
 
-def changed_lines(deck: NastranDeck, values: Mapping[CardField, float]) -> dict[int, str]:
+def with_added(
+    deck: NastranDeck, changed: Mapping[int, str], added: Mapping[int, Iterable[str]]
+) -> NastranDeck:
+    """The deck with some lines of its bulk data changed and new ones behind some. Raises
+    ModelError."""
+    lines = deck_files.with_added(deck.lines, changed, added)
+    bulk = range(deck.bulk.start, deck.bulk.stop + len(lines) - len(deck.lines))
+    return replace(deck, lines=lines, bulk=bulk, cards=read_cards(lines, bulk))
+
+
+def changed_lines(deck: NastranDeck, values: Mapping[CardField, float | int]) -> dict[int, str]:
     """New texts of the lines in which these fields get new numbers. Raises ModelError."""
     return changed_texts(deck.lines, values)
 

@@ -7,6 +7,9 @@ multiplied with,
 
     d lambda / d theta = (d lambda / d x) / theta,    for p = c x = (p0 theta) x.
 
+A number that is not proportional to its parameter has a constant beside (p = c0 + c x), and one
+that an expression of parameters gives has the expression as an equation (DVPREL2, DEQATN).
+
 Responses are the eigenvalues (EIGN: unlike FREQ it has a derivative where the frequency is zero)
 and, one a node, component and mode, the mass-normalised shapes (DISP with the mode's number).
 Nastran leaves out responses that no constraint keeps; so all get one with Nastran's own bounds of
@@ -21,13 +24,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from modetune.adapters.nastran.deck import NastranCard, NastranDeck, with_lines
+from modetune.adapters.nastran.deck import NastranCard, with_lines
+from modetune.adapters.nastran.equation import equation_card, in_fortran, real
 from modetune.adapters.nastran.model import NastranModel, ValuePlace
 from modetune.adapters.nastran.number import format_number, read_number
 from modetune.adapters.nastran.sections import station_rows
-from modetune.adapters.solver import SensitivityAnalysis
+from modetune.adapters.solver import SensitivityAnalysis, moved_numbers
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Parameter
+from modetune.core.expressions import names_of
+from modetune.core.parameters import Parameter, Values
 
 #: The set of constraints that keep the responses.
 CONSTRAINTS = 1
@@ -72,7 +77,7 @@ def n_rows(analysis: SensitivityAnalysis) -> int:
 
 
 def design_cards(
-    model: NastranModel, changed: Mapping[int, str], analysis: SensitivityAnalysis
+    model: NastranModel, changed: Mapping[int, str], values: Values, analysis: SensitivityAnalysis
 ) -> list[str]:
     """Bulk data of the design model. Raises ModelError for a parameter it cannot hold."""
     named = {parameter.name: parameter for parameter in model.parameters}
@@ -80,35 +85,100 @@ def design_cards(
     lines = [
         f"DESVAR,{number},P{number},1.,{LOWER},{UPPER}" for number in range(1, len(chosen) + 1)
     ]
-    lines += _relations(model, with_lines(model.deck, changed), chosen)
+    edited = {card.lines[0]: card for card in with_lines(model.deck, changed).cards}
+    lines += _relations(model, edited, values, chosen)
+    lines += _equations(model, edited, values, chosen, n_before=len(lines))
     lines += _responses(analysis)
     kinds = ("EIGN", "DISP") if analysis.nodes else ("EIGN",)
     return [*lines, *(f"DSCREEN,{kind},{THRESHOLD},{KEPT}" for kind in kinds)]
 
 
 def _relations(
-    model: NastranModel, edited: NastranDeck, parameters: Sequence[Parameter]
+    model: NastranModel,
+    edited: Mapping[int, NastranCard],
+    values: Values,
+    parameters: Sequence[Parameter],
 ) -> list[str]:
-    cards = {card.lines[0]: card for card in edited.cards}
+    """What ties numbers to the design variables of their parameters, one to one."""
     lines: list[str] = []
     number = 0
     for variable, parameter in enumerate(parameters, start=1):
-        places = model.places(parameter)
-        named = {(place.card.lines, place.symbol) for place in places}
-        for place in places:
-            if not place.scales:
+        numbers, here = model.numbers(parameter), values.get(parameter.name, 1.0)
+        moved, twice = (moved_numbers(parameter, numbers, v) for v in (here, 2.0 * here))
+        for count, place, coefficient in _tied(model, edited, parameter):
+            now, then = moved[count][1], twice[count][1]
+            number += 1
+            constant = ""
+            if not parameter.proportional:
+                constant = format_number(2.0 * now - then, WIDTH)
+                coefficient = format_number(then - now, WIDTH)
+            fields = (*_head(number, place), "", constant, "", str(variable), coefficient)
+            lines += _large(_kind(place, 1), fields)
+    return lines
+
+
+def _tied(
+    model: NastranModel, edited: Mapping[int, NastranCard], parameter: Parameter
+) -> Iterator[tuple[int, ValuePlace, str]]:
+    """Numbers that a parameter moves: which of the model's, its place, and as it stands.
+
+    Blank ones of a beam's stations stand beside that of end A.
+    """
+    places = model.places(parameter)
+    named = {(place.card.lines, place.symbol) for place in places}
+    for count, place in enumerate(places):
+        card = edited[place.card.lines[0]]
+        text = _coefficient(card.text(place.field) or repr(place.value))  # blank: its default
+        yield count, place, text
+        for symbol, coefficient in _following(card, place, parameter).items():
+            if (place.card.lines, symbol) in named:
+                continue
+            if coefficient != text and not parameter.proportional:
                 raise ModelError(
-                    f"{model.deck.where(place.card)}: {parameter.name} does not scale this number, "
-                    "and solver sensitivities are of scaled numbers only"
+                    f"{model.deck.where(place.card)}: {card.name} {place.ident} has a blank "
+                    f"{symbol} between others, which solver sensitivities to {parameter.name} need "
+                    "written out"
                 )
-            card = cards[place.card.lines[0]]
-            text = card.text(place.field) or repr(place.value)  # blank: its default
-            tied = {place.symbol: _coefficient(text), **_following(card, place, parameter)}
-            for symbol, coefficient in tied.items():
-                if symbol == place.symbol or (place.card.lines, symbol) not in named:
-                    number += 1
-                    said = replace(place, symbol=symbol)
-                    lines += _relation(number, variable, said, coefficient)
+            yield count, replace(place, symbol=symbol), coefficient
+
+
+def _equations(
+    model: NastranModel,
+    edited: Mapping[int, NastranCard],
+    values: Values,
+    parameters: Sequence[Parameter],
+    n_before: int,
+) -> list[str]:
+    """What ties numbers to the design variables that their expressions name; the others of them
+    stand at their values. n_before: relations and variables have lower numbers."""
+    variables = {parameter.name: place for place, parameter in enumerate(parameters, start=1)}
+    named = {item.name: item for item in model.parameters}
+    lines: list[str] = []
+    number = n_before
+    for item in model.parameters:
+        names = names_of(item.expression) if item.expression else ()
+        own = [name for name in names if name in variables]
+        if not own:
+            continue
+        texts = {name: real(named[name].shown(values.get(name, 1.0))) for name in names}
+        for count, name in enumerate(own, start=1):
+            free = named[name]
+            slope = real(free.scale * values.get(name, 1.0))
+            texts[name] = f"({real(free.origin)}+{slope}*X{count})"
+        first = 1.0
+        for _, place, _ in _tied(model, edited, item):
+            number += 1
+            first = first if place.along else place.value
+            ratio = place.value / first if place.along else 1.0
+            text = in_fortran(item.expression, texts)
+            if item.values == "relative":
+                text = f"{real(first)}*{text}"
+            elif item.values == "additive":
+                text = f"({real(first)}+{text})"
+            arguments = [f"X{n}" for n in range(1, len(own) + 1)]
+            lines += equation_card(number, arguments, f"{real(ratio)}*{text}")
+            rows = [*_head(number, place), "", str(number), "", "DESVAR"]
+            lines += _large(_kind(place, 2), [*rows, *(str(variables[name]) for name in own)])
     return lines
 
 
@@ -147,16 +217,15 @@ def _coefficient(text: str) -> str:
     return text if len(text) <= WIDTH else format_number(read_number(text), WIDTH)
 
 
-def _relation(number: int, variable: int, place: ValuePlace, coefficient: str) -> list[str]:
-    """The card that ties one number of the model to a design variable."""
+def _kind(place: ValuePlace, relation: int) -> str:
+    """The card that ties one number of the model to design variables."""
     owner = place.card.name
-    kind = "DVPREL1"
-    if owner.startswith("MAT"):
-        kind = "DVMREL1"
-    elif owner.startswith("C"):
-        kind = "DVCREL1"
-    fields = (str(number), owner, str(place.ident), place.symbol, "", "", "", "")
-    return _large(kind, (*fields, str(variable), coefficient))
+    kind = "DVMREL" if owner.startswith("MAT") else "DVCREL" if owner.startswith("C") else "DVPREL"
+    return f"{kind}{relation}"
+
+
+def _head(number: int, place: ValuePlace) -> tuple[str, str, str, str, str]:
+    return str(number), place.card.name, str(place.ident), place.symbol, ""
 
 
 def _large(name: str, fields: Sequence[str]) -> list[str]:

@@ -26,7 +26,10 @@ from modetune.adapters.nastran.mystran import first_shift, mystran_cards
 from modetune.adapters.nastran.restart import KEEP, PRINT_TABLE
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModelError
+from modetune.core.parameters import Values
 
+#: Parameters at the values of the deck.
+AS_IT_IS: Values = {}
 #: SET numbers of the nodes and of the elements asked for; no user's SET stays beside them.
 NODES, ELEMENTS = 1, 2
 #: Modes of a job for matrices, which MYSTRAN has before it looks for any. To find one alone of the
@@ -48,11 +51,12 @@ def job_text(
     changed: Mapping[int, str],
     analysis: Analysis,
     dialect: Dialect,
+    values: Values = AS_IT_IS,
 ) -> str:
     """The text of a job's deck.
 
-    changed: position of a line of the deck to its edited text. Raises ModelError with file and line
-    for what no job can carry.
+    changed: position of a line of the deck to its edited text, at these values. Raises ModelError
+    with file and line for what no job can carry.
     """
     matrices = isinstance(analysis, MatrixAnalysis)
     if matrices and dialect.name != "mystran":
@@ -76,7 +80,7 @@ def job_text(
         _eigrl(model, case, n_modes, dialect),
     ]
     if isinstance(analysis, SensitivityAnalysis):
-        lines += design_cards(model, changed, analysis)
+        lines += design_cards(model, changed, values, analysis)
     given = {name for name, _ in case.parameters}
     cards = _bulk(model, changed, dialect, given, n_modes)
     return "\n".join([*lines, *cards, "ENDDATA"]) + "\n"

@@ -37,13 +37,21 @@ from modetune.adapters.nastran.harmless import (
 from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.places import ValuePlace as ValuePlace
 from modetune.adapters.nastran.places import find_places
+from modetune.adapters.nastran.splitting import split_materials, split_properties
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number
+from modetune.adapters.solver import (
+    AffectedElements,
+    Deck,
+    ModelSummary,
+    Number,
+    moved_numbers,
+)
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
+from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, Values
+from modetune.core.parameters import Parameter, Values, assigned, driven_by
 from modetune.core.updating.observation import Observation, observe
 
 logger = logging.getLogger(__name__)
@@ -225,34 +233,36 @@ class NastranModel(Deck):
         for place in self.places(parameter):
             field = self.structure.field(place.card, place.field)
             where = self.deck.lines[field.line].where
-            at = field.line, field.start, len(field.lead)
-            found.append(Number(at, place.value, where))
+            found.append(Number(field, place.value, where, place.along))
         return found
 
+    def splits(self) -> tuple[str, ...]:
+        return self.structure.copies.said
+
     def written(self, parameter: Parameter, value: float) -> float:
-        """The relative value in the edited deck: eight columns cannot hold every number."""
-        if value == 1.0:
+        """The value in the edited deck: eight columns cannot hold every number."""
+        if value == 1.0 and parameter.values == "relative":
             return value
-        ratios = []
-        for place in self.places(parameter):
-            field = self.structure.field(place.card, place.field)
-            (text,) = changed_lines(self.deck, {field: place.value * value}).values()
+        found = []
+        for number, there in moved_numbers(parameter, self.numbers(parameter), value):
+            field = number.place
+            (text,) = changed_lines(self.deck, {field: there}).values()
             behind = len(self.deck.lines[field.line].text) - field.stop
-            number = text[field.start + len(field.lead) : len(text) - behind]
-            ratios.append(read_number(number) / place.value)
-        return sum(ratios) / len(ratios)
+            read = read_number(text[field.start + len(field.lead) : len(text) - behind])
+            if not number.along:
+                found.append(parameter.relative_to(number.value, read))
+        return sum(found) / len(found) if found else value
 
     def edit(self, pairs: Iterable[tuple[Parameter, float]]) -> dict[int, str]:
-        """New texts of the lines that these relative values change, by position in the deck.
+        """New texts of the lines that these values change, by position in the deck.
 
-        A value of exactly 1 changes nothing. Raises ModelError.
+        A number that stays what it is changes nothing. Raises ModelError.
         """
         values: dict[CardField, float] = {}
-        for parameter, factor in pairs:
-            if factor == 1.0:
-                continue
-            for place in self.places(parameter):
-                values[self.structure.field(place.card, place.field)] = place.value * factor
+        for parameter, value in pairs:
+            for number, there in moved_numbers(parameter, self.numbers(parameter), value):
+                if there != number.value:
+                    values[number.place] = there
         return changed_lines(self.deck, values)
 
     def edited(self, values: Values) -> EditedNastran:
@@ -260,7 +270,7 @@ class NastranModel(Deck):
 
     def changed(self, values: Values) -> dict[int, str]:
         """New texts of the lines that the values of the parameters change."""
-        return self.edit((p, values[p.name]) for p in self.parameters if p.name in values)
+        return self.edit(assigned(self.parameters, values))
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         return write_edited(self.deck, self.changed(values), folder)
@@ -275,6 +285,12 @@ class NastranModel(Deck):
         `P12` is all elements of property 12, `E7` element 7. Empty where the energy is not the
         parameter's own: other materials share a property, or only some of its constants scale.
         """
+        if not parameter.proportional or driven_by(parameter, self.parameters):
+            return ()
+        return self._energy_sets(parameter)
+
+    def _energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
+        """Groups of elements whose strain energy is proportional to the parameter's numbers."""
         try:
             places = self.places(parameter)
         except ModelError:
@@ -321,12 +337,19 @@ class NastranModel(Deck):
 
     def is_linear(self, parameter: Parameter) -> bool:
         """Whether stiffness and mass matrices are linear in the parameter."""
-        if parameter.quantity in LINEAR:
+        driven = driven_by(parameter, self.parameters)
+        return self._is_linear(parameter) and all(
+            degree(item.expression) < 2 and self._is_linear(item) for item in driven
+        )
+
+    def _is_linear(self, parameter: Parameter) -> bool:
+        """Whether they are linear in the numbers of a parameter."""
+        if parameter.quantity in (*LINEAR, "variable"):
             return True
         if parameter.quantity == "youngs_modulus":
             # Single constants, and one of several materials of a laminate, act in series with
             # others (Poisson coupling, transverse shear, condensed bubbles): not linear.
-            return bool(self.energy_sets(parameter))
+            return bool(self._energy_sets(parameter))
         if parameter.quantity not in ("area", "inertia_1", "inertia_2"):
             return False
         try:
@@ -337,11 +360,13 @@ class NastranModel(Deck):
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         if self.problems((parameter,)):
             return None
-        places, whole = self.places(parameter), bool(self.energy_sets(parameter))
+        items = (parameter, *driven_by(parameter, self.parameters))
+        places = [place for item in items for place in self.places(item)]
         powers = powers_of(parameter, places, self.is_linear(parameter))
-        if not powers:
+        if not powers or (powers != (1,) and not (parameter.proportional and len(items) == 1)):
             return None
-        return affected_elements_of(self.structure, parameter, places, powers, whole)
+        whole = bool(self.energy_sets(parameter))
+        return affected_elements_of(self.structure, items, places, powers, whole)
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers
@@ -360,6 +385,16 @@ class NastranModel(Deck):
 
 
 def understand(deck: NastranDeck, parameters: tuple[Parameter, ...] = ()) -> NastranModel:
-    """What a deck's cards mean. Raises ModelError where it is no Nastran deck."""
+    """What a deck's cards mean, with cards of their own for what parameters name.
+
+    Raises ModelError where it is no Nastran deck, or where a card cannot be copied.
+    """
     bulk, owners, objections = read_bulk(deck)
-    return NastranModel(Structure(deck, bulk, owners), objections, parameters)
+    structure = Structure(deck, bulk, owners)
+    for split in (split_properties, split_materials):
+        found = split(structure, parameters)
+        if found is not None:
+            deck, copies = found
+            bulk, owners, objections = read_bulk(deck)
+            structure = Structure(deck, bulk, owners, structure.copies.with_(copies))
+    return NastranModel(structure, objections, parameters)

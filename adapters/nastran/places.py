@@ -20,6 +20,8 @@ from modetune.adapters.nastran.sections import (
     section_entries,
 )
 from modetune.adapters.nastran.structure import Structure
+from modetune.adapters.solver import check_one
+from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
 
@@ -29,7 +31,8 @@ class ValuePlace:
     """One number of the deck that a parameter scales.
 
     field: index in card.fields. ident: number of the material, property or element. symbol: its
-    name in DVMREL1, DVPREL1 or DVCREL1 cards.
+    name in DVMREL1, DVPREL1 or DVCREL1 cards. along: whether it only keeps its ratio to the number
+    before it.
     """
 
     card: NastranCard
@@ -37,7 +40,7 @@ class ValuePlace:
     value: float
     ident: int
     symbol: str
-    scales: bool = True
+    along: bool = False
 
 
 _MAT8_SHEAR = ((12, 5, "G12"), (13, 6, "G1Z"), (23, 7, "G2Z"))
@@ -46,7 +49,7 @@ _MAT9 = ("11", "12", "13", "14", "15", "16", "22", "23", "24", "25", "26", "33",
 #: Numbers of materials by quantity and card.
 MATERIAL_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
     # G goes along with E, so that Poisson's ratio stays and the stiffness is proportional.
-    ("youngs_modulus", "MAT1"): ((0, 2, "E"), (0, 3, "G")),
+    ("youngs_modulus", "MAT1"): ((0, 2, "E"), (-1, 3, "G")),
     ("youngs_modulus", "MAT2"): (
         (11, 2, "G11"), (12, 3, "G12"), (13, 4, "G13"), (22, 5, "G22"), (23, 6, "G23"),
         (33, 7, "G33"),
@@ -97,7 +100,7 @@ ELEMENT_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
     ("mass", "CMASS2"): ((0, 2, "M"),),
     ("mass", "CMASS4"): ((0, 2, "M"),),
     # The inertia goes along with the mass: the body keeps its shape.
-    ("mass", "CONM2"): ((0, 4, "M"), *((0, field, symbol) for _, field, symbol in _INERTIA)),
+    ("mass", "CONM2"): ((0, 4, "M"), *((-1, field, symbol) for _, field, symbol in _INERTIA)),
 }  # fmt: skip
 #: Thicknesses that stand on an element beside its property's: first and last field, and the flag
 #: that makes them fractions of the property's (1) instead.
@@ -117,18 +120,37 @@ def find_places(structure: Structure, parameter: Parameter) -> list[ValuePlace]:
     """Where a parameter stands. Raises ModelError with the first reason why it does not."""
     if parameter.by in REMEDY:
         raise ModelError(REMEDY[parameter.by])
+    if parameter.quantity == "variable":
+        return []
     found: list[ValuePlace] = []
     if parameter.by == "material":
         for target in parameter.targets:
-            found += _of_material(structure, parameter, structure.material(target))
+            for _, card in structure.materials(target):
+                found += _of_material(structure, parameter, card)
     elif parameter.by == "property":
-        for target in parameter.targets:
-            card = structure.property_card(target)
-            found += _of_property(structure, parameter, card, int(target))
+        named = [item for target in parameter.targets for item in structure.properties(target)]
+        found = _of_properties(structure, parameter, [ident for ident, _ in named])
     else:
         found = _of_elements(structure, parameter)
     if len({(place.card.lines, place.field) for place in found}) < len(found):
         raise ModelError(f"{', '.join(parameter.targets)}: one of the targets is named twice")
+    return found
+
+
+def _of_properties(
+    structure: Structure, parameter: Parameter, idents: Iterable[int]
+) -> list[ValuePlace]:
+    """Numbers of property cards, or of the materials that they name. Raises ModelError."""
+    found: list[ValuePlace] = []
+    materials: dict[int, None] = {}
+    for ident in idents:
+        named = structure.materials_of[ident] if parameter.quantity in OF_MATERIALS else ()
+        materials.update(dict.fromkeys(sorted(named)))
+        if not named:
+            card = structure.property_card(str(ident))
+            found += _of_property(structure, parameter, card, ident)
+    for ident in materials:
+        found += _of_material(structure, parameter, structure.material(str(ident)))
     return found
 
 
@@ -212,6 +234,7 @@ def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]
     numbers = structure.element_numbers(family, parameter.targets)
     found: list[ValuePlace] = []
     by_property: list[int] = []
+    materials: dict[int, None] = {}
     for number in numbers:
         card = structure.element(family, number)
         entries = ELEMENT_ENTRIES.get((quantity, card.name))
@@ -227,12 +250,13 @@ def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]
                 f"{structure.deck.where(card)}: {card.name} {number} has no mass of its own to "
                 "update; CONM2, CMASS2 and CMASS4 have"
             )
+        elif card.name == "CONROD" and quantity in OF_MATERIALS:
+            materials[structure.bulk.elements[number].mid] = None
         else:
             by_property.append(number)
-    for ident in structure.properties_of(by_property):
-        card = structure.property_card(str(ident))
-        found += _of_property(structure, parameter, card, ident)
-    return found
+    for ident in materials:
+        found += _of_material(structure, parameter, structure.material(str(ident)))
+    return found + _of_properties(structure, parameter, structure.properties_of(by_property))
 
 
 def select(
@@ -262,12 +286,18 @@ def select(
     symbols = ", ".join(symbol for _, _, symbol in picked)
     if all(value is None for _, value in numbers):
         raise ModelError(f"{where}: {symbols} is blank, so there is no {parameter.quantity}")
+    relative = parameter.values == "relative"
+    if parameter.quantity not in STATION:  # all stations of a beam are of one number
+        check_one(parameter, where, [entry[0] for entry, value in numbers if value is not None])
     # A factor does not change a zero.
     places = [
-        ValuePlace(card, field, value, ident, symbol)
-        for (_, field, symbol), value in numbers
-        if value
+        ValuePlace(card, field, value, ident, symbol, at < 0)
+        for (at, field, symbol), value in numbers
+        if value or (value is not None and not relative and at >= 0)
     ]
     if not places:
-        raise ModelError(f"{where}: {symbols} is zero, which no factor changes")
+        raise ModelError(
+            f"{where}: {symbols} is zero, which no factor changes; an absolute or additive "
+            "parameter does"
+        )
     return places

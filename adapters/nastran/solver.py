@@ -86,7 +86,7 @@ class NastranProgram:
         return self.dialect.version(self.program)
 
     def render(self, deck: EditedNastran, analysis: Analysis) -> Rendered:
-        text = job_text(deck.model, deck.changed, analysis, self.dialect)
+        text = job_text(deck.model, deck.changed, analysis, self.dialect, deck.values)
         data = text.encode("utf-8", "surrogateescape")
         groups = analysis.groups if isinstance(analysis, ModalAnalysis) else ()
         asked = analysis.parameters if isinstance(analysis, SensitivityAnalysis) else ()

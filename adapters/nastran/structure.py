@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 
@@ -22,6 +22,23 @@ LISTED = 10
 MATERIALS = ("mid", "mid1", "mid2", "mid3", "mid4")
 
 
+@dataclass(frozen=True, slots=True)
+class Copies:
+    """Cards that were added for elements of parameters (`splitting.py`).
+
+    properties, materials: numbers of the copies of each; said: what was done, a sentence each.
+    """
+
+    properties: Mapping[int, Sequence[int]] = field(default_factory=dict)
+    materials: Mapping[int, Sequence[int]] = field(default_factory=dict)
+    said: tuple[str, ...] = ()
+
+    def with_(self, other: Copies) -> Copies:
+        """These and others."""
+        properties = {**self.properties, **other.properties}
+        return Copies(properties, {**self.materials, **other.materials}, self.said + other.said)
+
+
 @dataclass(frozen=True)
 class Structure:
     """A deck, what its cards mean, and the cards by number."""
@@ -29,6 +46,7 @@ class Structure:
     deck: NastranDeck
     bulk: Bulk
     owners: Owners
+    copies: Copies = Copies()
 
     @cached_property
     def elements_of(self) -> dict[int, frozenset[int]]:
@@ -99,6 +117,18 @@ class Structure:
         if number not in self.elements_of:
             raise ModelError(f"{self.deck.where(card)}: no element uses {card.name} {number}")
         return card
+
+    def materials(self, target: str) -> list[tuple[int, NastranCard]]:
+        """A material that elements use and its copies, by number. Raises ModelError."""
+        first = self.material(target)
+        others = self.copies.materials.get(int(target), ())
+        return [(int(target), first), *((ident, self.material(str(ident))) for ident in others)]
+
+    def properties(self, target: str) -> list[tuple[int, NastranCard]]:
+        """A property that elements use and its copies, by number. Raises ModelError."""
+        first = self.property_card(target)
+        others = self.copies.properties.get(int(target), ())
+        return [(int(target), first), *((i, self.property_card(str(i))) for i in others)]
 
     def element(self, family: Cards, number: int) -> NastranCard:
         """The card of an element. Raises ModelError."""

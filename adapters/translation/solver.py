@@ -28,9 +28,10 @@ from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number, Solver
 from modetune.adapters.translation.translate import translate
 from modetune.core.errors import ModelError
+from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, Values
+from modetune.core.parameters import Parameter, Values, driven_by
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult
 
@@ -65,6 +66,13 @@ class TranslatedDeck(Deck):
     def _nominal(self) -> CalculixDeck:
         return CalculixDeck(self.edited({}).model, ())
 
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.model.parameters
+
+    def splits(self) -> tuple[str, ...]:
+        return self.model.splits()
+
     def mesh(self) -> Mesh:
         """The user's own mesh, not the translated one."""
         return self.model.mesh()
@@ -98,20 +106,30 @@ class TranslatedDeck(Deck):
 
         Not every parameter that a Nastran model is linear in is so in its translation.
         """
-        if parameter.quantity == "poissons_ratio" or self.model.problems((parameter,)):
+        driven = driven_by(parameter, self.parameters)
+        moved = {item.quantity for item in (parameter, *driven)}
+        if "poissons_ratio" in moved or any(degree(item.expression) > 1 for item in driven):
+            return None
+        if self.model.problems((parameter,)):
             return None
         wanted = (0.5, 0.75, 1.5, 2.0) if parameter.quantity == "thickness" else (0.5, 2.0)
         values = [self.model.written(parameter, value) for value in wanted]
+        rest = {item.name: 1.0 for item in self.parameters if not item.expression}
         try:
-            edits = [self.model.edit([(parameter, value)]) for value in values]
-            models = [self._translate(edit).model for edit in edits]
+            nominal, *models = (
+                self.edited({**rest, parameter.name: value}).model for value in (1.0, *values)
+            )
         except ModelError:
             return None
-        changed = changed_places(self._nominal.model, models, values)
+        changed = changed_places(nominal, models, values)
         if changed is None:
             return None
         found = self._nominal.affected_elements_of(changed.places, changed.powers)
-        return found and replace(found, proportional=found.proportional and changed.proportional)
+        plain = parameter.proportional and not driven
+        if found is None or (found.powers != (1,) and not plain):
+            return None
+        whole = found.proportional and changed.proportional and plain
+        return replace(found, proportional=whole, related=bool(driven))
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers

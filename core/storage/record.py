@@ -7,14 +7,16 @@ front of the HDF5 content (`core/storage/seal`).
     /                      attributes: name, status, reason, solver, solver_version,
                            modetune_version, units, deck_digest (SHA-256 and name of its file),
                            e1_frequency, e1_mac, e2, campaign_text (of its file), wall_s
-                           datasets: deck_values, updated, standard_errors (n_parameters,),
+                           datasets: deck_values (n_parameters + n_dependents,), updated,
+                           standard_errors (n_parameters,),
                            correlation (n_par, n_par), settings (what was put over the
                            campaign for this run),
                            versions (of Python and packages), configurations (n_modes,): whose
                            test each mode is of, empty where the campaign has one model
     /runs/                 attributes: modal, sensitivity, reused, core_s, licence_s
     /parameters/parameters/0000/...   one group a parameter: attributes name, quantity, by, lower,
-                           upper, standard_deviation, initial, item; dataset targets
+                           upper, standard_deviation, initial, item, values, origin, scale,
+                           expression; dataset targets; /parameters/dependents/0000/... alike
     /test/                 numbers (n_modes,)
     /test/modes/           frequencies_hz (n_modes,), mode_shapes (n_dof, n_modes), nodes,
                            components (n_dof,), damping_ratios (n_modes,; empty if unknown);
@@ -166,7 +168,8 @@ class CampaignRecord:
     e1_frequency, e1_mac, e2: the campaign's tolerances. versions: what it ran with, `name number`.
     trust: None while the campaign runs, and where no sensitivity was computed. held_out: None while
     it runs, and where nothing was held out. configurations: (n_modes,), whose test each
-    mode of `test` is of; empty where the campaign has one model.
+    mode of `test` is of; empty where the campaign has one model. splits: cards that were added for
+    the elements of parameters, a sentence each.
     """
 
     name: str
@@ -200,6 +203,7 @@ class CampaignRecord:
     trust: Trust | None = None
     held_out: HeldOut | None = None
     configurations: tuple[str, ...] = ()
+    splits: tuple[str, ...] = ()
 
     __repr__ = brief
 

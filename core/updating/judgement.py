@@ -50,15 +50,16 @@ def judge_parameters(
             )
             said |= _share_clause(share, mixed, like)
         far = abs(value - 1.0) / item.standard_deviation
+        where = "the deck" if item.values == "relative" else "its start"
         if far > FAR:
             said["far"] = (
-                f"is {_percent(value - 1.0)} from the deck, {far:.1f} times the deviation it was "
-                "given: it may stand in for something else that is wrong"
+                f"is {_change(item, value - 1.0)} from {where}, {far:.1f} times the deviation it "
+                "was given: it may stand in for something else that is wrong"
             )
         if not said and np.isfinite(error) and error > max(abs(change), NEGLIGIBLE):
             said["uncertain"] = (
-                f"changed by {_percent(change)}, less than its standard error "
-                f"(±{100 * error:.2g} %): the value it had fits as well"
+                f"changed by {_change(item, change)}, less than its standard error "
+                f"({_change(item, error).replace('+', '±')}): the value it had fits as well"
             )
         others = sorted({*hidden.get(place, ()), *alike.get(place, ())})
         judged.append(
@@ -81,8 +82,8 @@ def _bound_clause(item: Parameter, value: float) -> dict[str, str]:
     for side, bound in bounds.items():
         if np.isclose(value, bound, atol=1e-9):
             return {
-                "on_bound": f"stands on its {side} bound ({bound:g}): the number is the "
-                "bound's, not the test's"
+                "on_bound": f"stands on its {side} bound ({item.shown(bound):g}): the number is "
+                "the bound's, not the test's"
             }
     return {}
 
@@ -263,6 +264,11 @@ def _spread_sentences(trust: Trust) -> list[str]:
 
 def _values(names: list[str], values: list[float]) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in zip(names, values, strict=True))
+
+
+def _change(item: Parameter, change: float) -> str:
+    """A change of a parameter's value: in per cent, or in the units of its values."""
+    return _percent(change) if item.values == "relative" else f"{item.scale * change:+.3g}"
 
 
 def _percent(share: float) -> str:

@@ -151,16 +151,22 @@ class Campaign:
             return own
         return replace(
             own,
-            parameters=ParameterSet(tuple(self.parameters.parameters[n] for n in case.columns)),
+            parameters=self.parameters.only(case.columns),
             begin=None if self.begin is None else tuple(self.begin[n] for n in case.columns),
         )
 
     def deck_value(self, parameter: Parameter) -> float:
         """A parameter's value in the deck of the first case that has it."""
-        case = next(
-            item for item in self.cases if parameter in self.alone(item).parameters.parameters
-        )
+        own = ((case, self.alone(case).parameters) for case in self.cases)
+        case = next(c for c, p in own if parameter in (*p.parameters, *p.dependents))
         return case.solver.deck.deck_value(parameter)
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Cards that were added to the decks for the elements of parameters, a sentence each."""
+        return tuple(
+            dict.fromkeys(said for case in self.cases for said in case.solver.deck.splits())
+        )
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         """Write the updated deck and return its place; of several cases each in a folder of its
@@ -189,7 +195,7 @@ def load_campaign(
     except ValidationError as error:
         raise CampaignError([_problem(source, item) for item in error.errors()]) from None
     problems: list[str] = []
-    parameters = ParameterSet(tuple(item.parameter() for item in file.parameters))
+    parameters = file.parameter_set()
     cases = _read_cases(source, file, problems)
     problems += core_problems(source, run, cores()) + licence_problems(source, file)
     if problems:
@@ -247,7 +253,7 @@ def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Cas
         return None
     used, held = used_modes(file, measurement), held_out_modes(file, measurement)
     test = replace(used, modes=used.modes.rows(mapping.rows))
-    parameters = ParameterSet(tuple(item.parameter() for item in file.parameters))
+    parameters = file.parameter_set()
     return Case(
         solver=solver,
         units=file.model.units,

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
+from modetune.core.expressions import names_of
 from modetune.flows.campaign.schema import CampaignFile, ConfigurationSection
 from modetune.flows.campaign.solvers import bind_solver
 
@@ -24,7 +25,8 @@ OWN = ("model", "test")
 class ConfigurationFile:
     """The campaign file as one configuration alone would have it.
 
-    source: with the lines at which its own keys stand; columns: positions of its parameters.
+    source: with the lines at which its own keys stand; columns: positions of its parameters among
+    the free ones of the campaign.
     """
 
     section: ConfigurationSection
@@ -48,10 +50,12 @@ def configuration_files(
         sections.insert(0, ((), base))
     problems += _joint_problems(source, file, [item for _, item in sections])
     found = []
+    free = [place for place, item in enumerate(file.parameters) if item.expression is None]
+    used = set[int]()
     for place, section in sections:
         view = _view(source, place)
-        columns = _known_parameters(view, file, section)
-        if not columns:
+        places = _known_parameters(view, file, section)
+        if not places:
             problems.append(
                 f"{view.where(('model',))}: configurations: {section.name} has none of the "
                 "campaign's parameters; every configuration needs one"
@@ -62,11 +66,12 @@ def configuration_files(
                 "test": section.test,
                 "residuals": section.residuals or file.residuals,
                 "configurations": (),
-                "parameters": tuple(file.parameters[column] for column in columns),
+                "parameters": tuple(file.parameters[place] for place in places),
             }
         )
-        found.append(ConfigurationFile(section, _moved(view, columns), own, columns))
-    used = {column for item in found if not item.section.hold_out for column in item.columns}
+        columns = tuple(free.index(place) for place in places if place in free)
+        found.append(ConfigurationFile(section, _moved(view, places), own, columns))
+        used |= set() if section.hold_out else set(places)
     for column, parameter in enumerate(file.parameters):
         if column not in used and parameter.configurations is None:
             problems.append(
@@ -132,13 +137,23 @@ def _known_parameters(
     ]
     free = [column for column, item in enumerate(file.parameters) if item.configurations is None]
     try:
-        solver = bind_solver(section.model, source.path.parent / section.model.deck, ())
+        parameters = tuple(item.parameter() for item in file.parameters)
+        solver = bind_solver(section.model, source.path.parent / section.model.deck, parameters)
     except ModelError:
         return tuple(sorted((*named, *free)))  # told where the model is read
     alive = [
         column
         for column in free
-        if not solver.deck.problems((file.parameters[column].parameter(),))
+        if file.parameters[column].quantity != "variable"
+        and not solver.deck.problems((parameters[column],))
+    ]
+    # What expressions name comes with them.
+    own = {file.parameters[column].expression or "0" for column in (*named, *alive)}
+    asked = {name for expression in own for name in names_of(expression)}
+    alive += [
+        column
+        for column, item in enumerate(file.parameters)
+        if item.name in asked and column not in (*named, *alive)
     ]
     return tuple(sorted((*named, *alive)))
 

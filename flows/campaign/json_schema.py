@@ -57,6 +57,7 @@ def _add_rules(sections: dict[str, Any]) -> None:
             "then": {"anyOf": [*_one_of(targets), none]},
         }
         for quantity, targets in TARGETS.items()
+        if targets
     ]
 
 

@@ -115,6 +115,8 @@ def scale_together(one: tuple[Parameter, Sampling], other: tuple[Parameter, Samp
         return False
     if not _same_matrix(here.affected, there.affected):
         return False
+    if here.affected.related or there.affected.related:
+        return not here.affected.elements.isdisjoint(there.affected.elements)
     # Moduli of two materials in one laminate are a sum.
     summed = first.quantity == second.quantity and here.powers == there.powers == (1,)
     return not summed and not here.affected.elements.isdisjoint(there.affected.elements)

@@ -77,7 +77,7 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     if file.model.eigensolver == "pardiso":
         from modetune.flows.campaign.matrix_plan import unsuitable
 
-        reason = unsuitable(solver, tuple(item.parameter() for item in file.parameters), method)
+        reason = unsuitable(solver, file.parameter_set().parameters, method)
         if reason is not None:
             where = source.where(("model", "eigensolver"))
             return [f"{where}: eigensolver pardiso: {reason}; use `auto` or solver"]
@@ -93,6 +93,6 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     return [
         f"{place}: the stiffness is not proportional to {item.name} "
         f"({solver.deck.preload() or item.quantity}); use `auto`"
-        for item in (section.parameter() for section in file.parameters)
+        for item in file.parameter_set().parameters
         if not solver.deck.problems((item,)) and not solver.deck.energy_sets(item)
     ]

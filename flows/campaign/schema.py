@@ -6,6 +6,7 @@ into a Campaign.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -17,11 +18,21 @@ from pydantic import (
 )
 from pydantic_core import PydanticKnownError
 
-from modetune.core.parameters import TARGETS, Parameter, Quantity, TargetKind
+from modetune.core.errors import ModelError
+from modetune.core.expressions import names_of
+from modetune.core.parameters import (
+    TARGETS,
+    Parameter,
+    ParameterSet,
+    Quantity,
+    TargetKind,
+    ValueKind,
+    counted_from,
+)
 from modetune.core.updating.estimation import StepForm
 from modetune.flows.campaign.command_section import CommandSection
 from modetune.flows.campaign.residual_section import ResidualSection
-from modetune.flows.campaign.section import Name, NotNegative, Positive, Section, Share
+from modetune.flows.campaign.section import Finite, Name, NotNegative, Positive, Section, Share
 from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.site import RunSection
 
@@ -126,12 +137,21 @@ class TestSection(Section):
 
 
 class ParameterSection(Section):
-    """One updating parameter; bounds, deviation and initial are relative to the deck's value."""
+    """One updating parameter; bounds, deviation and initial are relative to the deck's value unless
+    `values` says otherwise."""
 
     name: Name
-    """What the parameter is called in tables, in the record and in `--at`."""
+    """What the parameter is called in tables, in the record, in expressions and in `--at`."""
     quantity: Quantity
-    """What of the model it scales."""
+    """What of the model it moves; `variable`: nothing itself, expressions of others name it."""
+    values: ValueKind = "relative"
+    """What its values are: factors on the deck's value; `absolute`: the value itself, in the deck's
+    units; `additive`: what is added to the deck's value. Those two may be zero or change their
+    sign, and need `bounds` and `deviation`, absolute ones `initial`: nothing else tells their
+    size."""
+    expression: Annotated[str, Field(min_length=1, max_length=500)] | None = None
+    """Arithmetic of other parameters' values, such as `width**4 / 12`, that gives its value: then
+    it has no freedom, bounds, deviation or start of its own."""
     item: Annotated[int, Field(ge=0)] = 0
     """Which of a card's numbers: a ply, a dimension, a direction; 0: the one, or all."""
     material: Targets | None = None
@@ -141,15 +161,16 @@ class ParameterSection(Section):
     property: Targets | None = None
     """Number of a Nastran property, or a list of them tied together."""
     element: Targets | None = None
-    """Number or range (`101-120`) of Nastran elements, or a list of them tied together."""
+    """Number or range (`101-120`) of elements, or a list of them tied together. What they share
+    with others (a material, a property, a section) is copied for them."""
     part: Targets | None = None
     """Part of a model of matrices, or a list of them tied together."""
-    bounds: tuple[Positive, Positive] = (0.5, 2.0)
+    bounds: tuple[Finite, Finite] = (0.5, 2.0)
     """Least and largest value [of the deck's value]"""
     deviation: Positive = 0.2
     """How uncertain the value is beforehand: its standard deviation [of the deck's value]"""
-    initial: Positive = 1.0
-    """The value that updating starts from [of the deck's value]"""
+    initial: Finite = 1.0
+    """The value that updating starts from; of additive ones 0 unless given [of the deck's value]"""
     configurations: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
     """Names of the configurations it belongs to; without it all whose deck has what it scales."""
 
@@ -160,12 +181,42 @@ class ParameterSection(Section):
         if len(given) > 1 or any(key not in wanted for key in given):
             found = f"not {' and '.join(f'`{key}`' for key in given)}"
             raise ValueError(f"{self.quantity} needs {targets_of(self.quantity)}; {found}")
+        if self.expression is not None:
+            self._check_expression(self.expression)
+            return self
+        missing = [] if self.values == "relative" else ["bounds", "deviation"]
+        missing += ["initial"] if self.values == "absolute" else []
+        lost = [f"`{key}`" for key in missing if key not in self.model_fields_set]
+        if lost:
+            raise ValueError(
+                f"{self.values} values need {' and '.join(lost)}: the deck's value may be zero, so "
+                "nothing else tells how large a step of theirs is"
+            )
         lower, upper = self.bounds
         if lower >= upper:
             raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
-        if not lower <= self.initial <= upper:
-            raise ValueError(f"initial value {self.initial:g} is outside the bounds")
+        if self.values == "relative" and lower <= 0.0:
+            raise ValueError(
+                f"bounds: the lower ({lower:g}) must be above zero, a factor; `values: additive` "
+                "and `values: absolute` may be zero"
+            )
+        if not lower <= self.start() <= upper:
+            raise ValueError(f"initial value {self.start():g} is outside the bounds")
         return self
+
+    def _check_expression(self, expression: str) -> None:
+        own = {"bounds", "deviation", "initial"} & self.model_fields_set
+        if own:
+            raise ValueError(
+                f"`expression` gives the value, so {' and '.join(sorted(own))} would mean nothing: "
+                "leave it out"
+            )
+        if self.quantity == "variable":
+            raise ValueError("a variable is what expressions name; it has no expression itself")
+        try:
+            names_of(expression)
+        except ModelError as error:
+            raise ValueError(str(error)) from None
 
     def by(self) -> TargetKind:
         """What the targets name; without one the parameter's name is that of its placeholder."""
@@ -177,17 +228,29 @@ class ParameterSection(Section):
         chosen = self.name if self.by() == "placeholder" else getattr(self, self.by())
         return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
 
+    def start(self) -> float:
+        """The value that updating starts from."""
+        additive = self.values == "additive" and "initial" not in self.model_fields_set
+        return 0.0 if additive else self.initial
+
     def parameter(self) -> Parameter:
         """The parameter as the program has it."""
+        own = (self.name, self.quantity, self.by(), self.targets())
+        if self.expression is not None:
+            free = (-math.inf, math.inf, math.nan, math.nan)
+            return Parameter(*own, *free, self.item, self.values, expression=self.expression)
+        origin, scale = counted_from(self.values, self.start(), self.bounds[0], self.deviation)
+        lower, upper, initial = ((value - origin) / scale for value in (*self.bounds, self.start()))
         return Parameter(
-            self.name,
-            self.quantity,
-            self.by(),
-            self.targets(),
-            *self.bounds,
-            self.deviation,
-            self.initial,
+            *own,
+            lower,
+            upper,
+            self.deviation / scale,
+            initial,
             self.item,
+            self.values,
+            origin,
+            scale,
         )
 
 
@@ -319,6 +382,33 @@ class CampaignFile(Section):
         if len(set(names)) != len(names):
             raise ValueError("two parameters have the same name")
         return self
+
+    @model_validator(mode="after")
+    def _related(self) -> CampaignFile:
+        free = {item.name for item in self.parameters if item.expression is None}
+        variables = {item.name for item in self.parameters if item.quantity == "variable"}
+        for item in self.parameters:
+            names = names_of(item.expression) if item.expression else ()
+            unknown = [name for name in names if name not in free]
+            if unknown:
+                raise ValueError(
+                    f"the expression of {item.name} names {', '.join(unknown)}; it may name the "
+                    f"free parameters of the campaign: {', '.join(sorted(free)) or 'none'}"
+                )
+            variables -= set(names)
+        if variables:
+            raise ValueError(f"no expression names the variable {', '.join(sorted(variables))}")
+        if self.parameters and not free:
+            raise ValueError("all parameters follow from expressions, none is free")
+        return self
+
+    def parameter_set(self) -> ParameterSet:
+        """The parameters as the program has them."""
+        found = [item.parameter() for item in self.parameters]
+        return ParameterSet(
+            tuple(item for item in found if not item.expression),
+            tuple(item for item in found if item.expression),
+        )
 
     @model_validator(mode="after")
     def _kept(self) -> CampaignFile:

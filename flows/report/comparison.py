@@ -12,6 +12,7 @@ from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers, common_dofs
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.flows.report.mode_tables import mode_rows
+from modetune.flows.report.parameter_tables import parameter_rows
 
 #: Correlation of two estimated parameters from which the test can hardly tell them apart.
 ENTANGLED = 0.95
@@ -148,13 +149,12 @@ def remarks(record: CampaignRecord) -> tuple[str, ...]:
             f"On a bound: {', '.join(at_bounds)}. The test would take the value further than the "
             "campaign allows; see whether the bound or something else of the model is wrong."
         )
-    for name, value, error in zip(
-        record.parameters.names, record.updated, record.standard_errors, strict=True
-    ):
-        if error > DOUBTFUL_ERROR * abs(value):
+    for row in parameter_rows(record):
+        if row.value_error > DOUBTFUL_ERROR * abs(row.updated_value) > 0.0:
+            share = row.value_error / abs(row.updated_value)
             found.append(
-                f"{name} is known to ±{100 * error / abs(value):.0f} % only: these modes hardly "
-                "depend on it."
+                f"{row.name} is known to ±{100 * share:.0f} % only: these modes hardly depend on "
+                "it."
             )
     found += [
         f"{one} and {other} are entangled (correlation {value:+.2f}): the test tells their "

@@ -137,6 +137,8 @@ def _parameters(record: CampaignRecord) -> str:
     on = record.parameters.at_bounds(record.updated)
     bounds = "none stands on a bound" if not on else f"{', '.join(on)} on a bound"
     names = record.parameters.names
+    if any(item.values != "relative" for item in record.parameters.parameters):
+        return f"{', '.join(names)} updated; {bounds}."  # shares of what may be zero say nothing
     if len(names) == 1:
         return f"{names[0]} was changed by {percent(change[0], 1)}, {bounds}."
     return (

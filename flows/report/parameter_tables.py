@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.trust import Trust
 from modetune.flows.report.tables import Column, Table, columns_of, table_of
@@ -20,10 +22,12 @@ SYSTEMS: dict[str, tuple[str, str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """A parameter before and after, relative to the deck and (deck_value, updated_value) not.
+    """A parameter before and after, as its values mean (`values`) and in the deck's units
+    (deck_value, updated_value, value_error).
 
-    standard_error: relative to the deck; test_share: 1 is the test alone, 0 the prior alone, None
-    where it was not judged.
+    standard_error: of its values; value_error: of the deck's number; test_share: 1 is the test
+    alone, 0 the prior alone, None where it was not judged, as of what an expression gives, whose
+    bounds are infinite.
     """
 
     name: Annotated[str, Column("parameter")]
@@ -32,10 +36,12 @@ class ParameterRow:
     deck_value: Annotated[float, Column("deck", form=".6g")]
     updated_value: Annotated[float, Column("updated", form=".6g")]
     unit: Annotated[str, Column("unit")]
+    values: Annotated[str, Column("values")]
     initial: Annotated[float, Column("start, relative", form=".4f")]
     updated: Annotated[float, Column("updated, relative", form=".4f")]
     change: Annotated[float, Column("change", "%", "+.2f")]
     standard_error: Annotated[float, Column("standard error, of deck", "%", ".2f", "not known")]
+    value_error: Annotated[float, Column("standard error", "", ".3g", "not known")]
     test_share: Annotated[float | None, Column("told by the test", "%", ".0f")]
     bounds: Annotated[tuple[float, float], Column("bounds, relative", form="g")]
     on_bound: Annotated[bool, Column("on a bound")]
@@ -64,11 +70,16 @@ TRUST = (
 
 
 def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
-    """Every parameter, in the campaign's order."""
+    """Every parameter, in the campaign's order, then what expressions give."""
     stuck, trust = record.parameters.at_bounds(record.updated), record.trust
+    first = record.iterations[0].parameters
+    starts, ends = (dict(record.parameters.assigned(theta)) for theta in (first, record.updated))
+    errors = (*record.standard_errors, *_dependent_errors(record))
     rows = []
-    for place, item in enumerate(record.parameters.parameters):
-        start, updated = float(record.iterations[0].parameters[place]), float(record.updated[place])
+    for place, (item, start) in enumerate(starts.items()):
+        deck, error = float(record.deck_values[place]), float(errors[place])
+        before, after = (item.number(deck, value) for value in (start, ends[item]))
+        factor = deck if item.values == "relative" else 1.0
         words = item.quantity.replace("_", " ")
         words = words.replace("youngs", "Young's").replace("poissons", "Poisson's")
         rows.append(
@@ -76,25 +87,47 @@ def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
                 name=item.name,
                 quantity=item.quantity,
                 meaning=" of ".join([words, *([", ".join(item.targets)] * bool(item.targets))]),
-                deck_value=float(record.deck_values[place]),
-                updated_value=float(record.deck_values[place]) * updated,
+                deck_value=deck,
+                updated_value=after,
                 unit=unit_of(record.units, item.quantity),
-                initial=start,
-                updated=updated,
-                change=updated / start - 1.0,
-                standard_error=float(record.standard_errors[place]),
-                test_share=None if trust is None else trust.parameters[place].test_share,
-                bounds=(item.lower, item.upper),
+                values=item.values,
+                initial=item.shown(start),
+                updated=item.shown(ends[item]),
+                change=after / before - 1.0 if before else np.nan,
+                standard_error=item.scale * error,
+                value_error=abs(factor) * item.scale * error,
+                test_share=None
+                if trust is None or item.expression
+                else trust.parameters[place].test_share,
+                bounds=(item.shown(item.lower), item.shown(item.upper)),
                 on_bound=item.name in stuck,
             )
         )
     return tuple(rows)
 
 
+def _dependent_errors(record: CampaignRecord) -> list[float]:
+    """Standard errors of what expressions give, by their slopes at the updated values."""
+    parameters, errors = record.parameters, record.standard_errors
+    steps = 1e-4 * np.eye(len(parameters))
+    ends = [
+        [
+            np.array([v for p, v in parameters.assigned(record.updated + way) if p.expression])
+            for way in (step, -step)
+        ]
+        for step in steps
+    ]
+    slopes = np.array([(high - low) / 2e-4 for high, low in ends])
+    covariance = record.correlation * np.outer(errors, errors)
+    return [float(np.sqrt(slope @ covariance @ slope)) for slope in slopes.T]
+
+
 def parameter_table(record: CampaignRecord, only: str = "") -> Table:
     """Values, bounds and standard errors; units and the test's shares where they are known."""
     rows = parameter_rows(record)
     names = only.split() or [column.name for column in columns_of(ParameterRow)]
+    if any(row.values != "relative" for row in rows):  # no one unit of all errors
+        names = ["value_error" if name == "standard_error" else name for name in names]
     known = [
         name
         for name in names
@@ -130,7 +163,7 @@ def start_table(record: CampaignRecord) -> Table:
                 f"{start + 1}{' (the answer)' if start == spread.chosen else ''}",
                 int(spread.minima[start]) + 1 or None,
                 spread.misfits[start],
-                *spread.updated[start],
+                *record.parameters.shown(spread.updated[start]),
                 outcome,
             )
             for start, outcome in enumerate(spread.outcomes)

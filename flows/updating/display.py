@@ -129,7 +129,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
         console.print(Text(line), soft_wrap=True)
     show_held_out(console, record.held_out)
     show_table(console, parameter_table(record, BRIEF_PARAMETERS))
-    for line in trust_lines(record):
+    for line in (*record.splits, *trust_lines(record)):
         console.print(Text(line), soft_wrap=True)
     runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
     console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)

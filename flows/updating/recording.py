@@ -42,6 +42,7 @@ def campaign_record(
 ) -> CampaignRecord:
     """The record of a campaign as it stands; standard errors are by its newest matrix."""
     accepted, only = [item for item in iterations if item.accepted], campaign.only
+    own = campaign.parameters
     errors, correlation, remaining = _scatter(campaign, accepted[-1], matrix)
     return CampaignRecord(
         name=campaign.name,
@@ -50,9 +51,9 @@ def campaign_record(
         modetune_version=__version__,
         solver=campaign.solver_name,
         solver_version=campaign.solver_version(),
-        parameters=campaign.parameters,
+        parameters=own,
         deck_values=np.array(
-            [campaign.deck_value(item) for item in campaign.parameters.parameters]
+            [campaign.deck_value(item) for item in (*own.parameters, *own.dependents)]
         ),
         test=campaign.test,
         iterations=tuple(iterations),
@@ -73,6 +74,7 @@ def campaign_record(
         e1_mac=campaign.tolerances.mac,
         e2=campaign.update.e2,
         configurations=campaign.configurations,
+        splits=campaign.splits,
         versions=_versions(),
         # A large deck takes a moment to digest, so only the record that stays tells it.
         deck_digest="" if status == "running" else _deck_digest(campaign),
@@ -134,6 +136,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         mean_error_initial=np.abs(record.iterations[0].frequency_errors).mean(),
         mean_error_updated=np.abs(record.best.frequency_errors).mean(),
         held_out=held_out_rows(record.held_out),
+        splits=record.splits,
         sensitivity_skipped=sum(item.sensitivity_skipped for item in record.iterations),
         wall_s=round(record.wall_s, 3),
         core_minutes=round(record.runs.core_s / 60.0, 4),

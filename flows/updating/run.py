@@ -111,7 +111,9 @@ class CampaignRun:
             "parameters: "
             + ", ".join(
                 f"{name} {value:.4g}"
-                for name, value in zip(record.parameters.names, record.updated, strict=True)
+                for name, value in zip(
+                    record.parameters.names, record.parameters.shown(record.updated), strict=True
+                )
             ),
             f"in {self.folder}",
         ]

@@ -54,14 +54,15 @@ def read_earlier(folder: Path) -> EarlierRun | None:
         logger.warning("the record of the run before cannot be read: %s", error)
         return None
     names, first = record.parameters.names, record.iterations[0]
-    values = record.updated * record.deck_values
+    ends = record.parameters.assigned(record.updated)
+    values = [p.number(deck, v) for (p, v), deck in zip(ends, record.deck_values, strict=True)]
     return EarlierRun(
         campaign_text=record.campaign_text,
         settings="\n".join(record.settings),
         test=_test_arrays(record.test),
         modal_key=first.modal_key,
         started=dict(zip(names, first.parameters.tolist(), strict=True)),
-        updated=dict(zip(names, values.tolist(), strict=True)),
+        updated=dict(zip(names, values, strict=False)),
     )
 
 
@@ -90,7 +91,7 @@ def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) 
     for item in campaign.parameters.parameters:
         deck_value = campaign.deck_value(item)
         value = earlier.updated.get(item.name, np.nan)
-        relative = value / deck_value if deck_value else np.nan
+        relative = item.relative_to(deck_value, value)
         known = np.isfinite(relative)
         begin.append(float(np.clip(relative, item.lower, item.upper)) if known else item.initial)
     logger.info("starting from the parameters that the run before ended on")

@@ -38,7 +38,7 @@ class EnergyShare:
 
 def bound_findings(campaign: Campaign) -> list[Finding]:
     """What is strange about bounds, starts, and the number of parameters."""
-    found = []
+    found = [Finding("good", "parameters", said) for said in campaign.splits]
     for parameter in campaign.parameters.parameters:
         found += [
             Finding(level, "parameters", said, f"parameter {parameter.name}", remedy)
@@ -64,15 +64,15 @@ def bound_findings(campaign: Campaign) -> list[Finding]:
 
 
 def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]:
-    bounds = f"bounds {item.lower:g} to {item.upper:g}"
+    bounds = f"bounds {item.shown(item.lower):g} to {item.shown(item.upper):g}"
     found: list[tuple[Level, str, str]] = []
     if item.quantity == "poissons_ratio":
-        reach = campaign.case.solver.deck.deck_value(item) * item.upper
+        reach = item.number(campaign.case.solver.deck.deck_value(item), item.upper)
         if reach >= POISSON_LIMIT:
             found.append(
                 ("wrong", f"{bounds} let Poisson's ratio reach {reach:.3g}", "keep it below 0.5")
             )
-    if not any(POWERS[item.quantity]):
+    if not any(POWERS[item.quantity]) and item.quantity != "variable":
         found.append(
             (
                 "doubtful",
@@ -81,7 +81,8 @@ def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]
                 "leave it out; no response of this campaign tells it",
             )
         )
-    if not item.lower <= 1.0 <= item.upper:
+    relative = item.values == "relative"
+    if relative and not item.lower <= 1.0 <= item.upper:
         found.append(
             (
                 "doubtful",
@@ -89,7 +90,7 @@ def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]
                 "bounds are relative to the deck's value, 1",
             )
         )
-    if item.lower < 1.0 / WIDEST or item.upper > WIDEST:
+    if relative and (item.lower < 1.0 / WIDEST or item.upper > WIDEST):
         found.append(
             (
                 "doubtful",
@@ -101,7 +102,11 @@ def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]
         found.append(("doubtful", f"{bounds} leave no room", "widen them, or fix the parameter"))
     if min(item.initial - item.lower, item.upper - item.initial) < 1e-6:
         found.append(
-            ("doubtful", f"it starts on a bound ({item.initial:g})", "start inside the bounds")
+            (
+                "doubtful",
+                f"it starts on a bound ({item.shown(item.initial):g})",
+                "start inside the bounds",
+            )
         )
     return found
 

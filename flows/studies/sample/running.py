@@ -128,9 +128,8 @@ def carried_over(campaign: Campaign, earlier: CampaignRecord) -> Floats:
 
     Raises CampaignError where the update was of other parameters.
     """
-    updated = dict(
-        zip(earlier.parameters.names, earlier.updated * earlier.deck_values, strict=True)
-    )
+    ends = zip(earlier.parameters.assigned(earlier.updated), earlier.deck_values, strict=True)
+    updated = {item.name: item.number(deck, value) for (item, value), deck in ends}
     missing = [name for name in campaign.parameters.names if name not in updated]
     if missing:
         raise CampaignError(
@@ -138,7 +137,7 @@ def carried_over(campaign: Campaign, earlier: CampaignRecord) -> Floats:
             f"{', '.join(missing)}; name the run folder of this campaign, or leave --record out"
         )
     values = [
-        updated[item.name] / campaign.case.solver.deck.deck_value(item)
+        item.relative_to(campaign.case.solver.deck.deck_value(item), updated[item.name])
         for item in campaign.parameters.parameters
     ]
     return np.clip(np.array(values), campaign.parameters.lower, campaign.parameters.upper)

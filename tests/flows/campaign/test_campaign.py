@@ -92,7 +92,7 @@ def test_all_problems_come_at_once_each_with_its_line(folder: Path) -> None:
         ("units: mm-t-s", "units: furlongs", "line 5: model.units"),
         ("material: ALU", "material: STEEL", "line 8: parameter E_bar: the deck has no material"),
         ("material: ALU", "material: SPARE", "no element uses material SPARE"),
-        ("material: ALU", "elset: BAR", "youngs_modulus needs `material`"),
+        ("material: ALU", "part: BAR", "youngs_modulus needs `material`"),
         ("quantity: youngs_modulus", "quantity: colour", "line 8: parameters.0.quantity"),
         ("bounds: [0.7, 1.3]", "bounds: [0.7, .nan]", "line 8: parameters.0.bounds.1"),
         ("bounds: [0.7, 1.3]", "bounds: [1.1, 1.3]", "initial value 1 is outside the bounds"),

@@ -1,0 +1,187 @@
+"""Materials and properties of their own for the elements that parameters name.
+
+A parameter of a material that names properties or elements, and one of a section that names
+elements, acts on these alone. Where others share the card, the deck gets a copy of it with a free
+number behind the card, and the elements or properties concerned name the copy: the model is the
+same, one card more. A comment line before each copy says what it is.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from modetune.adapters.nastran.bulk import BY_LINES, SEVERAL
+from modetune.adapters.nastran.cards import large_field
+from modetune.adapters.nastran.deck import (
+    CardField,
+    NastranCard,
+    NastranDeck,
+    changed_lines,
+    with_added,
+)
+from modetune.adapters.nastran.structure import Copies, Structure
+from modetune.adapters.splitting import (
+    OF_MATERIALS,
+    Selection,
+    acting,
+    cells_of,
+    cut,
+    elements_named,
+    listed,
+)
+from modetune.core.errors import ModelError
+from modetune.core.parameters import Parameter
+
+#: Fields of a PSHELL that name materials; of others it is the second one.
+MATERIAL_FIELDS = {"PSHELL": (2, 4, 6, 11)}
+#: The field of the first ply's material, and how far the next one's is.
+PLIES = {"PCOMP": (9, 4), "PCOMPG": (10, 8)}
+#: Materials that belong to another by its number, such as its dependence on temperature.
+BESIDE = ("MATT", "MATS", "MATF", "MATTC", "CREEP")
+
+
+@dataclass(slots=True)
+class _Edits:
+    """Changes of a deck on the way: numbers in fields, and lines behind the last line of cards."""
+
+    structure: Structure
+    numbers: dict[CardField, int]
+    added: dict[int, list[str]]
+    said: list[str]
+
+    def name(self, card: NastranCard, field: int, number: int) -> None:
+        """Let a field of a card name another material or property. Raises ModelError."""
+        found = card.fields[field] if field < len(card.fields) else None
+        if found is None:
+            raise ModelError(
+                f"{self.structure.deck.where(card)}: field {field + 1} of {card.name} "
+                f"{card.text(1)} is blank, which means a default: write the number out"
+            )
+        self.numbers[found] = number
+
+    def copy(
+        self, card: NastranCard, number: int, fields: Mapping[int, int], whom: str, names: str
+    ) -> None:
+        """Add a card like this one with another number, and other numbers in some fields."""
+        where = self.structure.deck.where(card)
+        if card.name in BY_LINES or card.name in SEVERAL:
+            raise ModelError(
+                f"{where}: {card.name} {card.text(1)} is shared with others and cannot be copied; "
+                f"give {whom} a {card.name} of their own"
+            )
+        texts = [card.text(field) for field in range(1, len(card.fields))]
+        for field, value in {1: number, **fields}.items():
+            texts[field - 1] = str(value)
+        said = f"{card.name} {number}: {card.name} {card.text(1)} for {whom} ({names})"
+        self.added.setdefault(max(card.lines), []).extend(
+            [f"$ {said}", *large_field(card.name, texts).split("\n")]
+        )
+        self.said.append(f"{where}: added {said}")
+
+    def deck(self) -> NastranDeck:
+        deck = self.structure.deck
+        return with_added(deck, changed_lines(deck, self.numbers), self.added)
+
+
+def split_properties(
+    structure: Structure, parameters: Sequence[Parameter]
+) -> tuple[NastranDeck, Copies] | None:
+    """The deck with properties of their own for elements that parameters name, None as it is.
+
+    Raises ModelError where a card cannot be copied.
+    """
+    chosen = [item for item in _selections(structure, parameters) if item.elements]
+    edits, copies = _Edits(structure, {}, {}, []), defaultdict[int, list[int]](list)
+    number = max(structure.owners.properties, default=0)
+    for ident, elements in sorted(structure.elements_of.items()):
+        for names, members in cut(chosen, elements)[1:]:
+            number += 1
+            copies[ident].append(number)
+            card = structure.property_card(str(ident))
+            edits.copy(card, number, {}, elements_named(members), ", ".join(names))
+            for element in members:
+                edits.name(structure.owners.elements[element][0], 2, number)
+    return (edits.deck(), Copies(dict(copies), {}, tuple(edits.said))) if copies else None
+
+
+def split_materials(
+    structure: Structure, parameters: Sequence[Parameter]
+) -> tuple[NastranDeck, Copies] | None:
+    """As `split_properties`, for materials of properties that parameters name."""
+    chosen = [item for item in _selections(structure, parameters) if item.material]
+    edits, copies = _Edits(structure, {}, {}, []), defaultdict[int, list[int]](list)
+    number = max(structure.owners.materials, default=0)
+    used = {mid for mids in structure.materials_of.values() for mid in mids}
+    for ident in sorted(used | set(structure.rods_of)):
+        users = {
+            ("property", pid): acting(chosen, structure.elements_of[pid])
+            for pid, mids in sorted(structure.materials_of.items())
+            if ident in mids
+        } | {
+            ("element", rod): acting(chosen, frozenset({rod}))
+            for rod in sorted(structure.rods_of.get(ident, ()))
+        }
+        for names, members in cells_of(users)[1:]:
+            number += 1
+            copies[ident].append(number)
+            card = structure.material(str(ident))
+            _refuse_dependent(structure, ident, members)
+            edits.copy(card, number, {}, _users(structure, members), ", ".join(names))
+            for kind, owner in members:
+                _rename(edits, kind, owner, ident, number)
+    return (edits.deck(), Copies({}, dict(copies), tuple(edits.said))) if copies else None
+
+
+def _rename(edits: _Edits, kind: str, owner: int, old: int, new: int) -> None:
+    """Let a property, or a CONROD, name another material where it names this one."""
+    structure = edits.structure
+    if kind == "element":
+        edits.name(structure.owners.elements[owner][0], 4, new)
+        return
+    card = structure.property_card(str(owner))
+    fields: Iterable[int] = MATERIAL_FIELDS.get(card.name, (2,))
+    if card.name in PLIES:
+        first, stride = PLIES[card.name]
+        fields = range(first, len(card.fields), stride)
+    for field in fields:
+        if card.text(field) == str(old):
+            edits.name(card, field, new)
+
+
+def _selections(structure: Structure, parameters: Sequence[Parameter]) -> list[Selection]:
+    """What elements parameters name; those that name what is not there are told later on."""
+    found = []
+    for parameter in parameters:
+        material = parameter.quantity in OF_MATERIALS
+        elements: Iterable[int] = ()
+        try:
+            if parameter.by == "element" and parameter.quantity != "mass":
+                elements = structure.element_numbers(structure.owners.elements, parameter.targets)
+            elif parameter.by == "property" and material:
+                cards = [c for target in parameter.targets for c in structure.properties(target)]
+                elements = [e for pid, _ in cards for e in structure.elements_of[pid]]
+        except ModelError:
+            continue
+        found.append(Selection(parameter.name, frozenset(elements), material))
+    return found
+
+
+def _refuse_dependent(structure: Structure, ident: int, members: Sequence[tuple[str, int]]) -> None:
+    for card in structure.deck.cards:
+        if card.name.startswith(BESIDE) and card.text(1) == str(ident):
+            raise ModelError(
+                f"{structure.deck.where(card)}: {card.name} {ident} belongs to a material that is "
+                f"shared with others; give {_users(structure, members)} a material of their own"
+            )
+
+
+def _users(structure: Structure, members: Sequence[tuple[str, int]]) -> str:
+    names = [
+        f"{structure.property_card(str(number)).name} {number}"
+        if kind == "property"
+        else f"CONROD {number}"
+        for kind, number in members
+    ]
+    return listed(names)
