@@ -37,7 +37,7 @@ def target_problems(source: YamlFile, file: CampaignFile) -> list[str]:
         f"{source.where(('parameters', place))}: parameters.{place}: {item.quantity} needs "
         f"{targets_of(item.quantity)}; it has none"
         for place, item in enumerate(file.parameters)
-        if item.by() == "placeholder"
+        if item.by() == "placeholder" and item.quantity != "variable"
     ]
 
 

@@ -109,6 +109,8 @@ def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
 def _dependent_errors(record: CampaignRecord) -> list[float]:
     """Standard errors of what expressions give, by their slopes at the updated values."""
     parameters, errors = record.parameters, record.standard_errors
+    if not parameters.dependents or not np.isfinite(errors).all():
+        return [np.nan] * len(parameters.dependents)
     steps = 1e-4 * np.eye(len(parameters))
     ends = [
         [

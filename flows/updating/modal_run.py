@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ class ModalSummary:
 def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
     """NAME=VALUE texts over the campaign's initial values. Raises CampaignError."""
     values = campaign.parameters.values(campaign.parameters.initial)
+    known = {item.name: item for item in campaign.parameters.parameters}
     for setting in settings:
         name, separator, text = setting.partition("=")
         if not separator or name not in values:
@@ -37,10 +39,12 @@ def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
                 f"--at {setting!r}: expected NAME=VALUE with NAME of {', '.join(values)}"
             )
         try:
-            values[name] = float(text)
+            given = float(text)
         except ValueError:
             raise CampaignError(f"--at {setting!r}: {text!r} is not a number") from None
-        if not 0.0 < values[name] < 1e6:
+        values[name] = known[name].counted(given)
+        relative = known[name].values == "relative"
+        if not math.isfinite(given) or (relative and not 0.0 < given < 1e6):
             raise CampaignError(f"--at {setting!r}: a relative value above zero is expected")
     return values
 
