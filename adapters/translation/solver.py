@@ -46,7 +46,7 @@ class TranslatedDeck(Deck):
     """A Nastran model whose translation CalculiX runs."""
 
     model: NastranModel
-    _kept: OrderedDict[tuple[tuple[str, float], ...], EditedCalculix] = field(
+    _kept: OrderedDict[tuple[tuple[int, str], ...], EditedCalculix] = field(
         default_factory=OrderedDict, repr=False, compare=False
     )
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
@@ -158,12 +158,11 @@ class TranslatedDeck(Deck):
 
     def edited(self, values: Values) -> EditedCalculix:
         """The translation at these values, kept for a while. Raises ModelError."""
-        known = tuple(
-            sorted((name, float(value)) for name, value in values.items() if value != 1.0)
-        )
+        changed = self.model.changed(values)
+        known = tuple(sorted(changed.items()))
         with self._lock:
             if known not in self._kept:
-                self._kept[known] = self._translate(self.model.changed(values))
+                self._kept[known] = self._translate(changed)
                 while len(self._kept) > KEPT:
                     # The nominal translation, the first one, is always of use.
                     self._kept.pop(next(key for key in self._kept if key != ()))
