@@ -80,6 +80,11 @@ def sampling(solver: Solver, parameter: Parameter, step: float) -> Sampling:
         return Sampling(None, (), tuple(pairs))
     powers = (1,) if affected is None else affected.powers
     factors = LINEAR_FACTORS if powers == (1,) else FACTORS[: len(powers)]
+    related = affected is not None and affected.related
+    if powers == (1,) and (related or not parameter.proportional):
+        # Beyond its bounds a number may be none that a model can have.
+        ends = (parameter.upper / parameter.initial, parameter.lower / parameter.initial)
+        factors = (max(ends, key=lambda factor: abs(factor - 1.0)),)
     return Sampling(affected, powers, factors)
 
 
