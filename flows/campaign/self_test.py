@@ -49,9 +49,10 @@ def not_confirmed(solver: Solver) -> str:
     """What of the solver is left aside until a self-test has passed it; empty where nothing is."""
     names = " and ".join(name.replace("_", " ") for name in solver.unconfirmed)
     name = solver.program.name
+    dialect = " (with --dialect as in the campaign)" if name == "nastran" else ""
     return names and (
-        f"{names} of {name} are not used, because `modetune doctor --solver {name}` has not passed "
-        "for this installation (its version and command line)"
+        f"{names} of {name} are not used, because `modetune doctor --solver {name}`{dialect} has "
+        "not passed for this installation (its version and command line)"
     )
 
 

@@ -79,7 +79,7 @@ def run_doctor(
     look_around(keep, working)
     confirmed: list[str] = []
     if campaign is not None:
-        _test_campaign(campaign, solver, keep, working)
+        confirmed += _test_campaign(campaign, solver, keep, working)
     else:
         for name in [solver] if solver else MODELS:
             if solver or name in FREE:
@@ -110,6 +110,12 @@ def _test(
                 tell(DoctorLine(name, "program", "not available", str(error)))
                 return []
         tests.run()
+    return _note(tests, tell)
+
+
+def _note(tests: SolverTests, tell: Tell) -> list[str]:
+    """Note what passed of a solver that asks for it, where its modes are right."""
+    program = tests.program
     to_confirm = program.capabilities.to_confirm
     if not to_confirm or tests.modal is None:
         return []
@@ -117,17 +123,22 @@ def _test(
     note_passed(program, passed)
     used = ", ".join(item.replace("_", " ") for item in passed) or "nothing"
     said = f"noted for this installation: {used}; campaigns with `auto` go by it from now on"
-    tell(DoctorLine(name, "confirmed", "passed" if passed else "not available", said))
+    tell(DoctorLine(program.name, "confirmed", "passed" if passed else "not available", said))
     return passed
 
 
 def _test_campaign(
     path: Path, solver: str | None, tell: Tell, working: Callable[[str], None]
-) -> None:
-    """Test the solver of a campaign on its own model, which has no closed form."""
+) -> list[str]:
+    """Test the solver of a campaign on its own model, which has no closed form.
+
+    What passes is noted of a solver that has no model of ten elements.
+    """
     settings = [f"model.solver={solver}"] if solver else []
     with _folder() as folder:
-        _tests(path, folder, settings, None, tell, working).run()
+        tests = _tests(path, folder, settings, None, tell, working)
+        tests.run()
+    return [] if tests.program.name in MODELS else _note(tests, tell)
 
 
 def _tests(

@@ -172,8 +172,9 @@ def _store() -> Found:
             second.release()
             lock.remove()
     finally:
-        if new and folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
+        for made in (folder, folder.parent) if new else ():
+            if made.is_dir() and not any(made.iterdir()):
+                made.rmdir()
     if twice:
         return (
             "failed",

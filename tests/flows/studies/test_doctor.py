@@ -88,7 +88,10 @@ def error_told(found: DoctorLine) -> float:
             marks=pytest.mark.skipif(CCX is None, reason="CalculiX is not here"),
         ),
         pytest.param(
-            "mystran", {}, 2e-7, marks=pytest.mark.skipif(MYSTRAN is None, reason="no MYSTRAN")
+            "mystran",
+            {"matrices": "passed"},
+            2e-7,
+            marks=pytest.mark.skipif(MYSTRAN is None, reason="no MYSTRAN"),
         ),
         ("matrices", {"strain energies": "passed", "matrices": "passed"}, 1e-12),
     ],
@@ -137,7 +140,7 @@ def test_a_nastran_that_passes_is_used_for_sensitivities_from_then_on(
     assert by_solver(before, job_engine(before)).methods == ("strain_energy", "finite_difference")
     update_campaign(before, tmp_path / "run", Silence())
     log = (tmp_path / "run" / "campaign.log").read_text()
-    assert "`modetune doctor --solver nastran` has not passed for this installation" in log
+    assert "because `modetune doctor --solver nastran` (with --dialect" in log
 
     runs, seen = len((nastran / "runs.log").read_text().splitlines()), list[str]()
     report = run_doctor("nastran", tell=lambda row: seen.append(row.item))
@@ -223,7 +226,7 @@ def test_a_store_that_cannot_be_written_fails_with_what_to_do(
 
 def test_looking_at_a_store_leaves_nothing_behind() -> None:
     assert line(run_doctor("matrices"), "machine", "store").state == "passed"
-    assert not Path(".modetune").exists() or not list(Path(".modetune").rglob("*.lock"))
+    assert not Path(".modetune").exists()
 
 
 def test_any_program_and_deck_are_tried_on_a_campaign_of_their_own(
