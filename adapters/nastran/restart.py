@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,14 +46,23 @@ ROW = re.compile(r" *(\d*)-(\d) +\d*-\d((?: +\d+){14})\s*")
 NODE, COMPONENT, IN_M, IN_N, IN_O, IN_R, IN_L = 0, 1, 3, 4, 12, 14, 15
 
 
-def read_restart(folder: Path, print_file: str) -> MatrixResult:
-    """The matrices of a run. Raises NoResult where they are not whole."""
+def read_restart(folder: Path, print_file: str, grids: Collection[int]) -> MatrixResult:
+    """The matrices of a run. Raises NoResult where they are not whole, or of another deck.
+
+    grids: grid points that the deck has at least.
+    """
     try:
         with (
             open_regular(folder / print_file) as file,
             io.TextIOWrapper(file, encoding="latin-1", newline="\n") as lines,
         ):
             table = _last_table(lines)
+        strange = sorted(set(grids) - set(table[:, NODE].tolist()))
+        if strange:
+            raise ValueError(
+                f"they are those of another deck, which has no grid point {strange[0]} "
+                f"({len(strange)} of the deck's are missing); remove the folder and run it again"
+            )
         kept = _members(table, IN_L)
         size = kept.shape[0]
         stiffness, mass = (_matrix(folder / name, size, size) for name in (STIFFNESS, MASS))

@@ -116,7 +116,8 @@ class NastranProgram:
             if isinstance(analysis, SensitivityAnalysis):
                 return self._derivatives(deck.values, analysis, folder, printed)
             if isinstance(analysis, MatrixAnalysis):
-                return read_restart(folder, self.dialect.print_file)
+                grids = deck.model.summary.node_ids
+                return read_restart(folder, self.dialect.print_file, grids)
             return self._modes(deck.model, analysis, folder, printed)
         except SolverCrashed as error:
             raise NoResult(str(error)) from error

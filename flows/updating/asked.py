@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.correlation.pairing import LostMode
-from modetune.core.modes import Floats, Integers
+from modetune.core.correlation.matching import NotAmongComputed
+from modetune.core.correlation.pairing import LostMode, Pairing
+from modetune.core.modes import Floats, Integers, mode_name
+from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.work import Done, Work
-from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.finders import ModeFinder
+from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, compare
+from modetune.flows.updating.finders import UNFIT, ModeFinder
 
 logger = logging.getLogger(__name__)
 
@@ -72,6 +74,40 @@ class AskedModes:
         logger.warning("%s; widening the range to %d modes", error, n_modes)
         return True
 
+    def answered(
+        self, done: Sequence[Done], before: CaseEvaluation | None
+    ) -> CaseEvaluation | None:
+        """The case's evaluation, from what became of its work; None where it is to be asked again.
+
+        before: that of the set that modes are tracked from.
+        """
+        state = self.state
+        try:
+            key, modal = state.finder.modes(self.theta, self.analysis, done)
+        except UNFIT as error:
+            state.finder = state.finder.instead(error)
+            return None
+        try:
+            part = self.compared(key, modal, before)
+        except LostMode as error:
+            if self.widen(error, modal.modes.n_modes):
+                return None
+            if isinstance(error, NotAmongComputed):
+                raise
+            if before is not None or not state.case.rules.drop:
+                raise _lost(error) from error
+            part = self.compared(key, modal, before, drop=True)
+        if before is None:
+            _tell_dropped(state.case, part.pairing)
+        return part
+
+    def compared(
+        self, key: str, modal: ModalResult, before: CaseEvaluation | None, drop: bool = False
+    ) -> CaseEvaluation:
+        """Modes that were found beside those of the test. Raises LostMode."""
+        state = self.state
+        return compare(state.case, self.theta, key, modal, before, state.finder.name, drop)
+
 
 @dataclass(slots=True)
 class ModeTrack:
@@ -105,3 +141,22 @@ class ModeTrack:
 Piece = tuple[CaseState, Work]
 #: What became of pieces by what they are, for those that are asked for again.
 Ahead = dict[tuple[object, ...], Done]
+
+
+def _lost(error: LostMode) -> LostMode:
+    """A lost mode with what the campaign can say of it."""
+    return LostMode(
+        f"{error}; `test.unmatched: drop` updates without it, and `test.pairs` names its partner "
+        "by hand (see `modetune check`)"
+    )
+
+
+def _tell_dropped(case: Case, pairing: Pairing) -> None:
+    """Warn of the modes that are left out."""
+    for row in np.setdiff1d(np.arange(case.test.modes.n_modes), pairing.measured).tolist():
+        logger.warning(
+            "%s at %.4g Hz has no partner among the computed modes and is left out "
+            "(test.unmatched: drop): nothing is compared with it",
+            mode_name(case.test.numbers[row], case.name),
+            case.test.modes.frequencies_hz[row],
+        )

@@ -219,4 +219,18 @@ def test_files_that_are_not_whole_are_no_matrices(damage: str, tmp_path: Path) -
         data = (folder / "job.L2G").read_bytes()
         (folder / "job.L2G").write_bytes(data[:-8] if damage == "entries" else data[:-4] + b"0000")
     with pytest.raises(NoResult, match=re.escape(str(folder))):
-        read_restart(folder, MYSTRAN.print_file)
+        read_restart(folder, MYSTRAN.print_file, ())
+
+
+def test_matrices_of_another_deck_are_told_by_a_grid_point_and_what_to_do(tmp_path: Path) -> None:
+    site = site_of("plate", tmp_path)
+    site.matrices()
+    (folder,) = site.folder.iterdir()
+    other = mystran_solver(_written(tmp_path / "frame.bdf", frame()), ())
+    with pytest.raises(NoResult, match=r"of another deck, which has no grid point 1 .* run it"):
+        other.read({}, MatrixAnalysis(), folder, 0)
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path

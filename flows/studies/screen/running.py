@@ -30,8 +30,8 @@ from modetune.flows.studies.screen.indices import Indices, design_indices
 from modetune.flows.studies.screen.local import local_sensitivity
 from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening
 from modetune.flows.updating.evaluation import Evaluation, Matrix
-from modetune.flows.updating.evaluator import outcomes_count
 from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.pieces import outcomes_count
 from modetune.flows.updating.running import solving_engine
 
 #: What is being run, for people.
