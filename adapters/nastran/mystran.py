@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from modetune.adapters.nastran.bulk import DEFAULTS, Bulk, filled, unused_properties
 from modetune.adapters.nastran.cards import large_field
@@ -11,6 +11,8 @@ from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.adapters.nastran.mystran_beams import CARDS as BEAM_CARDS
 from modetune.adapters.nastran.mystran_beams import BeamCards
 from modetune.adapters.nastran.mystran_scalars import ALL, ELEMENTS, PROPERTIES, Card, Scalars
+from modetune.adapters.nastran.mystran_shells import CARDS as SHELL_CARDS
+from modetune.adapters.nastran.mystran_shells import ShellCards
 from modetune.core.errors import ModelError
 
 #: Cards whose modes by MYSTRAN were compared with another solver's or a closed form. What is
@@ -20,13 +22,10 @@ COMPARED = frozenset({
     "CHEXA", "CPENTA", "CTETRA", "CBAR", "CBEAM", "CROD", "CONROD", "CTUBE", "CBUSH", "CONM2",
     "PSHELL", "PCOMP", "PSOLID", "PBAR", "PBARL", "PBEAM", "PBEAML", "PROD", "PTUBE", "PBUSH",
     "MAT1", "MAT8", "RBE2", "RBE3", "RBAR", "RBAR1", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD",
-    "SPOINT", *ELEMENTS, *PROPERTIES,
+    "SPOINT", "MAT2", "CSHEAR", "PSHEAR", *ELEMENTS, *PROPERTIES,
 })  # fmt: skip
-#: Fields: the first ply of a PCOMP and the distance of plies; TFLAG of shells; densities of
-#: materials.
-PLY, PLIES_APART = 9, 4
+#: Field of shells that says whether their thicknesses are relative.
 TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
-DENSITIES = {"MAT1": 5, "MAT8": 8}
 #: Field of a PSOLID that says how many points a solid is integrated with.
 INTEGRATION = 4
 #: Its field for full integration of shear, and the last corner of a CTETRA without midside nodes.
@@ -59,7 +58,7 @@ def mystran_cards(
 ) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
-    bulk: pyNastran's model of the same deck, of which cards of beams and bodies are written.
+    bulk: pyNastran's model of the same deck, of which cards of beams, shells and bodies are written.
     n_modes: how many it must be able to find. Blank fields that a GRDSET or BAROR fills are filled.
     MYSTRAN's solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two
     points a direction), or what CTETRA of ten nodes require. Raises ModelError for all cards it
@@ -73,21 +72,17 @@ def mystran_cards(
     cards: list[Card] = list(scalars.grids())
     problems: dict[str, list[str]] = {}
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
-    densities = {
-        card.text(1): card.text(field)
-        for name, field in DENSITIES.items()
-        for card in deck.named(name)
-    }
     beams = BeamCards(bulk, scalars.new_number)
+    shells = ShellCards(bulk, scalars.new_number)
     for card in deck.cards:
         if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
             continue
-        reason = _obstacle(card, densities)
+        reason = _obstacle(card)
         if not reason and card.name in (*ELEMENTS, "CBUSH"):
             reason = scalars.obstacle(card)
-        if card.name in BEAM_CARDS:
+        if card.name in (*BEAM_CARDS, *SHELL_CARDS):
             try:
-                written = beams.cards(card)
+                written = (beams if card.name in BEAM_CARDS else shells).cards(card)
             except ValueError as error:
                 reason = f"{card.name} in MYSTRAN: {error}"
             else:
@@ -163,11 +158,8 @@ def _bar(card: NastranCard) -> list[Card]:
     return []
 
 
-def _obstacle(card: NastranCard, densities: Mapping[str, str]) -> str:
-    """Why MYSTRAN cannot take a card, or takes it for another one; empty if it can.
-
-    densities: of materials, as the deck writes them.
-    """
+def _obstacle(card: NastranCard) -> str:
+    """Why MYSTRAN cannot take a card, or takes it for another one; empty if it can."""
     if card.name not in COMPARED:
         return f"MYSTRAN has no {card.name}, or its modes with it were never compared"
     if card.name == "RBAR" and not _bar(card):
@@ -176,8 +168,4 @@ def _obstacle(card: NastranCard, densities: Mapping[str, str]) -> str:
         return "MYSTRAN has no UM of RBE3"
     if card.name in TFLAGS and card.text(TFLAGS[card.name]) not in ("", "0"):
         return f"MYSTRAN takes relative thicknesses (TFLAG 1) of {card.name} for thicknesses"
-    if card.name == "PCOMP":
-        plies = {card.text(place) for place in range(PLY, len(card.fields), PLIES_APART)} - {""}
-        if len({densities.get(ply, "") for ply in plies}) > 1:
-            return "MYSTRAN has the mass of a PCOMP with plies of several densities wrong"
     return ""

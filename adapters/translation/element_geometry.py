@@ -81,6 +81,7 @@ SHAPES = {
     "C3D4": _shape(TETRAHEDRON, _TETRA4, 3),
     "C3D10": _shape(_with_middles(TETRAHEDRON, _TETRA), _TETRA10, 3),
     "S8R": _shape(_with_middles(SQUARE, _RING4), _SQUARE8, 0),
+    "S4": _shape(SQUARE, _BILINEAR, 0),
     "S6": _shape(_with_middles(TRIANGLE, _RING3), _QUADRATIC2, 2),
     "CHEXA8": _shape(CUBE, _TRILINEAR, 0),
     "CHEXA20": _shape(_with_middles(CUBE, [*_RING4, *_CUBE_UP, *_CUBE_TOP]), _CUBE20, 0),
@@ -120,6 +121,15 @@ def integration_points(shape: ElementShape, corners: Floats) -> Points:
         )
     area = np.linalg.norm(cross, axis=2)
     return Points(places, area * weights, cross / area[..., None])
+
+
+def nodal_measures(shape: ElementShape, corners: Floats) -> Floats:
+    """(n_elements, n_nodes), integrals of the shape functions over volume or area."""
+    at, _ = _rule(shape)
+    values = _monomials(shape.exponents, at) @ np.linalg.inv(
+        _monomials(shape.exponents, shape.nodes)
+    )
+    return np.asarray(integration_points(shape, corners).measures @ values)
 
 
 def _monomials(exponents: Floats, at: Floats) -> Floats:

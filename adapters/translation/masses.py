@@ -21,6 +21,7 @@ import numpy as np
 from modetune.adapters.nastran.bodies import PointMass, point_mass
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
+from modetune.adapters.translation.element_geometry import SHAPES, nodal_measures
 from modetune.adapters.translation.freedoms import (
     NOTHING,
     Form,
@@ -52,6 +53,8 @@ def point_masses(bulk: Any, problems: list[str]) -> list[PointMass]:
     for element in bulk.elements.values():
         if element.type == "CBUSH" and getattr(element.pid_ref, "mass", None):
             found += _bush_masses(element, problems)
+        elif element.type == "CSHEAR":
+            found += _panel_masses(element)
     return found
 
 
@@ -68,6 +71,19 @@ def _bush_masses(element: Any, problems: list[str]) -> list[PointMass]:
     return [
         PointMass(element.eid, node, half, place, zero)
         for node, place in zip(element.node_ids, places, strict=True)
+    ]
+
+
+def _panel_masses(element: Any) -> list[PointMass]:
+    """The mass of a shear panel, at its corners as its bilinear shape functions share it."""
+    places = np.array([node.get_position() for node in element.nodes_ref])
+    card = element.pid_ref
+    shares = nodal_measures(SHAPES["S4"], places[None])[0]
+    density = card.mid_ref.rho * card.t + (card.nsm or 0.0)
+    return [
+        PointMass(element.eid, node, density * float(share), place, np.zeros((3, 3)))
+        for node, place, share in zip(element.node_ids, places, shares, strict=True)
+        if density
     ]
 
 

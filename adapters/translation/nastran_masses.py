@@ -24,6 +24,7 @@ from modetune.adapters.translation.mass_properties import (
 )
 from modetune.adapters.translation.shells import Shell
 from modetune.adapters.translation.solids import KINDS as SOLIDS
+from modetune.adapters.translation.solids import PYRAMIDS
 from modetune.core.modes import Floats
 
 
@@ -42,7 +43,11 @@ def nastran_mass_properties(
         if element.type in SOLIDS:
             corners = _places(element, freedoms)
             density = element.pid_ref.mid_ref.rho * wtmass
-            solids.setdefault(f"{element.type}{len(corners)}", []).append((corners, density))
+            kind = f"{element.type}{len(corners)}"
+            if element.type == "CPYRAM":
+                corners = corners[list(PYRAMIDS[len(corners)])]
+                kind = f"C3D{len(corners)}"
+            solids.setdefault(kind, []).append((corners, density))
         elif element.type in BARS:
             parts += _bar(element, freedoms, wtmass)
     for plate in plates:

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.freedoms import Form, Freedoms, difference, trimmed
+from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total, trimmed
 from modetune.adapters.translation.shells import Edges, SetsOf, Shell
 from modetune.core.modes import Floats
 
@@ -88,8 +88,12 @@ def write_shells(
     wtmass: float,
     lumped: bool,
     sets_of: SetsOf,
+    held: set[int],
 ) -> None:
-    """Add all shells of the model; after all else that is tied to their nodes."""
+    """Add all shells of the model; after all else that is tied to their nodes.
+
+    held: grid points that something besides shells holds.
+    """
     if not shells:
         return
     turned = frozenset(freedoms.turn_nodes)
@@ -101,9 +105,12 @@ def write_shells(
     for shell in shells:
         for node in shell.nodes:
             around.setdefault(node, []).append(shell)
+    middles = {middle: edge for edge, middle in edges.middles.items() if middle in edges.made}
     for node, near in around.items():
         if any(shell.law.bends for shell in near):
             _hold_drilling(freedoms, node, near, node in turned)
+        if node not in held and _is_flat(near):
+            _hold_loose(freedoms, node, near, middles.get(node, ()))
 
 
 def _usual_edge(shells: Sequence[Shell], builder: CalculixText) -> float:
@@ -200,20 +207,42 @@ class BrickWriter:
 
 def _hold_drilling(freedoms: Freedoms, node: int, near: Sequence[Shell], turned: bool) -> None:
     """Tie the rotation about the normal; turned: whether anything but shells has rotations here."""
-    normals = [shell.normal for shell in near]
-    if any(abs(float(normal @ normals[0])) < FLAT for normal in normals):
-        return
-    rotations = freedoms.rotations(node)
-    axis = normals[0]
+    axis, rotations = near[0].normal, freedoms.rotations(node)
     own = freedoms.along(rotations, axis)
-    loose = [f for f in own if not freedoms.is_dependent(f) and not freedoms.builder.is_fixed(*f)]
-    if not loose or _is_held(freedoms, node, axis):
+    if not _is_flat(near) or not _is_loose(freedoms, own) or _is_held(freedoms, node, axis):
         return
-    same = all(abs(float(normal @ axis)) > SAME_PLANE for normal in normals)
+    same = all(abs(float(shell.normal @ axis)) > SAME_PLANE for shell in near)
     form: Form = {}
     if turned or not same:
         form = _mean_rotation(freedoms, node, axis, {n for s in near for n in s.nodes} - {node})
     freedoms.tie([difference(own, form)], rotations, f"rotation of {node} in its plane")
+
+
+def _hold_loose(
+    freedoms: Freedoms, node: int, near: Sequence[Shell], ends: tuple[int, ...]
+) -> None:
+    """Hold the directions in which shells of one plane have no stiffness, as AUTOSPC does.
+
+    ends: the corners beside a midside node, which moves as their mean does there.
+    """
+    axes = [near[0].axis, np.cross(near[0].normal, near[0].axis)]
+    axes = [] if any(shell.law.stretches for shell in near) else axes
+    axes += [] if any(shell.law.bends for shell in near) else [near[0].normal]
+    for axis in axes:
+        own = freedoms.along(freedoms.translations(node), axis)
+        if _is_loose(freedoms, own):
+            mean = [freedoms.along(freedoms.translations(end), 0.5 * axis) for end in ends]
+            form = difference(own, total(mean))
+            freedoms.tie([form], list(own), f"displacement of {node} across its shells")
+
+
+def _is_flat(near: Sequence[Shell]) -> bool:
+    return all(abs(float(shell.normal @ near[0].normal)) > FLAT for shell in near)
+
+
+def _is_loose(freedoms: Freedoms, form: Form) -> bool:
+    """Whether some freedom of the form is neither fixed nor dependent."""
+    return any(not freedoms.is_dependent(f) and not freedoms.builder.is_fixed(*f) for f in form)
 
 
 def _is_held(freedoms: Freedoms, node: int, axis: Floats) -> bool:

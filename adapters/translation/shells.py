@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.shell_laws import ShellLaw, law_of
 from modetune.adapters.translation.calculix_text import CalculixText
-from modetune.adapters.translation.plies import ShellLaw, law_of
 from modetune.core.modes import Floats
 
 LINEAR = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}

@@ -16,14 +16,19 @@ from modetune.adapters.translation.shells import SetsOf
 #: ccx kind by Nastran's kind and number of nodes.
 KIND = {
     ("CHEXA", 8): "C3D8I", ("CHEXA", 20): "C3D20", ("CPENTA", 6): "C3D6", ("CPENTA", 15): "C3D15",
-    ("CTETRA", 4): "C3D4", ("CTETRA", 10): "C3D10",
+    ("CTETRA", 4): "C3D4", ("CTETRA", 10): "C3D10", ("CPYRAM", 5): "C3D8", ("CPYRAM", 13): "C3D20",
 }  # fmt: skip
-KINDS = ("CHEXA", "CPENTA", "CTETRA")
-CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4}
+KINDS = ("CHEXA", "CPENTA", "CTETRA", "CPYRAM")
+CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CPYRAM": 5}
 #: Nastran goes lower face, uprights, upper face; ccx lower face, upper face, uprights.
 ORDER = {
     "C3D20": (*range(12), 16, 17, 18, 19, 12, 13, 14, 15),
     "C3D15": (*range(9), 12, 13, 14, 9, 10, 11),
+}
+#: A pyramid is a brick whose upper face is one point, by its number of nodes.
+PYRAMIDS = {
+    5: (0, 1, 2, 3, *(4,) * 4),
+    13: (0, 1, 2, 3, *(4,) * 4, 5, 6, 7, 8, *(4,) * 4, *range(9, 13)),
 }
 
 
@@ -46,6 +51,8 @@ def translate_solids(
             continue
         if names[element.pid]:
             order = ORDER.get(kind, tuple(range(len(nodes))))
+            if element.type == "CPYRAM":
+                order = PYRAMIDS[len(nodes)]
             sets = (*sets_of(element), f"V{element.pid}")
             builder.new_element(kind, [nodes[place] for place in order], sets)
     for pid, material in names.items():

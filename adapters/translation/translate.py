@@ -34,6 +34,7 @@ from modetune.adapters.translation.rigid import (
     translate_rigid_elements,
     translate_spcs,
 )
+from modetune.adapters.translation.shear_panels import translate_shear_panels
 from modetune.adapters.translation.shell_bricks import hold_leaders, write_shells
 from modetune.adapters.translation.shells import KINDS as SHELLS
 from modetune.adapters.translation.shells import understand_shells
@@ -88,16 +89,18 @@ def translate(
     shells, edges = understand_shells(bulk, builder, problems)
     translate_solids(bulk, builder, problems, wtmass, sets_of)
     held = _held_rotations(bulk)
-    freedoms = _freedoms(bulk, builder, held, problems)
+    bending = {node for shell in shells if shell.law.bends for node in shell.nodes}
+    freedoms = _freedoms(bulk, builder, bending, held, problems)
     translate_spcs(bulk, freedoms, edges, spc, problems)
     translate_mpcs(bulk, freedoms, mpc, problems)
     translate_rigid_elements(bulk, freedoms, edges, problems)
     translate_beams(bulk, builder, freedoms, problems, wtmass, sets_of)
     translate_springs(bulk, builder, freedoms, problems, wtmass, sets_of)
+    translate_shear_panels(bulk, builder, freedoms, problems, sets_of)
     masses = point_masses(bulk, problems)
     translate_masses(bulk, masses, builder, freedoms, wtmass, sets_of)
     translate_scalar_masses(bulk, builder, freedoms, problems, wtmass, sets_of)
-    write_shells(shells, edges, builder, freedoms, wtmass, False, sets_of)
+    write_shells(shells, edges, builder, freedoms, wtmass, False, sets_of, _held(bulk))
     hold_leaders(freedoms, leaders(bulk) - held - freedoms.turning)
     if problems:
         found = "\n".join(f"- {problem}" for problem in summarised(problems))
@@ -123,22 +126,31 @@ def _builder(bulk: Any) -> CalculixText:
     return builder
 
 
-def _freedoms(bulk: Any, builder: CalculixText, held: set[int], problems: list[str]) -> Freedoms:
-    """held: grid points whose rotations beams and springs hold."""
-    solids, shells, structural = set[int](), set[int](), set[int]()
+def _freedoms(
+    bulk: Any, builder: CalculixText, bending: set[int], held: set[int], problems: list[str]
+) -> Freedoms:
+    """bending: nodes of shells that bend; held: those whose rotations beams and springs hold."""
+    solids, structural = set[int](), set[int]()
     for element in bulk.elements.values():
         nodes = {node for node in element.node_ids if node}
         structural |= nodes
         if element.type in SOLIDS:
             solids |= nodes
-        elif element.type in SHELLS:
-            shells |= nodes
-    rotating = shells | held
-    # The midside nodes made so far are shells' as well.
-    shells |= {number for number in builder.coordinates if number not in bulk.nodes}
     solids -= held | leaders(bulk)
-    sets = (frozenset(shells), frozenset(solids), frozenset(structural), frozenset(rotating))
+    sets = (frozenset(bending), frozenset(solids), frozenset(structural), frozenset(bending | held))
     return Freedoms(bulk, builder, *sets, problems)
+
+
+def _held(bulk: Any) -> set[int]:
+    """Grid points that more than shells and supports hold."""
+    found = set[int]()
+    for element in bulk.rigid_elements.values():
+        found.update((*element.independent_nodes, *element.dependent_nodes))
+    found |= {node for cards in bulk.mpcs.values() for card in cards for node in card.node_ids}
+    for element in bulk.elements.values():
+        if element.type not in SHELLS:
+            found.update(node for node in element.node_ids if node)
+    return found
 
 
 def _held_rotations(bulk: Any) -> set[int]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.translation.plies import law_of
+from modetune.adapters.nastran.shell_laws import law_of
 from tests.adapters.test_translation import (
     LENGTH,
     MAT1,
@@ -194,3 +194,63 @@ def test_a_free_unsymmetric_warped_laminate_has_six_rigid_modes(tmp_path: Path) 
     assert solved.result.n_rigid == 6
     lowest = solved.result.eigenvalues[6]
     assert np.abs(solved.result.eigenvalues[:6]).max() < 1e-6 * lowest  # rounding
+
+
+# ---- no stiffness in some directions
+
+
+@needs_ccx
+def test_a_membrane_moves_in_its_plane_and_a_plate_without_one_across(tmp_path: Path) -> None:
+    grid = Grid()
+    plate = plate_cards(4, 4, 1.0, 1.0, grid=grid)
+    root = card("SPC1", 1, 123456, *(grid.at(0.0, y) for y in (0.0, 0.25, 0.5, 0.75, 1.0)))
+    found = {}
+    for name, section in (("membrane", "1,.01"), ("bending", ",.01,1"), ("both", "1,.01,1")):
+        folder = tmp_path / name
+        folder.mkdir()
+        bulk = bulk_of([MAT1, f"PSHELL,1,{section}", *plate, root], folder, ["SPC=1"])
+        found[name] = solve(bulk, folder, 20).result.modes.frequencies_hz
+    np.testing.assert_allclose(found["bending"][:4], found["both"][:4], rtol=1e-6)
+    for value in found["membrane"][:2]:
+        assert np.abs(found["both"] / value - 1.0).min() < 1e-6
+
+
+@needs_ccx
+def test_a_free_box_of_membranes_has_six_rigid_modes(tmp_path: Path) -> None:
+    grid, elements = Grid(), list[str]()
+    steps = [(i / 2, j / 2) for i in range(2) for j in range(2)]
+    for u, v in steps:
+        for axis in range(3):
+            for w in (0.0, 1.0):
+                ring = [(u, v), (u + 0.5, v), (u + 0.5, v + 0.5), (u, v + 0.5)]
+                places = [tuple(np.roll((a, b, w), axis)) for a, b in ring]
+                nodes = [grid.at(*place) for place in places]
+                elements.append(card("CQUAD4", len(elements) + 1, 1, *nodes))
+    solved = solve(bulk_of([MAT1, "PSHELL,1,1,.01", *grid.cards, *elements], tmp_path), tmp_path)
+    assert solved.result.n_rigid == 6
+    # No mode of single unsupported nodes below those of the box.
+    assert solved.frequencies_hz[0] > 500.0
+
+
+# ---- pyramids
+
+
+@needs_ccx
+def test_a_free_bar_of_pyramids_bends_as_timoshenko_says(tmp_path: Path) -> None:
+    grid, elements, n, b, length = Grid(), list[str](), 10, 0.05, 0.5
+    faces = ((0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0))
+    for i in range(n):
+        ends = i * length / n, (i + 1) * length / n
+        brick = [(ends[k], y, z) for z in (0.0, b) for k, y in ((0, 0.0), (1, 0.0), (1, b), (0, b))]
+        apex = np.mean(brick, axis=0)
+        for face in faces:
+            ring = np.array([brick[k] for k in face])
+            middles = [*(ring + np.roll(ring, -1, axis=0)) / 2, *(ring + apex) / 2]
+            nodes = [grid.at(*place) for place in (*ring, apex, *middles)]
+            elements.append(card("CPYRAM", len(elements) + 1, 1, *nodes))
+    bulk = bulk_of([MAT1, "PSOLID,1,1", *grid.cards, *elements], tmp_path)
+    solved = solve(bulk, tmp_path, 10)
+    assert solved.result.mass == pytest.approx(RHO * length * b * b)
+    # Euler and Bernoulli; shear and rotary inertia take 1.4 % at b / L = 0.1, the mesh gives some.
+    slender = 4.7300407**2 / 2 / np.pi * (E * b**2 / 12 / RHO) ** 0.5 / length**2
+    assert solved.frequencies_hz[0] == pytest.approx(slender, rel=0.015)

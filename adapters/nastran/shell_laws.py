@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from modetune.adapters.translation.materials import plane_stress, transverse_shear
 from modetune.core.modes import Floats
 
 #: A shell without transverse shear strain (MID3 or G1Z, G2Z blank) gets so many times the shear
@@ -56,13 +55,13 @@ class ShellLaw:
 def law_of(card: Any, thickness: float | None = None) -> ShellLaw:
     """The law of a PSHELL, PCOMP or PCOMPG; thickness: of the element where it has its own.
 
-    Raises ValueError with a sentence on what cannot be translated.
+    Raises ValueError with a sentence on why there is none.
     """
     if card.type == "PSHELL":
         return _plate(card, thickness or card.t or 0.0)
     if card.type in ("PCOMP", "PCOMPG"):
         return _composite(card)
-    raise ValueError("shells are translated with PSHELL, PCOMP, PCOMPG")
+    raise ValueError("shells have a law with PSHELL, PCOMP and PCOMPG only")
 
 
 def _plate(card: Any, thickness: float) -> ShellLaw:
@@ -88,7 +87,7 @@ def _plate(card: Any, thickness: float) -> ShellLaw:
 def _composite(card: Any) -> ShellLaw:
     kind = (card.lam or "").upper()
     if kind not in ("", "SYM", "MEM", "BEND", "SMEAR"):
-        raise ValueError(f"LAM={kind} is not translated")
+        raise ValueError(f"LAM={kind} is not known")
     rows = list(zip(card.mids_ref, card.thicknesses, card.thetas, strict=True))
     if not rows or any(material is None or not thickness for material, thickness, _ in rows):
         raise ValueError("a ply without material or thickness")
@@ -158,3 +157,39 @@ def turned_shear(law: Floats, degrees: float) -> Floats:
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     axes = np.array([[c, s], [-s, c]])
     return np.asarray(axes.T @ law @ axes)
+
+
+def plane_stress(card: Any) -> Floats:
+    """(3, 3) law of plane stress in the material's axes. Raises ValueError."""
+    if card.type == "MAT1":
+        e, g, nu = card.e, card.g, card.nu
+        if not e or not g:
+            raise ValueError(f"MAT1 {card.mid}: E and G above zero are needed, got E={e}, G={g}")
+        # Nastran keeps all three where they are given: E and nu in the diagonal, G in shear.
+        return _orthotropic(e, e, nu, g)
+    if card.type == "MAT8":
+        if not (card.e11 and card.e22 and card.g12):
+            raise ValueError(f"MAT8 {card.mid}: E1, E2 and G12 above zero are needed")
+        return _orthotropic(card.e11, card.e22, card.nu12, card.g12)
+    if card.type == "MAT2":
+        g11, g12, g13 = (value or 0.0 for value in (card.G11, card.G12, card.G13))
+        g22, g23, g33 = (value or 0.0 for value in (card.G22, card.G23, card.G33))
+        return np.array([[g11, g12, g13], [g12, g22, g23], [g13, g23, g33]])
+    raise ValueError(f"{card.type} {card.mid}: shells have a law with MAT1, MAT2 and MAT8 only")
+
+
+def _orthotropic(e1: float, e2: float, nu12: float, g12: float) -> Floats:
+    share = 1.0 - nu12 * nu12 * e2 / e1
+    cross = nu12 * e2 / share
+    return np.array([[e1 / share, cross, 0.0], [cross, e2 / share, 0.0], [0.0, 0.0, g12]])
+
+
+def transverse_shear(card: Any) -> Floats | None:
+    """(2, 2) law of transverse shear, None where the card means none of that strain."""
+    if card.type == "MAT1":
+        return np.asarray((card.g or 0.0) * np.eye(2)) if card.g else None
+    if card.type == "MAT8":
+        return np.diag([card.g1z, card.g2z]) if card.g1z and card.g2z else None
+    if card.type == "MAT2" and card.G11 and card.G22:
+        return np.array([[card.G11, card.G12 or 0.0], [card.G12 or 0.0, card.G22]])
+    return None
