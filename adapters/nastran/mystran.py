@@ -58,7 +58,7 @@ def mystran_cards(
 ) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
-    bulk: pyNastran's model of the same deck, of which cards of beams, shells and bodies are written.
+    bulk: pyNastran's model of the same deck, for cards of beams, shells and bodies.
     n_modes: how many it must be able to find. Blank fields that a GRDSET or BAROR fills are filled.
     MYSTRAN's solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two
     points a direction), or what CTETRA of ten nodes require. Raises ModelError for all cards it

@@ -211,8 +211,7 @@ def test_a_membrane_moves_in_its_plane_and_a_plate_without_one_across(tmp_path: 
         bulk = bulk_of([MAT1, f"PSHELL,1,{section}", *plate, root], folder, ["SPC=1"])
         found[name] = solve(bulk, folder, 20).result.modes.frequencies_hz
     np.testing.assert_allclose(found["bending"][:4], found["both"][:4], rtol=1e-6)
-    for value in found["membrane"][:2]:
-        assert np.abs(found["both"] / value - 1.0).min() < 1e-6
+    assert np.abs(found["both"] / found["membrane"][0] - 1.0).min() < 1e-6
 
 
 @needs_ccx
