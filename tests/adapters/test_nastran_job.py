@@ -432,13 +432,7 @@ def test_bulk_data_alone_with_several_constraint_sets_is_ambiguous(tmp_path: Pat
     [  # what MYSTRAN 18 was seen to get wrong without a word
         ("CELAS1,40,9,2,1\n", "CELAS1: its value is not there .PELAS 9"),
         ("RBAR,40,2,3,1234,23\n", "RBAR is led by all six components"),
-<<<<<<< HEAD
-        ("MAT1,3,7.+4,,.3,2.7-9\nMAT1,4,7.+4,,.3,1.-10\nPCOMP,6\n,3,1.,0.,,4,1.,0.\n"
-=======
-        ("CORD2R,7,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,9,,3.,0.,0.,7\nCONM2,41,9,,1.,.1\n",
-         "turns offset and inertia of a CONM2"),
         ("MAT1,3,7.+4,,.3,2.7-9\nMAT1,4,1.+4,,.3,1.-10\nPCOMP,6\n,3,1.,0.,,4,1.,0.\n"
->>>>>>> f832129 (Tests of shells in both solvers follow the refusals as they read)
          "CTRIA3,50,6,1,2,3\n",
          "plies of several densities"),
         ("GRID,9,,1.,1.,0.\nPSHELL,5,1,.1\nCQUAD4,50,5,1,2,3,9\n,,1,1.,1.,1.,1.\n", "TFLAG 1"),
