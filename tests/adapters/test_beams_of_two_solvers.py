@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modetune.adapters.nastran.dialect import MYSTRAN
+from modetune.adapters.nastran.job import job_text
+from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
+from modetune.core.parameters import Parameter
 from modetune.core.updating.results import ModalResult
 
 E, G = 70e9, 70e9 / 2.6
@@ -262,6 +266,20 @@ def test_offsets_in_the_elements_axes_are_those_in_the_basic_ones(tmp_path: Path
     for kind in ("BOO", "GGO"):
         for name in ("mystran", "calculix"):
             assert hz(found[kind], name, 5) == pytest.approx(hz(found["GGG"], name, 5), rel=1e-6)
+
+
+def test_a_parameter_of_a_beams_section_stands_in_the_bars_of_mystran(tmp_path: Path) -> None:
+    path = tmp_path / "model.bdf"
+    section = "PBEAML,1,1,,HAT\n,.06,.004,.05,.03\n"
+    path.write_text(HEAD + ALUMINIUM + line(1, 1.0) + section + beams(1))
+    wall = Parameter("t", "dimension", "property", ("1",), 0.5, 2.0, 0.1, item=2)
+    solver = mystran_solver(path, (wall,))
+    edited = solver.deck.edited({"t": 1.5})
+    text = job_text(edited.model, edited.changed, ModalAnalysis(1, ()), MYSTRAN)
+    # By hand: crown 0.05, webs 2 x (0.06 - t), brims 2 x 0.03, all of 0.006; webs overlap no brim.
+    area = 0.006 * (0.05 + 2 * (0.06 - 0.006) + 2 * 0.03)
+    axial = next(line for line in text.splitlines() if line.startswith("PBAR*"))
+    assert read_number(axial[40:56]) == pytest.approx(area, rel=1e-9)
 
 
 @pytest.mark.parametrize(
