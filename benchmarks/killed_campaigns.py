@@ -48,9 +48,20 @@ class Command:
 
 DIFFERENCES = ("--set", "sensitivity.method=finite_difference")
 UPDATE = ("update", "part.yaml", "--no-prefect", "--json", "--set", SHORT)
-SCREEN = ("screen", "part.yaml", "--json", "--method", "lhs", "--points", "20")
+SCREEN = ("screen", "part.yaml", "--no-prefect", "--json", "--method", "lhs", "--points", "20")
 SAMPLE = (
-    *("sample", "part.yaml", "--json", "--steps", "100", "--points", "20", "--checks", "3"),
+    *(
+        "sample",
+        "part.yaml",
+        "--no-prefect",
+        "--json",
+        "--steps",
+        "100",
+        "--points",
+        "20",
+        "--checks",
+        "3",
+    ),
     *("--set", "residuals.frequency_deviation=0.05"),
 )
 #: What is killed, a command for each campaign in turn.

@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modetune.flows.cli.options import AsJson, CampaignPath, Figures, Settings, stoppable
-from modetune.flows.report.tables import Column, json_object, show_table, table_of
+from modetune.flows.cli.options import (
+    AsJson,
+    CampaignPath,
+    Figures,
+    NoPrefect,
+    Settings,
+    paged,
+    stoppable,
+)
+from modetune.flows.report.tables import Column, Table, json_object, show_table, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -38,6 +46,7 @@ def localise(
     ] = None,
     settings: Settings = None,
     figures: Figures = None,
+    no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
     """Say where the model is wrong: maps of the error, what each parameter can remove of it, and
@@ -51,8 +60,10 @@ def localise(
 
     place = place_of(load_campaign(campaign_file, settings or []), record, configuration)
     campaign = place.campaign
-    with stoppable():
-        found = find(campaign, place.theta)
+    with stoppable(), paged("localise", campaign.name, no_prefect) as pages:
+        found = find(campaign, place.theta, pages)
+        if pages is not None:
+            pages.done(found.sentence, tables(found))
     written: list[Path] = []
     if figures is not None:
         from modetune.flows.studies.localise.figures import write_figures
@@ -164,19 +175,25 @@ def _worst(nodes: list[int], values: list[float]) -> list[dict[str, Any]]:
     return [{"node": nodes[place], "value": values[place]} for place in order]
 
 
+def tables(found: Localisation) -> list[Table]:
+    """Groups where there are maps, and what parameters can remove, the foremost of each."""
+    removals = _removals(found, (*found.singles[:SHOWN], *found.pairs[: SHOWN // 4]))
+    shown = [table_of("What parameters can remove of the residual", removals, RemovalRow)]
+    if found.maps is not None:
+        groups = _groups(found.maps)[:SHOWN]
+        title = "Where the model is wrong, from the test's shapes"
+        shown.insert(0, table_of(title, groups, GroupRow))
+    return shown
+
+
 def _show(found: Localisation) -> None:
     from rich.text import Text
 
     from modetune.flows.campaign.terminal import terminal
 
     console = terminal()
-    if found.maps is not None:
-        groups = _groups(found.maps)[:SHOWN]
-        title = "Where the model is wrong, from the test's shapes"
-        show_table(console, table_of(title, groups, GroupRow))
-    removals = _removals(found, (*found.singles[:SHOWN], *found.pairs[: SHOWN // 4]))
-    title = "What parameters can remove of the residual"
-    show_table(console, table_of(title, removals, RemovalRow))
+    for table in tables(found):
+        show_table(console, table)
     for line in _lines(found):
         console.print(Text(line), soft_wrap=True)
 

@@ -15,6 +15,7 @@ from modetune.core.errors import CampaignStopped
 if TYPE_CHECKING:
     from modetune.core.storage.store import Store
     from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.updating.prefect import Pages
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 Settings = Annotated[
@@ -27,6 +28,7 @@ At = Annotated[
 ]
 Runs = Annotated[Path, typer.Option(help="Where run folders go.")]
 Figures = Annotated[Path | None, typer.Option(help="Folder for figures (PNG).")]
+NoPrefect = Annotated[bool, typer.Option("--no-prefect", help="Without Prefect's pages.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
 
 
@@ -54,6 +56,18 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
 
     campaign = load_campaign(place)
     return campaign.store, campaign
+
+
+@contextmanager
+def paged(flow: str, name: str, without: bool) -> Iterator[Pages | None]:
+    """The pages of a study's run on Prefect's server, unless it goes without."""
+    if without:
+        yield None
+        return
+    from modetune.flows.updating.prefect import shown
+
+    with shown(name, flow=flow) as pages:
+        yield pages
 
 
 @contextmanager

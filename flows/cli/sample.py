@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modetune.flows.cli.options import AsJson, CampaignPath, Figures, Runs, Settings, stoppable
+from modetune.flows.cli.options import (
+    AsJson,
+    CampaignPath,
+    Figures,
+    NoPrefect,
+    Runs,
+    Settings,
+    paged,
+    stoppable,
+)
 
 if TYPE_CHECKING:
     from modetune.flows.studies.sample.record import PosteriorRecord
@@ -19,12 +28,12 @@ Record = Annotated[
 ]
 Points = Annotated[
     int | None,
-    typer.Option(help="Solver runs over the range; as many may follow near the posterior."),
+    typer.Option(help="Sets over the range; as many may follow near the posterior."),
 ]
 Walkers = Annotated[int | None, typer.Option(help="Walkers of the sampler.")]
 Steps = Annotated[int, typer.Option(help="Steps of a walker; up to ten times as many if needed.")]
 Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
-Checks = Annotated[int, typer.Option(help="Solver runs at points of the posterior.")]
+Checks = Annotated[int, typer.Option(help="Sets of the posterior that are solved for.")]
 
 
 def sample(
@@ -38,6 +47,7 @@ def sample(
     figures: Figures = None,
     settings: Settings = None,
     runs: Runs = Path("runs"),
+    no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
     """Sample the parameters' posterior: how sure they are, bounds, bends and second answers seen.
@@ -50,7 +60,7 @@ def sample(
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.studies.sample.record import FILE, write_posterior
     from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
-    from modetune.flows.studies.sample.telling import findings, told
+    from modetune.flows.studies.sample.telling import findings, posterior_table, told
 
     campaign = load_campaign(campaign_file, settings or [])
     folder = runs / campaign.name
@@ -59,8 +69,14 @@ def sample(
     if record is not None:
         earlier = read_record(record / "campaign.h5" if record.is_dir() else record)
     request = SamplingRequest(points, walkers, steps, seed, checks)
-    with stoppable(), _progress() as progress:
-        found = sample_campaign(campaign, request, progress, earlier)
+    with (
+        stoppable(),
+        _progress() as progress,
+        paged("sample", campaign.name, no_prefect) as pages,
+    ):
+        found = sample_campaign(campaign, request, progress, earlier, pages)
+        if pages is not None:
+            pages.done(found.points_by or "sampled", [posterior_table(found)])
     write_posterior(folder / FILE, found)
     written = [folder / FILE, *_figures(found, figures)]
     if as_json:
@@ -89,12 +105,11 @@ def _show(found: PosteriorRecord, written: list[Path]) -> None:
     from rich.text import Text
 
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table, table_of
-    from modetune.flows.studies.sample.telling import PosteriorRow, findings, posterior_rows
+    from modetune.flows.report.tables import show_table
+    from modetune.flows.studies.sample.telling import findings, posterior_table
 
     console = terminal()
-    title = "Posterior, relative to the deck"
-    show_table(console, table_of(title, posterior_rows(found), PosteriorRow))
+    show_table(console, posterior_table(found))
     left_out, checked = found.left_out.max(), found.check_errors.max()
     lines = [
         f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}, left out: "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modetune.flows.cli.options import Figures, Runs, Settings, stoppable
+from modetune.flows.cli.options import Figures, NoPrefect, Runs, Settings, paged, stoppable
 
 if TYPE_CHECKING:
     from modetune.flows.studies.screen.record import Screening
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML) with all candidates.")]
 MethodName = Annotated[str, typer.Option(help="local, morris, sobol, lhs or factorial.")]
 Points = Annotated[
-    int | None, typer.Option(help="Solver runs of the design at most; about ten a parameter.")
+    int | None, typer.Option(help="Points of the design at most; about ten a parameter.")
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Of the design's random numbers.")]
 Levels = Annotated[
@@ -39,6 +39,7 @@ def screen(
     figures: Figures = None,
     settings: Settings = None,
     runs: Runs = Path("runs"),
+    no_prefect: NoPrefect = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object on standard output, and as a file.")
     ] = False,
@@ -54,6 +55,7 @@ def screen(
     from modetune.flows.studies.screen.proposal import check_out, write_proposal
     from modetune.flows.studies.screen.record import FILE, write_screening
     from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+    from modetune.flows.studies.screen.telling import proposed, tables
 
     known = [name for name in METHODS if name == method]
     if not known:
@@ -64,8 +66,14 @@ def screen(
     folder = runs / campaign.name
     check_writable(folder, "name another place for run folders with --runs")
     request = ScreeningRequest(known[0], points, seed, levels, choose)
-    with stoppable(), _progress() as progress:
-        screening = screen_campaign(campaign, request, progress)
+    with (
+        stoppable(),
+        _progress() as progress,
+        paged("screen", campaign.name, no_prefect) as pages,
+    ):
+        screening = screen_campaign(campaign, request, progress, pages)
+        if pages is not None:
+            pages.done(proposed(screening), tables(screening))
     write_screening(folder / FILE, screening)
     written = [folder / FILE, *_figures(screening, figures)]
     if out is not None:

@@ -6,14 +6,21 @@ Heavy packages are imported where they are needed.
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modetune.flows.cli.explain import SHORT, nearest_line, told_job
-from modetune.flows.cli.options import AsJson, CampaignPath, Runs, Settings, stoppable
+from modetune.flows.cli.options import (
+    AsJson,
+    CampaignPath,
+    NoPrefect,
+    Runs,
+    Settings,
+    paged,
+    stoppable,
+)
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
@@ -27,9 +34,7 @@ def update(
     campaign_file: CampaignPath,
     settings: Settings = None,
     runs: Runs = Path("runs"),
-    no_prefect: Annotated[
-        bool, typer.Option("--no-prefect", help="Without Prefect's pages.")
-    ] = False,
+    no_prefect: NoPrefect = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run.")] = False,
     starts: Annotated[
         int | None, typer.Option(help="Update from so many starts; as `--set update.starts=N`.")
@@ -61,13 +66,14 @@ def run_update(
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.campaign.terminal import terminal
     from modetune.flows.updating.display import ConsoleProgress
-    from modetune.flows.updating.prefect import shown
     from modetune.flows.updating.starts import update_from_starts
 
     campaign = load_campaign(campaign_file, settings)
     campaign.solver_version()
-    with ConsoleProgress(terminal(stderr=True)).shown() as progress, ExitStack() as stack:
-        pages = stack.enter_context(shown(campaign.name)) if with_prefect else None
+    with (
+        ConsoleProgress(terminal(stderr=True)).shown() as progress,
+        paged("update", campaign.name, not with_prefect) as pages,
+    ):
         run = update_from_starts(campaign, runs / campaign.name, progress, pages, progress.forecast)
         if pages is not None:
             pages.ended(run.record, run.folder)

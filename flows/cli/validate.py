@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, CampaignPath, Settings, stoppable
+from modetune.flows.cli.options import (
+    AsJson,
+    CampaignPath,
+    NoPrefect,
+    Settings,
+    paged,
+    stoppable,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,6 +30,7 @@ def validate(
         typer.Option("--leave-one-out", help="Update without each used mode in turn."),
     ] = False,
     settings: Settings = None,
+    no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
     """Judge an update by what it was not made from, before and after.
@@ -32,14 +40,21 @@ def validate(
     """
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.held_out_tables import held_out_table
     from modetune.flows.studies.validate.leave_out import leave_one_out
     from modetune.flows.studies.validate.leave_out import validate as by_held_out
     from modetune.flows.updating.display import ConsoleProgress
 
     campaign = load_campaign(campaign_file, settings or [])
-    with stoppable(), ConsoleProgress(terminal(stderr=True)).shown() as progress:
+    with (
+        stoppable(),
+        ConsoleProgress(terminal(stderr=True)).shown() as progress,
+        paged("validate", campaign.name, no_prefect) as pages,
+    ):
         judge = leave_one_out if one_out else by_held_out
-        found = judge(campaign, progress.working)
+        found = judge(campaign, progress.working, pages)
+        if pages is not None:
+            pages.done(found.sentence, [held_out_table(found.held_out)])
     if as_json:
         typer.echo(json.dumps(told(found, one_out)))
     else:
@@ -91,16 +106,11 @@ def _show(console: Console, found: Validation) -> None:
         rows = [(fold.name.removeprefix("without "), *fold.updated) for fold in found.folds]
         show_table(console, Table("Parameters over the updates", tuple(columns), tuple(rows)))
     runs = found.runs
-    said = {
-        "good": "nothing that was held out got worse",
-        "worse": "what was held out got worse",
-        "failed": "not every update came to an end",
-    }[found.status]
     console.print(
         Text(
-            f"{found.status}: {said}\n{len(found.folds)} updates; solver runs: {runs.modal} modal, "
-            f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store; "
-            f"{found.wall_s:.1f} s"
+            f"{found.status}: {found.sentence}\n{len(found.folds)} updates; solver runs: "
+            f"{runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered by the "
+            f"store; {found.wall_s:.1f} s"
         ),
         soft_wrap=True,
     )

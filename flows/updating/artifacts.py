@@ -47,7 +47,7 @@ class Sheet:
 
 def sheet_key(campaign: str, sheet: str) -> str:
     """A key as Prefect requires it: small letters, digits, dashes."""
-    return f"{re.sub(r'[^a-z0-9]+', '-', campaign.lower()).strip('-')}-{sheet}"
+    return re.sub(r"[^a-z0-9]+", "-", f"{campaign}-{sheet}".lower()).strip("-")
 
 
 def progress_sheets(
@@ -63,7 +63,7 @@ def progress_sheets(
             f"e1 asks for {100 * tolerances.frequency:g} % (100 is e1 met)",
             round(100.0 * _nearness(kept, tolerances), 1),
         ),
-        _table_sheet(name, "iterations", f"Iterations of {name}", iteration_table(iterations)),
+        table_sheet(name, "iterations", iteration_table(iterations), f"Iterations of {name}"),
     ]
 
 
@@ -71,10 +71,10 @@ def result_sheets(record: CampaignRecord, folder: Path) -> list[Sheet]:
     """Frequencies, parameters, MAC and places at the end of a run."""
     name = record.name
     sheets = [
-        _table_sheet(
-            name, "frequencies", f"Frequencies of {name} before and after", mode_table(record)
+        table_sheet(
+            name, "frequencies", mode_table(record), f"Frequencies of {name} before and after"
         ),
-        _table_sheet(name, "parameters", f"Parameters of {name}", parameter_table(record)),
+        table_sheet(name, "parameters", parameter_table(record), f"Parameters of {name}"),
         Sheet(
             "markdown",
             sheet_key(name, "record"),
@@ -95,9 +95,10 @@ def result_sheets(record: CampaignRecord, folder: Path) -> list[Sheet]:
     return sheets
 
 
-def _table_sheet(campaign: str, sheet: str, description: str, table: Table) -> Sheet:
+def table_sheet(campaign: str, sheet: str, table: Table, description: str = "") -> Sheet:
+    """A table as a sheet; it is described by its name unless told."""
     data = json.dumps(artifact_rows(table))
-    return Sheet("table", sheet_key(campaign, sheet), description, data)
+    return Sheet("table", sheet_key(campaign, sheet), description or sheet, data)
 
 
 def mac_picture(record: CampaignRecord) -> bytes:

@@ -113,6 +113,8 @@ class ReducedRanges:
         within = Evaluator(
             self.evaluator.campaign, states, self.evaluator.execution, self.evaluator.ledger
         )
+        batch = Work(f"reduced model for {len(thetas)} sets", ())
+        self.evaluator.execution.run(title, [batch])  # whoever watches hears of it
         found = _points(within, title, thetas, known, grows)
         solved = ranges[0].range.solved
         worst = int(np.argmin(np.linalg.norm(states[0].own(thetas.T).T - solved[-1], axis=1)))

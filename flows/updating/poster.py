@@ -53,12 +53,13 @@ class GivenUp(Exception):
 class Poster:
     """What a campaign tells, on its way to the server, in order.
 
-    name: of the campaign; flow_run: the run that the server started, or None to make one; parent:
-    the campaign's process.
+    name: of the campaign; flow_run: the run that the server started, or None to make one, of this
+    flow; parent: the campaign's process.
     """
 
-    def __init__(self, name: str, flow_run: str | None, parent: int) -> None:
+    def __init__(self, name: str, flow_run: str | None, flow: str, parent: int) -> None:
         self.name = name
+        self.flow = flow
         self.deployed = flow_run is not None
         self.run = flow_run or ""
         self.parent = parent
@@ -163,7 +164,7 @@ class Poster:
             api.patch(f"/flow_runs/{self.run}", {"name": self.name})
             api.post(f"/flow_runs/{self.run}/set_state", {"state": state})
         else:
-            flow = api.post("/flows/", {"name": "update"})["id"]
+            flow = api.post("/flows/", {"name": self.flow})["id"]
             made = {"flow_id": flow, "name": self.name, "tags": [TAG], "state": state}
             self.run = str(api.post("/flow_runs/", made)["id"])
         self._live(api)
@@ -270,7 +271,7 @@ def main() -> None:
     if os.fork():
         os._exit(0)
     begin = json.loads(sys.stdin.readline())
-    poster = Poster(begin["name"], begin["flow_run"], begin["parent"])
+    poster = Poster(begin["name"], begin["flow_run"], begin["flow"], begin["parent"])
     threading.Thread(target=poster.listen, daemon=True).start()
     try:
         poster.work()

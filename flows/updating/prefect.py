@@ -1,4 +1,4 @@
-"""A campaign on the pages of a Prefect server: a flow run, its pieces as task runs, its tables.
+"""A campaign or a study on the pages of a Prefect server: flow run, tasks, tables.
 
 The campaign runs by itself and tells a process beside it what happens (`poster.py`); that one
 knows the server. Telling never waits: not for the server to start, not for a slow one, not at the
@@ -30,7 +30,8 @@ from modetune.core.errors import CampaignStopped, ModetuneError
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.jobs.work import Done, Work
-from modetune.flows.updating.artifacts import Sheet, progress_sheets
+from modetune.flows.report.tables import Table
+from modetune.flows.updating.artifacts import Sheet, progress_sheets, table_sheet
 from modetune.flows.updating.display import iteration_line
 from modetune.flows.updating.updating import Progress
 
@@ -47,13 +48,14 @@ MOST_WAITING = 16_000_000
 
 
 class Pages:
-    """The pages of one campaign's run, from `Pages(name)` to `ended` or `failed`.
+    """The pages of one run of a campaign or a study, from `Pages(name)` to its end.
 
-    name: of the campaign; flow_run: the run that the server started, or None to make one.
+    name: of the campaign; flow_run: the run that the server started, or None to make one, of this
+    flow.
     Any thread may tell; nothing here raises but what a mistake of ours raises.
     """
 
-    def __init__(self, name: str, flow_run: str | None = None) -> None:
+    def __init__(self, name: str, flow_run: str | None = None, flow: str = "update") -> None:
         self.name = name
         self._guard = threading.Lock()
         self._unsent = bytearray()
@@ -71,7 +73,8 @@ class Pages:
             return
         assert self._beside.stdin is not None
         os.set_blocking(self._beside.stdin.fileno(), False)
-        self._tell({"name": name, "flow_run": flow_run, "parent": os.getpid()})
+        begin = {"name": name, "flow_run": flow_run, "flow": flow, "parent": os.getpid()}
+        self._tell(begin)
 
     def began(self, iteration: str, work: Work) -> Callable[[Done], None]:
         """A piece of work begins; what is returned hears how it ended."""
@@ -106,8 +109,15 @@ class Pages:
 
     def ended(self, record: CampaignRecord, folder: Path) -> None:
         """The campaign has come to its end, and its record is in this folder."""
-        name = record.status.replace("_", " ").capitalize()
-        self.end("COMPLETED", name, record.reason, folder)
+        # What is not converged is not shown in green, and an alarm may wait for it.
+        kind = "COMPLETED" if record.status == "converged" else "FAILED"
+        self.end(kind, record.status.replace("_", " ").capitalize(), record.reason, folder)
+
+    def done(self, said: str, tables: Sequence[Table]) -> None:
+        """A study has come to its end. said: what it found, in a sentence."""
+        for table in tables:
+            self.sheet(table_sheet(self.name, table.title, table))
+        self.end("COMPLETED", "Completed", said)
 
     def failed(self, error: BaseException) -> None:
         """The campaign was broken off."""
@@ -189,9 +199,9 @@ class Pages:
 
 
 @contextmanager
-def shown(name: str, flow_run: str | None = None) -> Iterator[Pages]:
-    """The pages of a campaign that ends in here; one that is broken off is told as such."""
-    pages = Pages(name, flow_run)
+def shown(name: str, flow_run: str | None = None, flow: str = "update") -> Iterator[Pages]:
+    """The pages of a run that ends in here; one that is broken off is told as such."""
+    pages = Pages(name, flow_run, flow)
     try:
         yield pages
     except BaseException as error:

@@ -20,7 +20,7 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.updating.localisation import Removal, removals
 from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.jobs.work import JobWatcher, ThreadExecution
 from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.updating.evaluators import evaluator_of
@@ -99,17 +99,21 @@ def _updated_values(campaign: Campaign, place: Path) -> Floats:
     return record.updated
 
 
-def localise(campaign: Campaign, theta: Floats | None = None) -> Localisation:
+def localise(
+    campaign: Campaign, theta: Floats | None = None, watcher: JobWatcher | None = None
+) -> Localisation:
     """Look for the error at parameter values, at the campaign's start if left out.
 
     theta: (n_parameters,), values that updating ended on; the test for model-form error is then a
-    verdict, not a forecast. Raises ModesError, SolverError, StoreError.
+    verdict, not a forecast. watcher: is told of each job, as Prefect's pages are.
+    Raises ModesError, SolverError, StoreError.
     """
     updated = theta is not None
     values = campaign.start if theta is None else theta
     engine = job_engine(campaign)
     try:
-        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+        threads = ThreadExecution(engine, campaign.parallel, watcher=watcher)
+        evaluator = evaluator_of(campaign, engine, threads)
         evaluation, matrix = evaluator.evaluate(0, values, None, alone=False)
         assert matrix is not None
         why = why_no_maps(campaign)

@@ -16,7 +16,7 @@ from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
-from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.jobs.work import JobWatcher, ThreadExecution
 from modetune.flows.studies.sample.checking import Checks, check_surrogate
 from modetune.flows.studies.sample.learning import Learned, learn
 from modetune.flows.studies.sample.points import PointSolver
@@ -75,8 +75,11 @@ def sample_campaign(
     request: SamplingRequest,
     progress: SamplingProgress,
     earlier: CampaignRecord | None = None,
+    watcher: JobWatcher | None = None,
 ) -> PosteriorRecord:
     """The posterior of a campaign's parameters. earlier: an updated campaign to start from.
+
+    watcher: is told of each job, as Prefect's pages are.
 
     Raises CampaignError (what was asked cannot be; the surrogate stays too poor), SolverError,
     ModesError, StoreError.
@@ -97,7 +100,7 @@ def sample_campaign(
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine:
         try:
-            threads = ThreadExecution(engine, campaign.parallel)
+            threads = ThreadExecution(engine, campaign.parallel, watcher=watcher)
             evaluator = evaluator_of(campaign, engine, threads, sets=asked)
             solver = PointSolver(campaign, evaluator)
             # Where nothing was measured but frequencies, pairs are those that updating begins with.

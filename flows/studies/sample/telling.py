@@ -11,7 +11,7 @@ from scipy.stats import truncnorm
 
 from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json
-from modetune.flows.report.tables import Column, json_object
+from modetune.flows.report.tables import Column, Table, json_object, table_of
 from modetune.flows.studies.sample.learning import GOOD, REFUSED
 from modetune.flows.studies.sample.record import PosteriorRecord
 
@@ -250,6 +250,11 @@ def posterior_rows(record: PosteriorRecord) -> list[PosteriorRow]:
         strict=True,
     )
     return [PosteriorRow(*values) for values in columns]
+
+
+def posterior_table(record: PosteriorRecord) -> Table:
+    """What is known of every parameter."""
+    return table_of("Posterior, relative to the deck", posterior_rows(record), PosteriorRow)
 
 
 def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:

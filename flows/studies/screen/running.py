@@ -8,7 +8,7 @@ that was stopped goes on where it was, and the same one again starts no solver.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
@@ -22,7 +22,7 @@ from modetune.core.storage.record import RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.work import Done, ThreadExecution, Work
+from modetune.flows.jobs.work import Done, JobWatcher, ThreadExecution, Work
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
 from modetune.flows.studies.screen.design import Design, Method, make_design
 from modetune.flows.studies.screen.importance import importance, loudest
@@ -66,9 +66,14 @@ class ScreeningProgress(Protocol):
 
 
 def screen_campaign(
-    campaign: Campaign, request: ScreeningRequest, progress: ScreeningProgress
+    campaign: Campaign,
+    request: ScreeningRequest,
+    progress: ScreeningProgress,
+    watcher: JobWatcher | None = None,
 ) -> Screening:
     """Screen a campaign's parameters within their bounds.
+
+    watcher: is told of each job, as Prefect's pages are.
 
     Points that fail are left out as the method allows. Raises CampaignError (a design that cannot
     be), SolverError, ModesError (too few points are left), StoreError.
@@ -94,10 +99,11 @@ def screen_campaign(
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine, _ended(engine):
         progress.working("deck's values, sensitivities")
-        shown = _Shown(engine, campaign.parallel, progress)
+        shown = _Shown(engine, campaign.parallel, progress, watcher)
         evaluator = evaluator_of(campaign, engine, shown, sets=len(design.points))
         nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
         assert matrix is not None
+        progress.working(POINTS)
         points = evaluator.points(POINTS, design.points, [nominal])
         responses = _responses(campaign, nominal, points)
         runs, said = evaluator.runs, evaluator.ranges.said if evaluator.ranges else ""
@@ -217,10 +223,11 @@ class _Shown:
     engine: JobEngine
     parallel: int
     progress: ScreeningProgress
+    watcher: JobWatcher | None = None
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
         if iteration != POINTS:
-            return ThreadExecution(self.engine, self.parallel).run(iteration, work)
+            return self._threads().run(iteration, work)
         done = ran = failed = 0
 
         def told(item: Done) -> None:
@@ -233,7 +240,10 @@ class _Shown:
             self.progress.points(done, len(work), ran, failed)
 
         self.progress.working(POINTS)
-        return ThreadExecution(self.engine, self.parallel, told).run(iteration, work)
+        return self._threads(told).run(iteration, work)
 
     def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        pass
+        self._threads().skip(iteration, names, reason)
+
+    def _threads(self, told: Callable[[Done], None] | None = None) -> ThreadExecution:
+        return ThreadExecution(self.engine, self.parallel, told, self.watcher)

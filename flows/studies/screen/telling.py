@@ -224,10 +224,7 @@ def lines(screening: Screening) -> list[str]:
             "left out"
         )
         said.append(f"{failed} of {len(design.points)} points failed{how}; the first: {first}")
-    chosen = screening.choice.chosen
-    said.append(
-        f"proposed: {', '.join(chosen) if chosen else 'none of them'}" + _explained(screening)
-    )
+    said.append(proposed(screening))
     said.extend(f"note: {note}" for note in notes(screening))
     if screening.points_by:
         said.append(screening.points_by)
@@ -236,6 +233,12 @@ def lines(screening: Screening) -> list[str]:
         f"by the store; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes"
     )
     return said
+
+
+def proposed(screening: Screening) -> str:
+    """Which parameters are to be updated, and what that leaves."""
+    chosen = screening.choice.chosen
+    return f"proposed: {', '.join(chosen) if chosen else 'none of them'}" + _explained(screening)
 
 
 def _explained(screening: Screening) -> str:

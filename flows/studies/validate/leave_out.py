@@ -25,7 +25,7 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCou
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.jobs.work import JobWatcher, ThreadExecution
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.running import solving_engine
@@ -74,6 +74,15 @@ class Validation:
     def held_out(self) -> HeldOut | None:
         """What was held out of all updates that came to an end."""
         return join_held_out([fold.held_out for fold in self.folds if fold.held_out is not None])
+
+    @property
+    def sentence(self) -> str:
+        """What the status says."""
+        return {
+            "good": "nothing that was held out got worse",
+            "worse": "what was held out got worse",
+            "failed": "not every update came to an end",
+        }[self.status]
 
     @property
     def failed(self) -> tuple[Fold, ...]:
@@ -129,20 +138,25 @@ def leave_out(campaign: Campaign, number: int, configuration: str = "") -> Campa
     return replace(campaign, cases=cases)
 
 
-def leave_one_out(campaign: Campaign, working: Callable[[str], None]) -> Validation:
+def leave_one_out(
+    campaign: Campaign, working: Callable[[str], None], watcher: JobWatcher | None = None
+) -> Validation:
     """Update without each used mode in turn and judge it by that mode.
 
     The updates go side by side as far as the campaign's engine lets their jobs. One that fails is
-    told of and keeps the others from nothing. working: hears what is being done.
+    told of and keeps the others from nothing. working: hears what is being done; watcher: of each
+    job, as Prefect's pages do.
     Raises CampaignError, SolverMissing, LicenceDenied, StoreError.
     """
     modes = [(number, case.name) for case in campaign.used for number in case.test.numbers]
     campaigns = [leave_out(campaign, *mode) for mode in modes]
-    return _validated(campaign, modes, campaigns, working)
+    return _validated(campaign, modes, campaigns, working, watcher)
 
 
-def validate(campaign: Campaign, working: Callable[[str], None]) -> Validation:
-    """Update and judge by what the campaign itself holds out.
+def validate(
+    campaign: Campaign, working: Callable[[str], None], watcher: JobWatcher | None = None
+) -> Validation:
+    """Update and judge by what the campaign itself holds out; as `leave_one_out`.
 
     Raises CampaignError where it holds out nothing; SolverError, ModesError, StoreError.
     """
@@ -151,7 +165,7 @@ def validate(campaign: Campaign, working: Callable[[str], None]) -> Validation:
             f"{campaign.file} holds out nothing to judge by: name modes with `test.hold_out`, or "
             "leave each mode out in turn with --leave-one-out"
         )
-    return _validated(campaign, [(0, "")], [campaign], working)
+    return _validated(campaign, [(0, "")], [campaign], working, watcher)
 
 
 def _validated(
@@ -159,6 +173,7 @@ def _validated(
     modes: Sequence[tuple[int, str]],
     campaigns: Sequence[Campaign],
     working: Callable[[str], None],
+    watcher: JobWatcher | None,
 ) -> Validation:
     started = time.monotonic()
     campaign.solver_version()  # a missing solver is told before anything else starts
@@ -170,7 +185,7 @@ def _validated(
             for (number, configuration), one in zip(modes, campaigns, strict=True):
                 unknown = np.full(len(campaign.parameters), np.nan)
                 begun = Fold(number, "failed", "", 0, unknown, None, configuration)
-                futures.append(pool.submit(_fold, begun, one, engine, working))
+                futures.append(pool.submit(_fold, begun, one, engine, working, watcher))
             try:
                 done = [future.result() for future in futures]
             except BaseException:
@@ -192,11 +207,16 @@ def _validated(
 
 
 def _fold(
-    fold: Fold, campaign: Campaign, engine: JobEngine, working: Callable[[str], None]
+    fold: Fold,
+    campaign: Campaign,
+    engine: JobEngine,
+    working: Callable[[str], None],
+    watcher: JobWatcher | None,
 ) -> tuple[Fold, RunCounts]:
     """One update; the fold tells what is left out. Where it fails, the reason stands in place of
     its end."""
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+    threads = ThreadExecution(engine, campaign.parallel, watcher=watcher)
+    evaluator = evaluator_of(campaign, engine, threads)
     updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
     try:
         record = updating.run()

@@ -38,8 +38,8 @@ def test_an_update_requires_no_extra(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "package"),
     [
-        (("sample", "campaign.yaml"), "sklearn"),
-        (("screen", "campaign.yaml", "--method", "morris"), "SALib"),
+        (("sample", "campaign.yaml", "--no-prefect"), "sklearn"),
+        (("screen", "campaign.yaml", "--no-prefect", "--method", "morris"), "SALib"),
     ],
 )
 def test_a_study_says_which_extra_it_requires(

@@ -30,6 +30,7 @@ from modetune.flows.updating import artifacts
 from modetune.flows.updating.running import job_engine, update_campaign
 from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of
 from tests.command_line import run_command
+from tests.eventually import eventually
 from tests.flows.conftest import Bench, ChainDeck, Watcher, api_of, recased
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
@@ -255,6 +256,30 @@ def test_a_deployed_campaign_runs_once_and_says_when_nothing_changed(site: Site)
     assert "no solver run" in second["state"]["message"]
     with h5py.File(site.folder / "runs" / "six-mass" / "campaign.h5") as file:
         assert file["runs"].attrs["modal"] == file["runs"].attrs["sensitivity"] == 0
+
+
+def test_a_screening_is_a_flow_of_its_own_with_a_task_a_point_and_its_tables(site: Site) -> None:
+    said = site.run("screen", "campaign.yaml", "--method", "lhs", "--points", "10", "--json")
+    assert said.returncode == 0, said.stderr
+    runs: list[Any] = []
+
+    def ended() -> bool:
+        runs[:] = site.ask("/flow_runs/filter", {"flows": {"name": {"any_": ["screen"]}}})
+        return any(run["state_type"] == "COMPLETED" for run in runs)
+
+    assert eventually(ended)
+    (run,) = runs
+    assert (run["name"], run["state_name"]) == ("six-mass", "Completed")
+    assert run["state"]["message"].startswith("proposed: k")
+    of_run = {"flow_runs": {"id": {"any_": [run["id"]]}}, "limit": 200}
+
+    def points() -> list[str]:
+        tasks = site.ask("/task_runs/filter", of_run)
+        return [task["name"] for task in tasks if task["name"].startswith("points of the design")]
+
+    assert eventually(lambda: len(points()) == 10)
+    found = site.ask("/artifacts/filter", {"artifacts": {"flow_run_id": {"any_": [run["id"]]}}})
+    assert "six-mass-candidates" in {item["key"] for item in found}
 
 
 def test_a_deployed_campaign_that_is_running_is_not_started_twice(site: Site) -> None:

@@ -182,7 +182,9 @@ def test_the_command_tells_machines_and_people(
     monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
     campaign = str(tmp_path / "campaign.yaml")
     folder = tmp_path / "figures"
-    result = CliRunner().invoke(app, ["localise", campaign, "--json", "--figures", str(folder)])
+    result = CliRunner().invoke(
+        app, ["localise", campaign, "--no-prefect", "--json", "--figures", str(folder)]
+    )
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert told["status"] == "done"
@@ -190,7 +192,7 @@ def test_the_command_tells_machines_and_people(
     assert len(told["pairs"]) == 6  # of four parameters
     assert told["maps"]["strains"] == []  # a model of matrices has no mesh
     assert [Path(path).name for path in told["written"]] == ["removals.png", "groups.png"]
-    shown = CliRunner().invoke(app, ["localise", campaign])
+    shown = CliRunner().invoke(app, ["localise", campaign, "--no-prefect"])
     assert shown.exit_code == 0, shown.output
     assert "Where the model is wrong" in shown.stdout
     assert "results from the store" in shown.stdout

@@ -438,7 +438,7 @@ def test_what_cannot_be_held_out_is_refused_with_its_line(
 
 
 def test_the_command_validates_by_what_is_held_out(folder: Path) -> None:
-    done = modetune(folder, "validate", "campaign.yaml", "--json")
+    done = modetune(folder, "validate", "campaign.yaml", "--no-prefect", "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told["status"] == "good"
@@ -456,13 +456,15 @@ def test_the_command_leaves_each_mode_out_and_fails_where_one_got_worse(folder: 
         .replace("k2", "k3")
     )
     (folder / "campaign.yaml").write_text(wrong)
-    done = modetune(folder, "validate", "campaign.yaml", "--leave-one-out")
+    done = modetune(folder, "validate", "campaign.yaml", "--no-prefect", "--leave-one-out")
     assert done.returncode == 3, done.stderr
     assert "got worse: it was" in done.stdout
     assert "3 updates; solver runs: " in done.stdout
     table = done.stdout.partition("without ")[2]  # a row a mode
     assert re.findall(r"(?m)^\D*(\d)\D+\d\.\d{4}\b", table) == ["1", "2", "3"]
-    again = modetune(folder, "validate", "campaign.yaml", "--leave-one-out", "--json")
+    again = modetune(
+        folder, "validate", "campaign.yaml", "--no-prefect", "--leave-one-out", "--json"
+    )
     told = json.loads(again.stdout)
     assert told["status"] == "worse"
     assert told["solver_runs"]["modal"] == 0  # all from the store
@@ -472,7 +474,7 @@ def test_the_command_leaves_each_mode_out_and_fails_where_one_got_worse(folder: 
 
 def test_the_command_says_what_is_missing_in_one_sentence(folder: Path) -> None:
     (folder / "campaign.yaml").write_text(CAMPAIGN.replace("  hold_out: [3]\n", ""))
-    done = modetune(folder, "validate", "campaign.yaml")
+    done = modetune(folder, "validate", "campaign.yaml", "--no-prefect")
     assert done.returncode == 2
     assert "holds out nothing to judge by" in done.stderr
     assert "Traceback" not in done.stderr

@@ -245,7 +245,7 @@ def test_how_a_campaign_was_broken_off_is_its_runs_state(
 def test_a_campaign_that_is_killed_has_crashed() -> None:
     assert poster.KILLED["end"]["type"] == "CRASHED"
     read, write = os.pipe()
-    heard = poster.Poster("chain", None, os.getpid())
+    heard = poster.Poster("chain", None, "update", os.getpid())
     os.write(write, b'{"log": {"message": "one"}}\n{"log": {"mess')
     os.close(write)
     with os.fdopen(read) as pipe:

@@ -36,7 +36,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def typed(*arguments: str) -> Result:
-    return CliRunner().invoke(app, ["sample", "campaign.yaml", "--points", "8", *arguments])
+    return CliRunner().invoke(
+        app, ["sample", "campaign.yaml", "--no-prefect", "--points", "8", *arguments]
+    )
 
 
 def test_the_json_names_every_parameter_response_and_file(folder: Path) -> None:

@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def screen(folder: Path, *arguments: str) -> CompletedProcess[str]:
-    return run_command(folder, "screen", "campaign.yaml", *arguments)
+    return run_command(folder, "screen", "campaign.yaml", "--no-prefect", *arguments)
 
 
 def test_a_screening_leaves_record_proposal_figures_and_one_json_object(folder: Path) -> None:
