@@ -134,17 +134,11 @@ class CalculixDeck(Deck):
 
     def is_linear(self, parameter: Parameter) -> bool:
         """Of engineering constants a single Young's modulus is coupled with the others."""
-        # ccx stores no matrices of a sector that are those of a nodal diameter.
-        stored = not self.model.deck.named("*CYCLIC SYMMETRY MODEL")
-        return (
-            stored
-            and not self.preload()
-            and all(
-                item.quantity in LINEAR
-                and (item.quantity != "youngs_modulus" or item.item not in DIRECTIONS)
-                and degree(item.expression or "0") < 2
-                for item in (parameter, *driven_by(parameter, self.parameters))
-            )
+        return not self.preload() and all(
+            item.quantity in LINEAR
+            and (item.quantity != "youngs_modulus" or item.item not in DIRECTIONS)
+            and degree(item.expression or "0") < 2
+            for item in (parameter, *driven_by(parameter, self.parameters))
         )
 
     def preload(self) -> str:
@@ -189,21 +183,22 @@ class CalculixDeck(Deck):
         return self.model.edit(assigned(self.parameters, values))
 
 
+CAPABILITIES = Capabilities(strain_energies=True, matrices=True, tell_rigid=True, matrix_modes=True)
+
+
 @dataclass(frozen=True)
 class CalculixProgram:
     """The program ccx. with_frd: whether modal jobs leave job.frd too, for pictures."""
 
     program: str
     with_frd: bool = False
+    capabilities: Capabilities = CAPABILITIES
 
     name = "calculix"
     #: Raised by hand when the same ccx output is read to other numbers.
     reader_version = 1
     #: Raised by hand when the same shapes are turned into frames in another way.
     frames_version = 1
-    capabilities = Capabilities(
-        strain_energies=True, matrices=True, tell_rigid=True, matrix_modes=True
-    )
 
     @cached_property
     def _version(self) -> str:
@@ -343,7 +338,11 @@ def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     model = split_model(understand(read_deck(deck)), parameters)
     for note in check_frequency_step(model):
         logger.warning("%s", note)
-    return Solver(CalculixDeck(model, parameters), calculix_program())
+    program = calculix_program()
+    if read_cyclic_symmetry(model) is not None:  # of a sector ccx stores no nodal diameter's
+        without = replace(program.capabilities, matrices=False, matrix_modes=False)
+        program = replace(program, capabilities=without)
+    return Solver(CalculixDeck(model, parameters), program)
 
 
 def calculix_program() -> CalculixProgram:

@@ -57,7 +57,7 @@ def differences(
         raise ModelError(
             f"the stored matrices of two states of the model have other equations "
             f"({base.nodes.size} and {other.nodes.size}), as where shells of equal thickness "
-            "become unequal; use finite differences, or start where they are unequal"
+            "become unequal; start where they are unequal"
         )
     stiffness, mass = (
         _without_rounding(new - old, np.abs(new.diagonal()) + np.abs(old.diagonal()))
@@ -134,10 +134,10 @@ def separate(
         where = f"node {nodes[wrong[0]]}"
         raise ModelError(
             f"the stored matrices changed at {where}, which is not joined to the elements of any "
-            "moved parameter; use finite differences"
+            "moved parameter"
             if highest[component[wrong[0]]] < 0
             else f"the stored matrices changed at {where} by two parameters whose elements should "
-            "share no node; use finite differences"
+            "share no node"
         )
     owners = np.where(changed, highest[component], -1)
     return [_rows(difference, owners == place) for place in range(len(node_groups))]

@@ -22,6 +22,7 @@ from scipy import sparse
 from modetune.adapters.solver import MatrixAnalysis, Solver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pardiso import is_available
+from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import ParameterSet
 from modetune.core.storage.keys import Json, canonical_json, content_key
@@ -56,6 +57,10 @@ RUNS = 4
 #: Upper triangles of stiffness and mass.
 Triangles = tuple[sparse.csr_array, sparse.csr_array]
 NOTHING = sparse.csr_array((0, 0))
+#: What a campaign can do where stored matrices cannot be believed.
+WITHOUT_MATRICES = (
+    "`sensitivity.method: finite_difference` with `model.eigensolver: solver` needs no matrices"
+)
 
 
 @dataclass(frozen=True)
@@ -118,11 +123,14 @@ class MatrixSource:
         if self._given is not None:
             return self._given
         chosen = self._plan(theta, columns)
-        if not self.everywhere:
-            return self._take_apart(chosen, wide)
-        return self.engine.derived(
-            self._asked(chosen), lambda: self._take_apart(chosen, wide), ParameterMatrices
-        )
+        try:
+            if not self.everywhere:
+                return self._take_apart(chosen, wide)
+            return self.engine.derived(
+                self._asked(chosen), lambda: self._take_apart(chosen, wide), ParameterMatrices
+            )
+        except ModelError as error:
+            raise ModelError(f"{error}; {WITHOUT_MATRICES}") from error
 
     def last_matrices(self, theta: Floats, columns: Sequence[int]) -> ParameterMatrices:
         """As `matrices`; results of jobs leave the store, which has what was made of them."""

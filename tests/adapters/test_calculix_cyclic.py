@@ -159,7 +159,7 @@ def test_a_sector_has_no_matrices_and_no_parameter_is_sampled_by_them(tmp_path: 
     solver = calculix_solver(path, ())
     with pytest.raises(ModelError, match="matrices of a sector"):
         solver.render({}, MatrixAnalysis())
-    assert not solver.deck.is_linear(parameter("density", "RIM"))
-    assert solver.deck.affected_elements(parameter("youngs_modulus", "RIM")) is None
+    assert not solver.offers.matrices
+    assert not solver.offers.matrix_modes
     assert solver.deck.energy_sets(parameter("youngs_modulus", "RIM")) == ("RIM",)
     assert not solver.deck.summary.matrix_shapes

@@ -11,6 +11,7 @@ import pytest
 
 from modetune.adapters.solver import MatrixAnalysis
 from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, mode_set
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.work import ThreadExecution
@@ -140,3 +141,23 @@ def test_jobs_on_other_machines_bring_matrices_where_that_is_asked_for(
     ]
     engine = job_engine(load_campaign(file))
     assert (modes_source(load_campaign(file, settings), engine) is not None) == there
+
+
+def test_matrices_that_do_not_fit_are_refused_with_what_needs_none(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = source_of(load_campaign(file))
+
+    def unlike(*arguments: Any) -> Any:
+        raise ModelError("the stored matrices have other equations")
+
+    monkeypatch.setattr("modetune.flows.updating.matrix_source.differences", unlike)
+    remedy = r"`sensitivity.method: finite_difference` with `model.eigensolver: solver`"
+    engine = job_engine(load_campaign(file))
+    for job in source.jobs(THETA, [1]):
+        engine.solve(job)
+    with pytest.raises(ModelError, match=rf"other equations; {remedy} needs no matrices"):
+        source.matrices(THETA, [1])
+    # The advice is one that the campaign can follow.
+    settings = ["sensitivity.method=finite_difference", "model.eigensolver=solver"]
+    assert modes_source(load_campaign(file, settings), engine) is None
