@@ -180,7 +180,7 @@ def _two_models(
 ) -> tuple[Side, Side, Model]:
     """Two models at the sensors of their tests, or where these share none, at common nodes."""
     models = [_model(load_campaign(item.path, list(settings)), item.at) for item in (first, second)]
-    seen = [_seen(model) for model in models]
+    seen, by_sensors = [_seen(model) for model in models], True
     if common_dofs(*seen)[0].size == 0:
         ids = (
             models[0].campaign.case.solver.deck.summary.node_ids
@@ -195,11 +195,13 @@ def _two_models(
             _model(model.campaign, item.at, tracking_nodes(ids))
             for model, item in zip(models, (first, second), strict=True)
         ]
-        seen = [model.elastic for model in models]
+        seen, by_sensors = [model.elastic for model in models], False
     labels = _labels(models, first, second)
     left, right = (
         model.side(modes, label) for model, modes, label in zip(models, seen, labels, strict=True)
     )
+    if not by_sensors:  # along the model's axes
+        left, right = (replace(side, geometry=None) for side in (left, right))
     return left, right, models[1]
 
 
