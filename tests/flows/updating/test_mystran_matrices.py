@@ -21,8 +21,9 @@ from modetune.core.parameters import Parameter
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.running import update_campaign
-from tests.adapters.mystran_decks import AVERAGED, CARRIED, bracket, frame
+from modetune.flows.updating.matrix_source import modes_source
+from modetune.flows.updating.running import job_engine, update_campaign
+from tests.adapters.mystran_decks import AVERAGED, CARRIED, bracket, frame, plate
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command
 
@@ -153,3 +154,31 @@ def test_matrices_that_cannot_be_read_leave_the_campaign_to_mystrans_own_modes(
     assert record.best.solved_by == "mystran"
     assert "the matrices of the MYSTRAN run" in caplog.text
     np.testing.assert_allclose(record.updated, (0.9,), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("parts", "jobs"),
+    [((1, 3), 7), ((1, 2), None)],  # 13 jobs where the plates meet, and some 12 by differences
+)
+def test_what_takes_fewer_runs_is_chosen(
+    parts: tuple[int, ...], jobs: int | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "part.bdf").write_text(plate())
+    (tmp_path / "part.csv").write_text("mode,1,2,3\nfrequency_hz,20.,50.,80.\n")
+    items = "".join(
+        f"  - {{name: t_{part}, quantity: thickness, property: {part}, bounds: [0.6, 1.6]}}\n"
+        for part in parts
+    )
+    (tmp_path / "part.yaml").write_text(
+        "name: part\nmodel: {deck: part.bdf, solver: mystran, units: m-kg-s}\n"
+        f"test: {{modes: part.csv}}\nparameters:\n{items}"
+    )
+    campaign = load_campaign(tmp_path / "part.yaml")
+    with caplog.at_level("INFO"):
+        source = modes_source(campaign, job_engine(campaign))
+    if jobs is None:
+        assert source is None
+        assert "its matrices take 13 jobs, and differences about 12" in caplog.text
+    else:
+        assert source is not None
+        assert len(source.jobs(campaign.start, range(len(parts)))) == jobs
