@@ -12,6 +12,7 @@ and the edges CONROD.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,8 +30,6 @@ SOFT = 0.1
 RECTANGLE = 0.02
 #: Above it F1 and F2 are areas of rods in squares of the thickness.
 FULLY_EFFECTIVE = 1.01
-
-
 #: Names of cards that may be written otherwise.
 CARDS = ("PCOMP", "CSHEAR", "PSHEAR")
 
@@ -38,10 +37,14 @@ CARDS = ("PCOMP", "CSHEAR", "PSHEAR")
 class ShellCards:
     """Writes the cards of one deck in place of those that MYSTRAN has wrong."""
 
-    def __init__(self, bulk: Bulk, new_number: Callable[[], str]) -> None:
-        """bulk: pyNastran's model of the deck as it is run; new_number: one that no card has."""
-        self._bulk = bulk
+    def __init__(self, bulk: Callable[[], Bulk], new_number: Callable[[], str]) -> None:
+        """bulk: makes pyNastran's model of the deck as it is run; new_number: one no card has."""
+        self._made = bulk
         self._new_number = new_number
+
+    @cached_property
+    def _bulk(self) -> Bulk:
+        return self._made()
 
     def cards(self, card: NastranCard) -> list[Card] | None:
         """What MYSTRAN reads in a card's place, None for the card as it is.
