@@ -36,8 +36,9 @@ from modetune.adapters.translation.freedoms import Form, Freedoms, difference, t
 from modetune.adapters.translation.shells import Edges, SetsOf, Shell
 from modetune.core.modes import Floats
 
-#: Height of the bricks as a share of the usual edge.
-HEIGHT = 0.05
+#: Height of the bricks as a share of the usual edge: what the comparison of masses sees of it, in
+#: the inertia of a single element, is its square.
+HEIGHT = 0.01
 #: Shells whose normals are nearer than this (cosine, 5 degrees) hold no rotation about them.
 FLAT = 0.9962
 #: Normals nearer than this are those of one plane.
