@@ -353,7 +353,7 @@ def test_cylindrical_output_frames_are_those_of_the_place(tmp_path: Path) -> Non
 
 def test_all_refusals_come_at_once_with_cards_and_numbers(tmp_path: Path) -> None:
     cards = [
-        MAT1, "MAT9,2,1.E9", PSHELL, *strip(), "CCONEAX,701,7,1,2",
+        MAT1, "MAT9,2,1.E9", PSHELL, *strip(), "CGAP,701,7,1,2,0.,0.,1.", "PGAP,7",
         "PARAM,FOOBAR,3", "ASET1,123,1,2", "CMASS2,909,1.,1", "FORCE,1,1,,1.,1.,0.,0.",
         "MAT3,5,1.E9,1.E9,1.E9,.3,.3,.3,1.\n,,,1.E9", "PSHELL,5,5,.01", "DESVAR,1,X,1.",
         card("CQUAD4", 801, 5, 1, 2, 3, 4),
@@ -364,7 +364,7 @@ def test_all_refusals_come_at_once_with_cards_and_numbers(tmp_path: Path) -> Non
     said = str(caught.value)
     for part in (
         "wrong.bdf",
-        "CCONEAX: 1 card",
+        "CGAP: 1 card (701)",
         "CMASS2 909",
         "PSHELL 5: MAT3 5: shells have a law with",
         "SPC set 4",
