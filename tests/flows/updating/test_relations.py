@@ -169,8 +169,15 @@ def frame(left: float, right: float) -> str:
 
 
 def modes_of(path: Path) -> list[float]:
-    found: Campaign = load_campaign(path)
-    result = model_modes(found, parse_values(found, ["right=1.7e5"]))
+    return elastic_hz(load_campaign(path), "right=1.7e5")
+
+
+def modes_at(known: Campaign, mount: float) -> list[float]:
+    return elastic_hz(known, f"mount={mount}")
+
+
+def elastic_hz(known: Campaign, setting: str) -> list[float]:
+    result = model_modes(known, parse_values(known, [setting]))
     return [float(hz) for hz in np.sqrt(result.elastic.eigenvalues) / 2 / np.pi]
 
 
@@ -192,6 +199,30 @@ def test_a_mount_that_starts_from_nothing_is_found(tmp_path: Path) -> None:
     assert right.updated_value == pytest.approx(1.7e5, rel=1e-3)
     assert np.isnan(right.change)
     assert set(record.iterations[1].sensitivity_methods) <= {"strain_energy", "semi_analytic"}
+
+
+PAIR = """\
+  - {name: mount, quantity: variable, values: absolute, initial: 2.0e5, bounds: [1.0e5, 4.0e5], deviation: 4.0e4}
+  - {name: left, quantity: spring_stiffness, elset: LEFT, values: absolute, expression: mount}
+  - {name: right, quantity: spring_stiffness, elset: RIGHT, values: absolute, expression: 3.0e5 - mount / 2}
+"""  # noqa: E501
+
+
+def test_two_springs_that_follow_one_number_have_its_exact_derivative(tmp_path: Path) -> None:
+    (tmp_path / "truth").mkdir()
+    truth = campaign(tmp_path / "truth", frame(1.0, 2.0), [10.0, 50.0, 90.0], PAIR, "calculix")
+    known = load_campaign(truth)
+    at = {k: np.array(modes_at(known, k)[:3]) for k in (1.98e5, 2.0e5, 2.02e5, 2.6e5)}
+    record = updated(campaign(tmp_path, frame(2e5, 0.0), at[2.6e5].tolist(), PAIR, "calculix"))
+    mount, left, right = parameter_rows(record)
+    assert mount.updated == pytest.approx(2.6e5, rel=1e-4)
+    assert (left.updated, right.updated) == pytest.approx((2.6e5, 1.7e5), rel=1e-4)
+    step = record.iterations[1]
+    assert step.sensitivity_methods == ("semi_analytic",)
+    # The residual is (test - model) / test of eigenvalues; ccx prints seven digits of them.
+    slopes = (at[2.02e5] ** 2 - at[1.98e5] ** 2) / 4e3 / at[2.6e5] ** 2
+    (item,) = record.parameters.parameters
+    assert step.sensitivity[:, 0] / item.scale == pytest.approx(slopes, rel=1e-3)
 
 
 @pytest.mark.parametrize(
