@@ -49,17 +49,18 @@ def judge_parameters(
                 for group in (hidden, alike)
             )
             said |= _share_clause(share, mixed, like)
+        scale = None if item.values == "relative" else item.scale
         far = abs(value - 1.0) / item.standard_deviation
-        where = "the deck" if item.values == "relative" else "its start"
+        where = "the deck" if scale is None else "its start"
         if far > FAR:
             said["far"] = (
-                f"is {_change(item, value - 1.0)} from {where}, {far:.1f} times the deviation it "
+                f"is {_change(scale, value - 1.0)} from {where}, {far:.1f} times the deviation it "
                 "was given: it may stand in for something else that is wrong"
             )
         if not said and np.isfinite(error) and error > max(abs(change), NEGLIGIBLE):
             said["uncertain"] = (
-                f"changed by {_change(item, change)}, less than its standard error "
-                f"({_change(item, error).replace('+', '±')}): the value it had fits as well"
+                f"changed by {_change(scale, change)}, less than its standard error "
+                f"({_change(scale, error).replace('+', '±')}): the value it had fits as well"
             )
         others = sorted({*hidden.get(place, ()), *alike.get(place, ())})
         judged.append(
@@ -72,6 +73,7 @@ def judge_parameters(
                 tuple(parameters.names[other] for other in others),
                 tuple(said),
                 tuple(said.values()),
+                scale,
             )
         )
     return tuple(judged)
@@ -153,7 +155,8 @@ def ending_sentence(trust: Trust) -> str:
     short = trust.short
     order = [place for place in np.argsort(-short).tolist() if short[place] > THERE]
     moves = ", ".join(
-        f"{trust.parameters[place].name} by {_percent(float(trust.remaining[place]))}, "
+        f"{trust.parameters[place].name} by "
+        f"{_change(trust.parameters[place].scale, float(trust.remaining[place]))}, "
         f"{min(short[place], 1e3):.1f} standard errors"
         for place in order[:LISTED]
     )
@@ -266,9 +269,9 @@ def _values(names: list[str], values: list[float]) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in zip(names, values, strict=True))
 
 
-def _change(item: Parameter, change: float) -> str:
+def _change(scale: float | None, change: float) -> str:
     """A change of a parameter's value: in per cent, or in the units of its values."""
-    return _percent(change) if item.values == "relative" else f"{item.scale * change:+.3g}"
+    return _percent(change) if scale is None else f"{scale * change:+.3g}"
 
 
 def _percent(share: float) -> str:

@@ -63,7 +63,7 @@ class ParameterTrust:
     """What is to be said of one parameter.
 
     test_share: 1 is the test alone, 0 the prior alone; flags: see the module; clauses: a half
-    sentence a flag.
+    sentence a flag. scale: what people read of a change by 1, None of a relative value.
     """
 
     name: str
@@ -74,6 +74,7 @@ class ParameterTrust:
     collinear_with: tuple[str, ...]
     flags: tuple[str, ...]
     clauses: tuple[str, ...]
+    scale: float | None = None
 
     @property
     def doubtful(self) -> bool:

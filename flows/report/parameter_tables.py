@@ -36,14 +36,14 @@ class ParameterRow:
     deck_value: Annotated[float, Column("deck", form=".6g")]
     updated_value: Annotated[float, Column("updated", form=".6g")]
     unit: Annotated[str, Column("unit")]
-    values: Annotated[str, Column("values")]
-    initial: Annotated[float, Column("start, relative", form=".4f")]
-    updated: Annotated[float, Column("updated, relative", form=".4f")]
+    values: Annotated[str, Column("values are")]
+    initial: Annotated[float, Column("start", form=".4g")]
+    updated: Annotated[float, Column("updated value", form=".5g")]
     change: Annotated[float, Column("change", "%", "+.2f")]
     standard_error: Annotated[float, Column("standard error, of deck", "%", ".2f", "not known")]
     value_error: Annotated[float, Column("standard error", "", ".3g", "not known")]
     test_share: Annotated[float | None, Column("told by the test", "%", ".0f")]
-    bounds: Annotated[tuple[float, float], Column("bounds, relative", form="g")]
+    bounds: Annotated[tuple[float, float], Column("bounds", form="g")]
     on_bound: Annotated[bool, Column("on a bound")]
 
 
@@ -130,6 +130,8 @@ def parameter_table(record: CampaignRecord, only: str = "") -> Table:
     names = only.split() or [column.name for column in columns_of(ParameterRow)]
     if any(row.values != "relative" for row in rows):  # no one unit of all errors
         names = ["value_error" if name == "standard_error" else name for name in names]
+        at = names.index("bounds") if "bounds" in names else len(names)
+        names.insert(at, "values")
     known = [
         name
         for name in names
@@ -154,7 +156,10 @@ def start_table(record: CampaignRecord) -> Table:
         Column("start", words=True),
         Column("place"),
         Column("weighted misfit", form=".4g"),
-        *(Column(name, form=".4f") for name in record.parameters.names),
+        *(
+            Column(item.name, form=".4f" if item.values == "relative" else ".5g")
+            for item in record.parameters.parameters
+        ),
         Column("how it ended", words=True),
     )
     rows = (

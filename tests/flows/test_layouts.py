@@ -51,7 +51,7 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (5, "d1dfd5dfed80")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (5, "eec69cee87f8")),
         (SCREENING.kind, SCREENING.format, (3, "309ff64c3425")),
         (POSTERIOR.kind, POSTERIOR.format, (3, "afe1bcce626f")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),

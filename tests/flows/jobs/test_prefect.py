@@ -61,8 +61,8 @@ def test_sheets_show_rounded_numbers_bounds_and_standard_errors(
     }
     assert all(re.fullmatch(r"[a-z0-9-]+", key) for key in sheets)
     first = json.loads(str(sheets["chain-parameters"].data))[0]
-    assert (first["parameter"], first["updated, relative"]) == ("k1", "1.2000")
-    assert first["bounds, relative"] == "0.3, 3"
+    assert (first["parameter"], first["updated value"]) == ("k1", "1.2")
+    assert first["bounds"] == "0.3, 3"
     assert float(first["standard error, of deck, %"]) > 0.0
     modes = json.loads(str(sheets["chain-frequencies"].data))
     assert [row["test mode"] for row in modes] == ["1", "2", "3", "4", "5"]
