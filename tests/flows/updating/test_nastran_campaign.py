@@ -152,7 +152,7 @@ parameters: [{name: E, quantity: youngs_modulus, material: 1}]
     ("old", "new", "said"),
     [
         ("material: 1", "material: 7", "material 7"),
-        ("material: 1", "elset: SKIN", "youngs_modulus needs `material`"),
+        ("material: 1", "elset: SKIN", "a Nastran deck has no element sets"),
         ("youngs_modulus, material: 1", "thickness, elset: SKIN", "name a property or"),
         ("youngs_modulus, material: 1", "spring_stiffness, property: 1", "line 9: PSHELL 1"),
         ("cards.bdf,", "cards.bdf, solver: matrices,", "cards.bdf"),
