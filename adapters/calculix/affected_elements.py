@@ -39,6 +39,16 @@ SAME_THICKNESS = 1e-10
 NEAR_NORMALS = 0.7
 
 
+#: Cards whose lines are numbers alone: neither mesh nor ties are other with others of them.
+NUMBERS = {
+    "*ELASTIC",
+    "*DENSITY",
+    "*SPRING",
+    "*MASS",
+    "*SHELLSECTION",
+    "*BEAMSECTION",
+    "*SOLIDSECTION",
+}
 #: A number of a deck: a line and the place in it.
 Place = tuple[int, int]
 
@@ -127,15 +137,15 @@ class Changed:
 
 
 def changed_places(
-    nominal: CalculixModel, edited: Sequence[CalculixModel], values: Sequence[float]
+    nominal: CalculixModel, texts: Sequence[Sequence[str]], values: Sequence[float]
 ) -> Changed | None:
     """Numbers of a deck that are others at these relative values, two or more, than at 1.
 
+    texts: the lines of the deck at 1 and at these values.
     None where more than numbers that matrices are linear in differ, or where such a number is not
     linear in the value (a thickness: not proportional to it; constants of an anisotropic material:
     no cubic polynomial of it, which takes four values to tell).
     """
-    texts = [[line.text for line in model.deck.lines] for model in (nominal, *edited)]
     if len({len(lines) for lines in texts}) > 1:
         return None
     at = np.array([1.0, *values])
@@ -153,6 +163,32 @@ def changed_places(
         powers |= set(own)
         proportional = proportional and _fits(numbers[:, moved], at, (1,))
     return Changed(frozenset(changed), tuple(sorted(powers)), proportional)
+
+
+def changed_numbers(nominal: CalculixModel, text: str) -> dict[int, str] | None:
+    """The lines in which a text differs from a deck; None where more than numbers of cards do.
+
+    Of ties the factors may differ, and not what is tied.
+    """
+    lines, now = nominal.deck.lines, text.split("\n")
+    if len(now) != len(lines):
+        return None
+    pairs = enumerate(zip(lines, now, strict=True))
+    changed = {place: new for place, (line, new) in pairs if line.text != new}
+    cards = nominal.deck.cards
+    starts = [card.lines.start for card in cards]
+    for place, new in changed.items():
+        old = lines[place].text
+        keyword = cards[bisect_right(starts, place) - 1].keyword
+        tied = keyword == "*EQUATION" and _tied(old) == _tied(new)
+        if old.startswith("*") or new.startswith("*") or not (keyword in NUMBERS or tied):
+            return None
+    return changed
+
+
+def _tied(line: str) -> list[str]:
+    """Nodes and components of a line of an equation."""
+    return [word for place, word in enumerate(line.split(",")) if place % 3 < 2]
 
 
 def _numbers(texts: Sequence[str]) -> Floats | None:

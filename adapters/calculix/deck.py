@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from modetune.adapters import deck_files
@@ -168,6 +169,7 @@ def canonical_name(text: str) -> str:
     return "".join(text.replace('"', "").split()).upper()
 
 
+@lru_cache(maxsize=1 << 17)
 def format_number(value: float) -> str:
     """A number in at most 20 characters, as many as ccx reads."""
     text = repr(float(value))

@@ -68,9 +68,9 @@ class KeywordField:
     item: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class CalculixModel:
-    """A deck understood: its mesh, and where its numbers stand.
+    """A deck understood: its mesh, and where its numbers stand. Each is itself alone.
 
     copies: materials that were added for parameters' elements, by the one they are copies of;
     split: what was added so, a sentence each.

@@ -93,6 +93,11 @@ class EditedCalculix:
     changed: dict[int, str]
     frames: Mapping[int, Floats] | None = None
 
+    def texts(self) -> list[str]:
+        """The lines of the deck as they are now."""
+        lines = enumerate(self.model.deck.lines)
+        return [self.changed.get(position, line.text) for position, line in lines]
+
 
 @dataclass(frozen=True)
 class CalculixDeck(Deck):

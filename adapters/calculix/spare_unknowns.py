@@ -9,6 +9,8 @@ are taken off again.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from modetune.adapters.calculix.constraints import Dof, read_constraints
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.cross_checks import SPARE_EIGENVALUE
@@ -46,22 +48,23 @@ def spare_unknowns(model: CalculixModel, n_modes: int) -> list[str]:
     return lines
 
 
-def _free(model: CalculixModel) -> set[Dof]:
+@lru_cache(maxsize=4)
+def _free(model: CalculixModel) -> frozenset[Dof]:
     """Translations that are not held, dependent or a rigid body's, and those that stand for others.
 
     Empty for large models, and where ties cannot be read, of which ccx says what is wrong.
     """
     if len(model.mesh.element_nodes) > MOST_NODES:
-        return set()
+        return frozenset()
     try:
         ties = read_constraints(model)
     except ModelError:
-        return set()
+        return frozenset()
     nodes = model.mesh.element_nodes - set(ties.bodies)
     for body in ties.bodies.values():
         nodes |= {body.reference, body.rotation or -body.reference}
     found = {(node, component) for node in nodes for component in (1, 2, 3)}
-    return (found | ties.terms) - ties.held - set(ties.dependent)
+    return frozenset(found | ties.terms) - ties.held - set(ties.dependent)
 
 
 def modes_at_most(model: CalculixModel, n_modes: int) -> int:

@@ -107,7 +107,7 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
                 strange.append(card)
                 raise ModelError(f"{deck.where(card)}: {_no_card(card)}")
             _check_integers(deck, card)
-            _add(bulk, deck, card, defaults.get(card.name))
+            add_card(bulk, deck, card, defaults.get(card.name))
         except ModelError as error:
             objections[card] = str(error)
         except OBJECTIONS as error:
@@ -191,7 +191,11 @@ def scalar_points(deck: NastranDeck) -> set[int]:
     return found - {0}
 
 
-def _add(bulk: Bulk, deck: NastranDeck, card: NastranCard, default: NastranCard | None) -> None:
+def add_card(bulk: Bulk, deck: NastranDeck, card: NastranCard, default: NastranCard | None) -> None:
+    """Add a card to a model as this project reads it; default: the card that fills its blanks.
+
+    Raises OBJECTIONS, ModelError.
+    """
     if card.name in BY_POINTS:
         _check_axes(deck, card)
     # The lax way differs from the other in that it raises at once and prints nothing.

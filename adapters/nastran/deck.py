@@ -74,10 +74,16 @@ def read_deck(path: Path) -> NastranDeck:
 
 def with_lines(deck: NastranDeck, changed: Mapping[int, str]) -> NastranDeck:
     """The deck as it reads with some lines changed. Raises ModelError."""
+    lines = texts_at(deck, changed)
+    return replace(deck, lines=lines, cards=read_cards(lines, deck.bulk))
+
+
+def texts_at(deck: NastranDeck, changed: Mapping[int, str]) -> tuple[Line, ...]:
+    """The lines of a deck, some of them changed."""
     lines = list(deck.lines)
     for position, text in changed.items():
         lines[position] = replace(lines[position], text=text)
-    return replace(deck, lines=tuple(lines), cards=read_cards(lines, deck.bulk))
+    return tuple(lines)
 
 
 def with_added(

@@ -17,16 +17,18 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.calculix.affected_elements import changed_places
+from modetune.adapters.calculix.affected_elements import changed_numbers, changed_places
 from modetune.adapters.calculix.deck import parse_deck
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, understand
 from modetune.adapters.calculix.solver import CalculixDeck, EditedCalculix, calculix_program
 from modetune.adapters.nastran import model as nastran_model
+from modetune.adapters.nastran.bulk import Bulk, read_bulk
 from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
+from modetune.adapters.nastran.patch import edited_bulk
 from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number, Solver
-from modetune.adapters.translation.translate import translate
+from modetune.adapters.translation.translate import Translation, translate
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh
@@ -50,6 +52,7 @@ class TranslatedDeck(Deck):
         default_factory=OrderedDict, repr=False, compare=False
     )
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
+    _own: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
 
     @cached_property
     def summary(self) -> ModelSummary:
@@ -116,12 +119,10 @@ class TranslatedDeck(Deck):
         values = [self.model.written(parameter, value) for value in wanted]
         rest = {item.name: 1.0 for item in self.parameters if not item.expression}
         try:
-            nominal, *models = (
-                self.edited({**rest, parameter.name: value}).model for value in (1.0, *values)
-            )
+            edits = [self.edited({**rest, parameter.name: value}) for value in (1.0, *values)]
         except ModelError:
             return None
-        changed = changed_places(nominal, models, values)
+        changed = changed_places(edits[0].model, [item.texts() for item in edits], values)
         if changed is None:
             return None
         found = self._nominal.affected_elements_of(changed.places, changed.powers)
@@ -170,21 +171,43 @@ class TranslatedDeck(Deck):
             return self._kept[known]
 
     def _translate(self, changed: dict[int, str]) -> EditedCalculix:
-        """The translation with some lines of the deck changed. Raises ModelError."""
+        """The translation with some lines of the deck changed. Raises ModelError.
+
+        Where numbers alone differ from the nominal translation it is that one, edited.
+        """
+        translation = self._translation(changed)
+        nominal = self._kept.get(())
+        lines = changed_numbers(nominal.model, translation.text) if nominal else None
+        if nominal is not None and lines is not None:
+            return EditedCalculix(nominal.model, lines, translation.frames)
+        # The text is not a file: messages name it as what it is.
+        place = Path(f"{self.model.deck.file.stem} (translated to CalculiX)")
+        return EditedCalculix(
+            understand(parse_deck(place, translation.text)), {}, translation.frames
+        )
+
+    def _translation(self, changed: dict[int, str]) -> Translation:
+        """The text with some lines of the deck changed. Raises ModelError."""
         stem = self.model.deck.file.stem
         case = read_case_control(self.model.deck)
-        translation = translate(
-            self.model.bulk_at(changed),
-            stem,
-            spc=case.selected("SPC"),
-            mpc=case.selected("MPC"),
-            single=self._single,
-            wtmass=self.model.wtmass,
-        )
-        logger.info("%s translated: %s", stem, translation.mass_check)
-        # The text is not a file: messages name it as what it is.
-        deck = parse_deck(Path(f"{stem} (translated to CalculiX)"), translation.text)
-        return EditedCalculix(understand(deck), {}, translation.frames)
+        own = self._bulk if changed else self.model.bulk
+        with self._own, edited_bulk(self.model.deck, own, changed) as bulk:
+            translation = translate(
+                bulk,
+                stem,
+                spc=case.selected("SPC"),
+                mpc=case.selected("MPC"),
+                single=self._single,
+                wtmass=self.model.wtmass,
+                weighed=not changed,  # other numbers are translated in the same way
+            )
+        logger.info("%s translated: %s", stem, translation.mass_check or "numbers alone")
+        return translation
+
+    @cached_property
+    def _bulk(self) -> Bulk:
+        """A model of the deck that is nobody else's, whose numbers are edited."""
+        return read_bulk(self.model.deck)[0]
 
     @cached_property
     def _single(self) -> frozenset[int]:
