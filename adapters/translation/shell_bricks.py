@@ -27,13 +27,15 @@ displacements best, which is exact for rigid motion and stiffens nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.shell_laws import law_of
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
 from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total, trimmed
-from modetune.adapters.translation.shells import Edges, SetsOf, Shell
+from modetune.adapters.translation.shells import Edges, SetsOf, Shell, own_thickness
 from modetune.core.modes import Floats
 
 #: Height of the bricks as a share of the usual edge: what the comparison of masses sees of it, in
@@ -81,6 +83,20 @@ def bricks_of(shell: Shell, height: float, lumped: bool) -> list[Brick]:
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class WrittenShells:
+    """What the laws of a model's shells became.
+
+    laws: of each law that shells have a shell, the names of its bricks' materials, and what of it
+    decides on more than their numbers.
+    """
+
+    height: float
+    wtmass: float
+    lumped: bool
+    laws: dict[tuple[object, ...], tuple[Shell, tuple[str, ...], tuple[object, ...]]]
+
+
 def write_shells(
     shells: Sequence[Shell],
     edges: Edges,
@@ -90,18 +106,22 @@ def write_shells(
     lumped: bool,
     sets_of: SetsOf,
     held: set[int],
-) -> None:
+) -> WrittenShells:
     """Add all shells of the model; after all else that is tied to their nodes.
 
     held: grid points that something besides shells holds.
     """
     if not shells:
-        return
+        return WrittenShells(0.0, wtmass, lumped, {})
     turned = frozenset(freedoms.turn_nodes)
     writer = BrickWriter(builder, freedoms, HEIGHT * _usual_edge(shells, builder), wtmass)
+    written = WrittenShells(writer.height, wtmass, lumped, {})
     for shell in shells:
-        for brick in bricks_of(shell, writer.height, lumped):
-            writer.add(shell, brick, sets_of(shell.element))
+        bricks = bricks_of(shell, writer.height, lumped)
+        names = [writer.add(shell, brick, sets_of(shell.element)) for brick in bricks]
+        element = shell.element
+        key = (element.pid, own_thickness(element, []), element.tflag, element.zoffset)
+        written.laws.setdefault(key, (shell, tuple(names), _shape(shell, bricks)))
     around: dict[int, list[Shell]] = {}
     for shell in shells:
         for node in shell.nodes:
@@ -112,6 +132,7 @@ def write_shells(
             _hold_drilling(freedoms, node, near, node in turned)
         if node not in held and _is_flat(near):
             _hold_loose(freedoms, node, near, middles.get(node, ()))
+    return written
 
 
 def _usual_edge(shells: Sequence[Shell], builder: CalculixText) -> float:
@@ -130,11 +151,11 @@ class BrickWriter:
         self.height = height
         self._wtmass = wtmass
         self._nodes: dict[tuple[float | int | None, ...], int] = {}
-        self._materials: dict[tuple[str, ...], str] = {}
+        self._materials: dict[tuple[int, tuple[str, ...]], str] = {}
         self._sections: dict[tuple[str, tuple[float, ...]], str] = {}
 
-    def add(self, shell: Shell, brick: Brick, sets: Sequence[str]) -> None:
-        """Add one brick of a shell to these sets."""
+    def add(self, shell: Shell, brick: Brick, sets: Sequence[str]) -> str:
+        """Add one brick of a shell to these sets; returns the name of its material."""
         quad = len(shell.nodes) == 8
         corners, normal = 4 if quad else 3, np.round(shell.normal, DIGITS) + 0.0
         places = np.array([self._builder.coordinates[node] for node in shell.nodes])
@@ -148,8 +169,10 @@ class BrickWriter:
             for place in range(middles * corners, (middles + 1) * corners)
         ]
         kind = "C3D20R" if quad else "C3D15"
-        name = self._section(self._material(brick), shell.axis, normal)
-        self._builder.new_element(kind, nodes, (*sets, name))
+        material = self._material(shell.element.pid, material_lines(brick, self._wtmass))
+        section = self._section(material, shell.axis, normal)
+        self._builder.new_element(kind, nodes, (*sets, section))
+        return material
 
     def _node(self, node: int, normal: Floats, down: float, z: float, lever: float | None) -> int:
         """A brick's node at z over the mean plane, which is `down` from the shell's node."""
@@ -178,16 +201,9 @@ class BrickWriter:
                 self._builder.fixed(made, axis + 1)
         return made
 
-    def _material(self, brick: Brick) -> str:
-        plane, shear = brick.plane, brick.shear
-        numbers = np.zeros(21)
-        numbers[[0, 1, 2, 6, 7, 9]] = plane[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-        numbers[[14, 19, 20]] = shear[[0, 0, 1], [0, 1, 1]]
-        lines = ["*ELASTIC, TYPE=ANISO"]
-        lines += [number_list(numbers[start : start + 8]) for start in (0, 8, 16)]
-        if brick.density:
-            lines += ["*DENSITY", number_list((brick.density * self._wtmass,))]
-        key = tuple(lines)
+    def _material(self, pid: int, lines: tuple[str, ...]) -> str:
+        """The name of a material; of each property its own, whose numbers may change."""
+        key = (pid, lines)
         if key not in self._materials:
             self._materials[key] = f"L{len(self._materials) + 1}"
             self._builder.material(self._materials[key], lines)
@@ -204,6 +220,52 @@ class BrickWriter:
                 [f"*SOLID SECTION, ELSET={name}, MATERIAL={material}, ORIENTATION=O{name}"]
             )
         return self._sections[key]
+
+
+def material_lines(brick: Brick, wtmass: float) -> tuple[str, ...]:
+    """The cards of a brick's material."""
+    plane, shear = brick.plane, brick.shear
+    numbers = np.zeros(21)
+    numbers[[0, 1, 2, 6, 7, 9]] = plane[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    numbers[[14, 19, 20]] = shear[[0, 0, 1], [0, 1, 1]]
+    lines = ["*ELASTIC, TYPE=ANISO"]
+    lines += [number_list(numbers[start : start + 8]) for start in (0, 8, 16)]
+    if brick.density:
+        lines += ["*DENSITY", number_list((brick.density * wtmass,))]
+    return tuple(lines)
+
+
+def edited_materials(written: WrittenShells, bulk: Any) -> dict[str, tuple[str, ...]] | None:
+    """The cards of all materials of the shells, whose properties have other numbers now.
+
+    None where more than these follow from the numbers: other bricks, or a law for some of those
+    elements alone that had one in common.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    owners: set[tuple[int, str]] = set()
+    for shell, names, shape in written.laws.values():
+        element = bulk.elements[shell.element.eid]
+        try:
+            law = law_of(element.pid_ref, own_thickness(element, []))
+        except ValueError:
+            return None
+        now = replace(shell, law=replace(law, offset=shell.law.offset) if element.zoffset else law)
+        bricks = bricks_of(now, written.height, written.lumped)
+        if _shape(now, bricks) != shape:
+            return None
+        for name, brick in zip(names, bricks, strict=True):
+            owners.add((element.pid, name))
+            lines = material_lines(brick, written.wtmass)
+            if found.setdefault(name, lines) != lines:
+                return None
+    # Two materials of a property that are one now would have one name.
+    return found if len({(pid, found[name]) for pid, name in owners}) == len(owners) else None
+
+
+def _shape(shell: Shell, bricks: Sequence[Brick]) -> tuple[object, ...]:
+    """What of a shell's law decides on more than the numbers of materials."""
+    levers = [(brick.lever, bool(brick.density)) for brick in bricks]
+    return (shell.law.bends, shell.law.stretches, *levers)
 
 
 def _hold_drilling(freedoms: Freedoms, node: int, near: Sequence[Shell], turned: bool) -> None:

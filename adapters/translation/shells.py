@@ -67,7 +67,7 @@ def understand_shells(
     found = []
     for element in elements:
         nodes = _nodes(element, builder, edges, problems)
-        thickness = _own_thickness(element, problems)
+        thickness = own_thickness(element, problems)
         key = (element.pid, thickness)
         if key not in laws:
             laws[key] = _law(element.pid_ref, thickness, problems)
@@ -89,7 +89,7 @@ def _law(card: Any, thickness: float | None, problems: list[str]) -> ShellLaw | 
         return None
 
 
-def _own_thickness(element: Any, problems: list[str]) -> float | None:
+def own_thickness(element: Any, problems: list[str]) -> float | None:
     """The thickness that an element has of its own, None where it is its property's."""
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
     given = [getattr(element, f"T{corner}", None) for corner in range(1, count + 1)]

@@ -28,6 +28,8 @@ from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.patch import edited_bulk
 from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number, Solver
+from modetune.adapters.translation.shell_bricks import WrittenShells, edited_materials
+from modetune.adapters.translation.shells import KINDS
 from modetune.adapters.translation.translate import Translation, translate
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
@@ -39,6 +41,8 @@ from modetune.core.updating.results import MatrixResult
 
 logger = logging.getLogger(__name__)
 
+#: Cards whose numbers are in the laws of shells.
+SHELL_LAWS, MATERIALS = ("PSHELL", "PCOMP", "PCOMPG"), ("MAT1", "MAT2", "MAT8")
 #: Translated models that are kept for the next look at the same values.
 KEPT = 4
 
@@ -53,6 +57,7 @@ class TranslatedDeck(Deck):
     )
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
     _own: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
+    _shells: list[WrittenShells] = field(default_factory=list, repr=False, compare=False)
 
     @cached_property
     def summary(self) -> ModelSummary:
@@ -175,8 +180,13 @@ class TranslatedDeck(Deck):
 
         Where numbers alone differ from the nominal translation it is that one, edited.
         """
-        translation = self._translation(changed)
         nominal = self._kept.get(())
+        edited = self._edited_shells(nominal, changed) if nominal else None
+        if edited is not None:
+            return edited
+        translation = self._translation(changed)
+        if nominal is None:
+            self._shells.append(translation.shells)
         lines = changed_numbers(nominal.model, translation.text) if nominal else None
         if nominal is not None and lines is not None:
             return EditedCalculix(nominal.model, lines, translation.frames)
@@ -185,6 +195,45 @@ class TranslatedDeck(Deck):
         return EditedCalculix(
             understand(parse_deck(place, translation.text)), {}, translation.frames
         )
+
+    def _edited_shells(
+        self, nominal: EditedCalculix, changed: dict[int, str]
+    ) -> EditedCalculix | None:
+        """The nominal translation with the laws of its shells edited; None where more changes."""
+        if not self._of_shells(changed):
+            return None
+        with self._own, edited_bulk(self.model.deck, self._bulk, changed) as bulk:
+            materials = edited_materials(self._shells[0], bulk)
+        if materials is None:
+            return None
+        deck, lines = nominal.model.deck, dict[int, str]()
+        for card in deck.named("*MATERIAL"):
+            texts = materials.get(card.option("NAME"), ())
+            for place, text in enumerate(texts, card.lines.stop):
+                if deck.lines[place].text != text:
+                    lines[place] = text
+        return EditedCalculix(nominal.model, lines, nominal.frames)
+
+    def _of_shells(self, changed: dict[int, str]) -> bool:
+        """Whether these lines are those of shells' properties, and of materials of these alone."""
+        structure = self.model.structure
+        cards = [
+            card for card in self.model.deck.cards if not changed.keys().isdisjoint(card.lines)
+        ]
+        if not {card.name for card in cards} <= {*SHELL_LAWS, *MATERIALS}:
+            return False
+        numbers = {int(card.text(1)) for card in cards if card.name in MATERIALS}
+        others = set(structure.rods_of)
+        for number, materials in structure.materials_of.items():
+            if structure.bulk.properties[number].type not in SHELL_LAWS:
+                others |= materials
+        kinds = {
+            structure.bulk.elements[element].type
+            for card in cards
+            if card.name in SHELL_LAWS
+            for element in structure.elements_of.get(int(card.text(1)), ())
+        }
+        return numbers.isdisjoint(others) and kinds <= set(KINDS)
 
     def _translation(self, changed: dict[int, str]) -> Translation:
         """The text with some lines of the deck changed. Raises ModelError."""

@@ -35,7 +35,7 @@ from modetune.adapters.translation.rigid import (
     translate_spcs,
 )
 from modetune.adapters.translation.shear_panels import translate_shear_panels
-from modetune.adapters.translation.shell_bricks import hold_leaders, write_shells
+from modetune.adapters.translation.shell_bricks import WrittenShells, hold_leaders, write_shells
 from modetune.adapters.translation.shells import KINDS as SHELLS
 from modetune.adapters.translation.shells import understand_shells
 from modetune.adapters.translation.solids import KINDS as SOLIDS
@@ -53,7 +53,7 @@ class Translation:
     whose output frame is not the basic one. sets: names of all element sets of structural
     elements. grids: the bulk data's grid points, ascending. mass: mass properties that the cards
     say, WTMASS in them; mass_check: a sentence on how the translated ones agree, empty where
-    nobody looked.
+    nobody looked. shells: what becomes of their laws.
     """
 
     text: str
@@ -62,6 +62,7 @@ class Translation:
     grids: tuple[int, ...]
     mass: MassProperties
     mass_check: str
+    shells: WrittenShells
 
 
 def translate(
@@ -103,7 +104,7 @@ def translate(
     masses = point_masses(bulk, problems)
     translate_masses(bulk, masses, builder, freedoms, wtmass, sets_of)
     translate_scalar_masses(bulk, builder, freedoms, problems, wtmass, sets_of)
-    write_shells(shells, edges, builder, freedoms, wtmass, False, sets_of, _held(bulk))
+    written = write_shells(shells, edges, builder, freedoms, wtmass, False, sets_of, _held(bulk))
     hold_leaders(freedoms, leaders(bulk) - held - freedoms.turning)
     if problems:
         found = "\n".join(f"- {problem}" for problem in summarised(problems))
@@ -114,7 +115,8 @@ def translate(
         check = check_masses(expected, calculix_mass_properties(builder, text), builder.size)
     frames = {number: frame for number, frame in freedoms.frames.items() if number in bulk.nodes}
     sets = tuple(name for name in builder.sets if re.fullmatch(r"[PE]\d+", name))
-    return Translation(text, frames, sets, tuple(sorted(bulk.nodes)), expected, check)
+    grids = tuple(sorted(bulk.nodes))
+    return Translation(text, frames, sets, grids, expected, check, written)
 
 
 def _builder(bulk: Any) -> CalculixText:
