@@ -222,6 +222,8 @@ class TranslatedDeck(Deck):
         ]
         if not {card.name for card in cards} <= {*SHELL_LAWS, *MATERIALS}:
             return False
+        if any("\n" in text for text in changed.values()):  # cards are added
+            return False
         numbers = {int(card.text(1)) for card in cards if card.name in MATERIALS}
         others = set(structure.rods_of)
         for number, materials in structure.materials_of.items():
