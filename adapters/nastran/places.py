@@ -17,6 +17,7 @@ from modetune.adapters.nastran.sections import (
     STATION,
     Entry,
     check_end,
+    holds,
     section_entries,
 )
 from modetune.adapters.nastran.structure import Structure
@@ -144,10 +145,13 @@ def _of_properties(
     found: list[ValuePlace] = []
     materials: dict[int, None] = {}
     for ident in idents:
-        named = structure.materials_of[ident] if parameter.quantity in OF_MATERIALS else ()
+        card = structure.property_card(str(ident))
+        by_material = parameter.quantity in OF_MATERIALS and not holds(
+            parameter.quantity, card.name
+        )
+        named = structure.materials_of[ident] if by_material else ()
         materials.update(dict.fromkeys(sorted(named)))
         if not named:
-            card = structure.property_card(str(ident))
             found += _of_property(structure, parameter, card, ident)
     for ident in materials:
         found += _of_material(structure, parameter, structure.material(str(ident)))

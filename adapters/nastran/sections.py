@@ -57,6 +57,11 @@ STATION_MARKS = ("YES", "YESA", "NO")
 BY_DIMENSIONS = ("PBARL", "PBEAML")
 
 
+def holds(quantity: str, name: str) -> bool:
+    """Whether a property card has a quantity of its own, which then counts before materials'."""
+    return (quantity, name) in FIELDS or (quantity, name) in _FINDERS
+
+
 def section_entries(
     structure: Structure, quantity: str, card: NastranCard, ident: int
 ) -> list[Entry]:

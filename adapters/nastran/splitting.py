@@ -21,6 +21,7 @@ from modetune.adapters.nastran.deck import (
     changed_lines,
     with_added,
 )
+from modetune.adapters.nastran.sections import holds
 from modetune.adapters.nastran.structure import Copies, Structure
 from modetune.adapters.splitting import (
     OF_MATERIALS,
@@ -161,7 +162,8 @@ def _selections(structure: Structure, parameters: Sequence[Parameter]) -> list[S
                 elements = structure.element_numbers(structure.owners.elements, parameter.targets)
             elif parameter.by == "property" and material:
                 cards = [c for target in parameter.targets for c in structure.properties(target)]
-                elements = [e for pid, _ in cards for e in structure.elements_of[pid]]
+                shared = [pid for pid, card in cards if not holds(parameter.quantity, card.name)]
+                elements = [e for pid in shared for e in structure.elements_of[pid]]
         except ModelError:
             continue
         found.append(Selection(parameter.name, frozenset(elements), material))
