@@ -1,12 +1,13 @@
 """Bulk data as cards: fields in small, large and free format, and lines that continue others.
 
 A card has a name and numbered fields. A line holds eight of them in columns of 8 (small field),
-four in columns of 16 (large field, a `*` in the first field), or as many between commas (free
-field: a comma in the first ten columns). A line whose first field is blank or starts with `+` or
-`*` continues another: the one before it, or the one whose last field carries the same tag. Columns
-73-80 hold nothing else. Where tags disagree or are missing on one side, the line before is
-continued, since many programs write sequence numbers there. A line of `=` repeats the card above
-it (`==` the rest of its fields) with increments `*(2)`, and `=(9)` does so nine times more.
+four in columns of 16 (large field, a `*` in the first field), or as many between commas or blanks
+(free field: a comma in the first ten columns, or one that ends a field). A line whose first field
+is blank or starts with `+` or `*` continues another: the one before it, or the one whose last field
+carries the same tag. Columns 73-80 hold nothing else. Where tags disagree or are missing on one
+side, the line before is continued, since many programs write sequence numbers there. A line of `=`
+repeats the card above it (`==` the rest of its fields) with increments `*(2)`, and `=(9)` does so
+nine times more.
 
 What is no card is kept as one, under the name that it has in the deck or `+` for a line that
 continues none, so that a deck has all its lines and who uses it can judge.
@@ -37,6 +38,8 @@ MOST_COPIES = 1_000_000
 SMALL, LARGE = 8, 16
 #: A comma in these columns makes a line free field; one further on is part of a field.
 FREE = 10
+#: What in a fixed field says that its line is in free field all the same.
+NUMBER_AND_COMMA = re.compile(r"[+-]?\d+,")
 #: Columns of the fields of a fixed-format line end here; the tag follows.
 TAG = 72
 
@@ -191,7 +194,7 @@ def _following(rows: Sequence[CardRow]) -> dict[int, int]:
 def _row(line: Line, position: int) -> CardRow:
     """Split one line into its fields. Raises ModelError."""
     data = line.text.partition("$")[0].rstrip()
-    free = "," in data[:FREE]
+    free = _is_free(data)
     first, *spans = _free_spans(data) if free else _fixed_spans(data)
     head = data[first[0] : first[1]].strip().upper()
     large = head.startswith("*") or head.endswith("*")
@@ -221,10 +224,24 @@ def _tag(text: str) -> str:
     return text[1:].strip() if text[:1] in ("+", "*") else text
 
 
+def _is_free(data: str) -> bool:
+    """Whether a line is in free field; an equation's commas stand within its text."""
+    if "," in data[:FREE]:
+        return True
+    if "," not in data or data.startswith(" ") or data.upper().startswith("DEQATN"):
+        return False
+    texts = [data[start:stop].strip() for start, stop in _fixed_spans(data)[1:]]
+    return any(NUMBER_AND_COMMA.fullmatch(text) for text in texts)
+
+
 def _free_spans(data: str) -> list[tuple[int, int]]:
+    """Fields between commas; blanks within one part it further, but for a name that ends soon."""
     spans, start = [], 0
     for piece in data.split(","):
-        spans.append((start, start + len(piece)))
+        whole = not start and len(piece) < FREE
+        words = [] if whole else list(re.finditer(r"\S+", piece))
+        edges = [start, *(start + word.start() for word in words[1:]), start + len(piece)]
+        spans += list(pairwise(edges))
         start += len(piece) + 1
     return spans
 
@@ -257,7 +274,7 @@ def blank_field(lines: Sequence[Line], card: NastranCard, number: int) -> CardFi
 def _blank(data: str, position: int, place: int) -> CardField:
     """A blank field of a line, by its place among the data fields of that line."""
     end = len(data)
-    if "," in data[:FREE]:
+    if _is_free(data):
         _, *spans = _free_spans(data)
         if place < len(spans):
             return CardField(position, *spans[place], 0, "")

@@ -493,6 +493,21 @@ def test_a_comma_makes_free_field_in_the_first_ten_columns_only(tmp_path: Path) 
     assert [grid.text(field) for field in range(1, 4)] == ["1", "", "2."]
 
 
+def test_blanks_part_fields_of_a_free_line_too(tmp_path: Path) -> None:
+    path = tmp_path / "main.bdf"
+    path.write_text(
+        "PSHEAR, 401     1       1.0     0.5, 1.,30.$ F1\nCBUSH   7211,   7010,  ,205\n"
+    )
+    deck = read_deck(path)
+    shear, bush = deck.cards
+    assert [shear.text(field) for field in range(1, 7)] == ["401", "1", "1.0", "0.5", "1.", "30."]
+    assert [bush.text(field) for field in range(1, 5)] == ["7211", "7010", "", "205"]
+    thickness = shear.fields[3]
+    assert thickness is not None
+    changed = changed_lines(deck, {thickness: 2.5})
+    assert changed == {0: "PSHEAR, 401     1       2.5     0.5, 1.,30.$ F1"}
+
+
 def test_a_free_line_may_hold_more_than_eight_fields(tmp_path: Path) -> None:
     path = tmp_path / "main.bdf"
     path.write_text("CORD2C,1,0, 0.,0.,0., 0.,0.,1., 0.,1.,5.\n")
