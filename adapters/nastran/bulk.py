@@ -58,6 +58,8 @@ SHOWN = 20
 #: Elements whose ends are scalar points without a card of their own, in every Nastran.
 SCALAR = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4", "CDAMP5")
 
+#: Scalar masses, and where their two ends stand, each with a component.
+ENDS_AT = {"CMASS1": (3, 5), "CMASS2": (3, 5)}
 #: Elements that never have any.
 NO_MASS = (*SCALAR, "CELAS1", "CELAS2", "CBUSH1D", "CBUSH2D", "CGAP", "CVISC", "CDAMP1", "CDAMP2")
 
@@ -205,7 +207,13 @@ def add_card(bulk: Bulk, deck: NastranDeck, card: NastranCard, default: NastranC
         return
     texts = [card.name, *filled(card, default)]
     if card.name == "CMASS3":  # pyNastran 1.4.1 loses its way where one end is on the ground
-        texts = ["CMASS1", *texts[1:4], "0", card.text(4) or "0", "0"]
+        texts = ["CMASS1", *texts[1:4], "", card.text(4), ""]
+    if texts[0] in ("CELAS1", "CMASS4"):
+        texts[3:4] = [card.text(3) or "0"]
+    if texts[0] in ENDS_AT:  # and where the ground is 0, or the first end
+        ends = [texts[place : place + 2] for place in ENDS_AT[texts[0]] if len(texts) > place]
+        ends = [[*end, ""][:2] for end in ends if end[0] not in ("", "0")]
+        texts = [*texts[:3], *(text for end in ends for text in end), *texts[7:]]
     bulk.add_card_lax(texts, texts[0], is_list=True, has_none=False)
     if card.name == "MAT8":
         # A blank G1Z or G2Z means no transverse shear; pyNastran puts 1e8 there, in any unit.

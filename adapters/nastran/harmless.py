@@ -62,6 +62,10 @@ CHANGING = {
     "CK1": 1.0, "CK2": 1.0, "CK3": 1.0, "CK41": 1.0, "CM1": 1.0, "CM2": 1.0, "INRLM": 0.0,
     "BUCKLE": 0.0, "VMOPT": 0.0, "SEP1XOVR": 0.0,
 }  # fmt: skip
+#: Those that every solver here follows, or has another way for (loose freedoms are held).
+FOLLOWED_PARAMETERS = frozenset(
+    ("WTMASS", "COUPMASS", "AUTOSPC", "AUTOSPCR", "K6ROT", "SNORM", "MAXRATIO", "EPZERO", "BAILOUT")
+)
 #: What an MDLPRM card may hold: formats of output, and how offsets turn where they are large.
 MODEL_PARAMETERS = frozenset(("HDF5", "H5MDL", "H5NORDOF", "H5GM34", "MRALIAS", "H5INFO"))
 OFFSETS = ("LROFF", "ELMOFF", "NODIF", "NOTHRM")

@@ -28,6 +28,7 @@ from modetune.adapters.nastran.deck import (
 )
 from modetune.adapters.nastran.geometry import read_geometry
 from modetune.adapters.nastran.harmless import (
+    FOLLOWED_PARAMETERS,
     HARMLESS,
     LEFT_OUT,
     TEMPERATURE_DEPENDENT,
@@ -118,7 +119,7 @@ class NastranModel(Deck):
         names = {name for name, _ in case.parameters}
         names |= {card.text(1) for card in self.deck.named("PARAM")}
         said = [f"{count} {name}" for name, count in sorted(counts.items())]
-        said += [f"PARAM {name}" for name in sorted(names - {"WTMASS"} - OWN_PARAMETERS)]
+        said += [f"PARAM {name}" for name in sorted(names - OWN_PARAMETERS - FOLLOWED_PARAMETERS)]
         if said:
             logger.warning(
                 "%s: left out of jobs on this solver: %s", self.deck.file, ", ".join(said)

@@ -158,6 +158,12 @@ def _bar(card: NastranCard) -> list[Card]:
     return []
 
 
+def _turning(card: NastranCard) -> bool:
+    """Whether rotations are among the independent components of a RBE3, which follow weights."""
+    weights = (place for place in range(5, len(card.fields)) if "." in card.text(place))
+    return any(set(card.text(place + 1)) & set("456") for place in weights)
+
+
 def _obstacle(card: NastranCard) -> str:
     """Why MYSTRAN cannot take a card, or takes it for another one; empty if it can."""
     if card.name not in COMPARED:
@@ -166,6 +172,8 @@ def _obstacle(card: NastranCard) -> str:
         return "MYSTRAN's RBAR is led by all six components of one end"
     if card.name == "RBE3" and any(card.text(field) == "UM" for field in range(len(card.fields))):
         return "MYSTRAN has no UM of RBE3"
+    if card.name == "RBE3" and _turning(card):
+        return "MYSTRAN has RBE3 wrong whose independent components are rotations (4, 5, 6)"
     if card.name in TFLAGS and card.text(TFLAGS[card.name]) not in ("", "0"):
         return f"MYSTRAN takes relative thicknesses (TFLAG 1) of {card.name} for thicknesses"
     return ""

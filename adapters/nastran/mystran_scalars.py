@@ -118,6 +118,11 @@ class Scalars:
             while not texts[-1]:
                 texts.pop()
             return [("PBUSH", texts)]
+        if card.text(4) in ("", "0"):  # to ground: a grid point at the same place that is held
+            own, grid = self.new_number(), self._grids[card.text(3)]
+            held = [own, *[grid.text(field) for field in range(8)][PLACE], "", ALL]
+            ends = [*fields[:3], own, *fields[4:]]
+            return [("GRID", held), ("CBUSH", ends)]
         mass = self._bush_masses.get(card.text(2), "")
         half = format_number(0.5 * read_number(mass), 16) if mass else ""
         ends = [card.text(field) for field in (3, 4)] if half else []
@@ -161,6 +166,8 @@ class Scalars:
     def obstacle(self, card: NastranCard) -> str:
         """Why a scalar element or bush cannot be written; empty if it can."""
         if card.name == "CBUSH":
+            if card.text(3) not in self._grids:
+                return f"CBUSH: grid point {card.text(3)} is not there"
             grounded = card.text(2) in self._bush_masses and card.text(4) in ("", "0")
             return "the mass of a PBUSH on the ground: give it as a CONM2" if grounded else ""
         ends = self._ends(card)

@@ -432,6 +432,7 @@ def test_bulk_data_alone_with_several_constraint_sets_is_ambiguous(tmp_path: Pat
     [  # what MYSTRAN 18 was seen to get wrong without a word
         ("CELAS1,40,9,2,1\n", "CELAS1: its value is not there .PELAS 9"),
         ("RBAR,40,2,3,1234,23\n", "RBAR is led by all six components"),
+        ("GRID,9,,3.,0.,0.\nRBE3,40,,9,123456,1.,123456,1,2\n", "RBE3 wrong whose independent"),
         ("MAT1,3,7.+4,,.3,2.7-9\nMAT1,4,1.+4,,.3,1.-10\nPCOMP,6\n,3,1.,0.,,4,1.,0.\n"
          "CTRIA3,50,6,1,2,3\n",
          "plies of several densities"),
