@@ -229,8 +229,8 @@ def _displacements(mode: str, node_set: str) -> tuple[Integers, Floats]:
     if found is None:
         raise ValueError("a mode has no displacements")
     check_mark(node_set, found.group(1))
-    numbers = mode[found.end() :].split(" total ")[0]
-    width = len(numbers.partition("\n")[0].split())
+    numbers = mode[found.end() :].split("total ")[0]
+    width = len(numbers.partition("\n")[0].split()) or 4  # none where no nodes were asked for
     table = np.array([_number(word) for word in numbers.split()]).reshape(-1, width)
     return table[:, 0].astype(np.int64), table[:, 1:4].reshape(-1)
 
