@@ -20,7 +20,7 @@ from modetune.core.errors import ModelError
 #: Of the main decks of the corpus (119), those whose jobs can be written; no solver is run.
 MYSTRAN_TAKES, CALCULIX_TAKES, EITHER_TAKES = 37, 43, 45
 #: Of the decks that benchmarks.card_decks writes, those that neither solver takes.
-CARDS_REFUSED = {"CBUSH1D", "CGAP", "CSHEAR", "GENEL", "NSM1", "RSPLINE"}
+CARDS_REFUSED = {"CBUSH1D", "CGAP", "GENEL", "NSM1", "RSPLINE"}
 
 
 def mystran_job(model: NastranModel) -> None:
