@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -63,13 +63,18 @@ class SensitivityAnalysis:
 Analysis = ModalAnalysis | MatrixAnalysis | SensitivityAnalysis
 
 
+#: Masses at the nodes alone, or spread as the displacements are; empty where nothing says so.
+MassKind = Literal["", "lumped", "consistent"]
+
+
 @dataclass(frozen=True, slots=True)
 class Capabilities:
     """What a solver can give besides modes.
 
     tell_rigid: whether its strain energies of rigid modes are far below the rounding of their
     eigenvalues (stress times strain is, displacements times stiffness is not). matrix_modes:
-    whether modes of its stored matrices may stand for its own. to_confirm: names of those above
+    whether modes of its stored matrices may stand for its own. masses: those of its jobs whatever
+    the deck asks for. to_confirm: names of those above
     that count only where the self-test of this installation has passed them (`Solver.offers`).
     """
 
@@ -79,6 +84,7 @@ class Capabilities:
     frequency_sensitivities: bool = False
     shape_sensitivities: bool = False
     matrix_modes: bool = False
+    masses: MassKind = ""
     to_confirm: frozenset[str] = frozenset()
 
 
@@ -323,6 +329,10 @@ class Deck(Protocol):
         """Whether the stiffness and mass matrices are linear in the parameter."""
         return False
 
+    def masses(self) -> MassKind:
+        """Which masses the deck asks for."""
+        return ""
+
     def preload(self) -> str:
         """What of the deck makes the stiffness depend on a state that is solved for first.
 
@@ -404,6 +414,17 @@ class Solver:
         waiting = has.to_confirm - self.confirmed
         return tuple(
             item.name for item in fields(has) if item.name in waiting and getattr(has, item.name)
+        )
+
+    @property
+    def other_masses(self) -> str:
+        """That the program's masses are not those that the deck asks for; empty where they are."""
+        asked, has = self.deck.masses(), self.program.capabilities.masses
+        if not (asked and has) or asked == has:
+            return ""
+        return (
+            f"the deck asks for {asked} masses (PARAM,COUPMASS), {self.program.name} has {has} "
+            "ones: frequencies differ where the mesh is coarse for the shape of a mode"
         )
 
     def render(self, values: Values, analysis: Analysis) -> Rendered:

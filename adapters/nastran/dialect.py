@@ -143,6 +143,8 @@ MYSTRAN = Dialect(
     logs=(f"{JOB}.ERR",),
     threads="",
     displays="PLOT,PRINT",  # its F06 is read where its OP2 falls short
-    capabilities=Capabilities(strain_energies=False, matrices=True, matrix_modes=True),
+    capabilities=Capabilities(
+        strain_energies=False, matrices=True, matrix_modes=True, masses="lumped"
+    ),
 )
 DIALECTS: dict[DialectName, Dialect] = {"msc": MSC, "nx": NX, "mystran": MYSTRAN}

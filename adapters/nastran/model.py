@@ -43,6 +43,7 @@ from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.solver import (
     AffectedElements,
     Deck,
+    MassKind,
     ModelSummary,
     Number,
     moved_numbers,
@@ -167,6 +168,14 @@ class NastranModel(Deck):
 
     def mesh(self) -> Mesh:
         return self._mesh
+
+    def masses(self) -> MassKind:
+        """By PARAM,COUPMASS, of the case control if it stands there; lumped where nothing does."""
+        asked = dict(read_case_control(self.deck).parameters)
+        for card in self.deck.named("PARAM"):
+            asked.setdefault(card.text(1), card.text(2))
+        said = asked.get("COUPMASS", "").upper()
+        return "consistent" if said == "YES" or (said.isdigit() and int(said) > 0) else "lumped"
 
     @property
     def wtmass(self) -> float:

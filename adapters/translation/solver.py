@@ -27,7 +27,14 @@ from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.patch import edited_bulk
-from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Number, Solver
+from modetune.adapters.solver import (
+    AffectedElements,
+    Deck,
+    MassKind,
+    ModelSummary,
+    Number,
+    Solver,
+)
 from modetune.adapters.translation.shell_bricks import WrittenShells, edited_materials
 from modetune.adapters.translation.shells import KINDS
 from modetune.adapters.translation.translate import Translation, translate
@@ -80,6 +87,9 @@ class TranslatedDeck(Deck):
 
     def splits(self) -> tuple[str, ...]:
         return self.model.splits()
+
+    def masses(self) -> MassKind:
+        return self.model.masses()
 
     def mesh(self) -> Mesh:
         """The user's own mesh, not the translated one."""
@@ -278,4 +288,6 @@ def translated_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     model.check()
     translated = TranslatedDeck(model)
     translated.edited({})  # so that what cannot be translated is refused here
-    return Solver(translated, calculix_program())
+    program = calculix_program()
+    has = replace(program.capabilities, masses="consistent")
+    return Solver(translated, replace(program, capabilities=has))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modetune.adapters.solver import Solver
 from modetune.core.correlation.mass_properties import RigidBody, rigid_body_of_modes
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.mesh import Mesh
@@ -87,7 +88,20 @@ def size_findings(campaign: Campaign) -> list[Finding]:
     found = [Finding("doubtful", "model", doubt, "model.units", UNITS)] if doubt else []
     if np.isfinite(size):
         found += _size(campaign, size)
-    return accepted(campaign, found, {UNITS: "units", SIZE: "size"})
+    return [*accepted(campaign, found, {UNITS: "units", SIZE: "size"}), *_masses(case.solver)]
+
+
+def _masses(solver: Solver) -> list[Finding]:
+    """Whether the solver has the kind of masses that the deck asks for.
+
+    Lumped ones are the cheaper choice that consistent ones better; not the other way round.
+    """
+    said = solver.other_masses
+    if not said:
+        return []
+    lumps = solver.program.capabilities.masses == "lumped"
+    remedy = "run it on a solver that has them, or refine the mesh" if lumps else ""
+    return [Finding("doubtful" if lumps else "good", "model", said, "model.solver", remedy)]
 
 
 def accepted(

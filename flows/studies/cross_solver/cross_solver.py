@@ -30,7 +30,8 @@ from modetune.flows.updating.modal_run import model_modes, parse_values
 class SolverModes:
     """The modes that one solver gives, and how they answer those of the first solver.
 
-    pairing: of the first solver's lowest elastic modes with this one's.
+    pairing: of the first solver's lowest elastic modes with this one's; masses: why its masses are
+    not those that the deck asks for, empty where they are.
     """
 
     solver: str
@@ -38,6 +39,7 @@ class SolverModes:
     wall_s: float
     result: ModalResult
     pairing: Pairing
+    masses: str
 
     @property
     def frequencies_hz(self) -> Floats:
@@ -93,7 +95,8 @@ def run_twin(
         first = done[0].result if done else result
         pairing = _pairs(first.elastic, result.elastic)
         name, version = campaign.solver_name, campaign.solver_version()
-        done.append(SolverModes(name, version, wall_s, result, pairing))
+        masses = campaign.case.solver.other_masses
+        done.append(SolverModes(name, version, wall_s, result, pairing, masses))
     return Twin(campaigns[0].name, tuple(done), tuple(absent))
 
 
@@ -115,7 +118,7 @@ def twin_summary(twin: Twin) -> dict[str, Json]:
         solvers=[
             json_object(
                 item,
-                "solver wall_s frequencies_hz",
+                "solver wall_s frequencies_hz masses",
                 solver_version=item.version,
                 rigid_modes=item.result.n_rigid,
                 mass=item.result.mass,

@@ -40,5 +40,7 @@ def show_twin(console: Console, twin: Twin) -> None:
             ),
             soft_wrap=True,
         )
+        if item.masses:
+            console.print(Text(f"  {item.masses}"), soft_wrap=True)
     for solver, reason in twin.absent:
         console.print(Text(f"{solver} did not run: {reason}"), soft_wrap=True)

@@ -16,6 +16,7 @@ from modetune.configs.cases import write_case
 from modetune.core.errors import CampaignError
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.studies.check.model import size_findings
 from modetune.flows.studies.cross_solver.cross_solver import run_twin
 from modetune.flows.updating.modal_run import model_modes
 from modetune.flows.updating.recording import summary
@@ -253,8 +254,8 @@ def test_a_mass_factor_of_the_case_control_counts(tmp_path: Path) -> None:
 
 
 def test_selections_that_a_translation_would_lose_are_refused(tmp_path: Path) -> None:
-    path = sheet_campaign(tmp_path, sheet(".01", "M2GG = ADDED\nPARAM,FOO,3"))
-    with pytest.raises(CampaignError, match=r"(?s)case control M2GG.*case control PARAM,FOO"):
+    path = sheet_campaign(tmp_path, sheet(".01", "M2GG = ADDED\nPARAM,CK1,3."))
+    with pytest.raises(CampaignError, match=r"(?s)case control M2GG.*case control.*PARAM,CK1,3"):
         load_campaign(path)
 
 
@@ -278,3 +279,26 @@ def test_a_twin_pairs_modes_by_more_than_the_tests_few_sensors(tmp_path: Path) -
     (tmp_path / "sheet.csv").write_text("mode,1,2\nfrequency_hz,6.,20.\n7.z,1.,1.\n35.z,1.,-1.\n")
     twin = run_twin(path, ["mystran", "calculix"], [], [])
     assert twin.solvers[1].pairing.mac[:4].min() > 0.99
+
+
+@needs_mystran
+def test_masses_that_are_not_those_the_deck_asks_for_are_named_as_the_reason(
+    tmp_path: Path,
+) -> None:
+    for extra, solver, said in (
+        ("", "calculix", "the deck asks for lumped masses (PARAM,COUPMASS), calculix has consist"),
+        ("PARAM,COUPMASS,1", "mystran", "the deck asks for consistent masses"),
+    ):
+        folder = tmp_path / solver
+        folder.mkdir()
+        path = sheet_campaign(folder, sheet(".008", "", extra))
+        twin = run_twin(path, ["mystran", "calculix"], [], ["test.pairs={1: 1, 2: 2}"])
+        reasons = {item.solver: item.masses for item in twin.solvers}
+        assert reasons.pop(solver).startswith(said)
+        assert list(reasons.values()) == [""]
+        campaign = load_campaign(path, [f"model.solver={solver}", "test.pairs={1: 1, 2: 2}"])
+        (found,) = [item for item in size_findings(campaign) if "COUPMASS" in item.what]
+        assert (found.level, found.where) == (
+            "doubtful" if solver == "mystran" else "good",
+            "model.solver",
+        )
