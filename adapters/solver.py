@@ -211,6 +211,17 @@ def moved_numbers(
     return found
 
 
+#: How a number that is zero can be updated.
+FROM_ZERO = "give the parameter `values: absolute` or `additive`, with bounds and a deviation"
+
+
+def check_moved(parameter: Parameter, what: str, values: Iterable[float]) -> None:
+    """Refuse factors on what is all zero; what: its place and name. Raises ModelError."""
+    found = list(values)
+    if found and parameter.values == "relative" and not any(found):
+        raise ModelError(f"{what} is zero, which no factor changes; {FROM_ZERO}")
+
+
 def check_one(parameter: Parameter, where: str, items: Iterable[int]) -> None:
     """Refuse an absolute or additive parameter of several numbers, by their items.
 
@@ -259,6 +270,9 @@ class Deck(Protocol):
         for parameter in parameters:
             try:
                 numbers = self.numbers(parameter)
+                for number in numbers[:1]:
+                    what = f"{number.where}: {parameter.quantity}"
+                    check_moved(parameter, what, (item.value for item in numbers))
                 for there in reached(parameter, parameters):
                     moved_numbers(parameter, numbers, there)
             except ModelError as error:

@@ -20,7 +20,7 @@ from modetune.adapters.calculix.deck import (
 )
 from modetune.adapters.calculix.incidence import roles_of
 from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh
-from modetune.adapters.solver import ModelSummary, Number, check_one, moved_numbers
+from modetune.adapters.solver import ModelSummary, Number, check_moved, check_one, moved_numbers
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity
@@ -200,8 +200,12 @@ class CalculixModel:
             names = self.materials(parameter)
         found: list[KeywordField] = []
         for name in names:
-            found += _FINDERS[parameter.quantity](self, name)
-        return _picked(found, parameter)
+            fields = _picked(_FINDERS[parameter.quantity](self, name), name, parameter)
+            for first in fields[:1]:
+                what = f"{self.deck.lines[first.line].where}: {parameter.quantity} of {name}"
+                check_moved(parameter, what, (one.value for one in fields))
+            found += fields
+        return found
 
     def materials(self, parameter: Parameter) -> tuple[str, ...]:
         """Materials that a parameter names, or those of its elements. Raises ModelError."""
@@ -370,18 +374,17 @@ def _suggest(name: str, known: Iterable[str]) -> str:
     return f" (it has {', '.join(names) or 'none'})"
 
 
-def _picked(found: list[KeywordField], parameter: Parameter) -> list[KeywordField]:
+def _picked(found: list[KeywordField], name: str, parameter: Parameter) -> list[KeywordField]:
     """The fields that a parameter's item picks, without zeros among others. Raises ModelError."""
     item, quantity = parameter.item, parameter.quantity
-    names = ", ".join(parameter.targets)
     known = sorted({field.item for field in found if field.item > 0})
     if item and item not in known:
         choice = ", ".join(map(str, known)) or "one alone, so leave the item out"
-        raise ModelError(f"{names}: no item {item} of {quantity}; it has {choice}")
+        raise ModelError(f"{name}: no item {item} of {quantity}; it has {choice}")
     if quantity == "dimension" and not item:
-        raise ModelError(f"{names}: a cross-section has several dimensions: give the item")
+        raise ModelError(f"{name}: a cross-section has several dimensions: give the item")
     picked = [field for field in found if field.item == item or not item]
-    check_one(parameter, names, [field.item for field in picked])
+    check_one(parameter, name, [field.item for field in picked])
     whole = parameter.values != "relative"
     return [f for f in picked if f.value or (whole and f.item >= 0)] or picked
 

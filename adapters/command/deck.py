@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from modetune.adapters.command.settings import CommandSettings
 from modetune.adapters.command.template import (
     N_MODES,
     SHOWN_MODES,
+    Spot,
     Template,
     read_template,
     read_value,
@@ -31,10 +33,10 @@ FILLED = "filled"
 
 @dataclass(frozen=True, slots=True)
 class EditedTemplate:
-    """A template at some values."""
+    """A template with new numbers at some of its spots."""
 
     template: Template
-    values: Values
+    numbers: Mapping[Spot, float]
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,8 @@ class CommandDeck(Deck):
                 f"this name where its number is, or an edit under `model.command` that says where "
                 f"(there are: {names})"
             )
-        return [Number((spot.where, spot.start), spot.number, spot.where) for spot in spots]
+        first = spots[0].number  # what else it scales keeps its ratio to it
+        return [Number(spot, spot.number, spot.where, spot.number != first) for spot in spots]
 
     def written(self, parameter: Parameter, value: float) -> float:
         for spot in self.template.spots.get(parameter.name, ())[:1]:
@@ -80,24 +83,23 @@ class CommandDeck(Deck):
         return value
 
     def edited(self, values: Values) -> EditedTemplate:
-        return EditedTemplate(self.template, self._factors(values))
+        return EditedTemplate(self.template, self._moved(values))
 
-    def _factors(self, values: Values) -> Values:
-        """Factors on the template's numbers. Raises ModelError."""
-        found = {}
-        for parameter, value in assigned(self.parameters, values):
-            spots = [] if parameter.quantity == "variable" else self.numbers(parameter)
-            for spot, there in moved_numbers(parameter, spots[:1], value):
-                plain = parameter.values == "relative"
-                found[parameter.name] = parameter.shown(value) if plain else there / spot.value
-        return found
+    def _moved(self, values: Values) -> dict[Spot, float]:
+        """New numbers of the template. Raises ModelError."""
+        return {
+            number.place: there
+            for parameter, value in assigned(self.parameters, values)
+            if parameter.quantity != "variable"
+            for number, there in moved_numbers(parameter, self.numbers(parameter), value)
+        }
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         """Write the template with new values, and below FILLED the deck that a program runs."""
-        values = self._factors(values)
-        texts = self.template.updated(values)
+        numbers = self._moved(values)
+        texts = self.template.updated(numbers)
         if self.template.has_placeholders:
-            filled = self.template.filled(values, SHOWN_MODES)
+            filled = self.template.filled(numbers, SHOWN_MODES)
             texts |= {f"{FILLED}/{name}": text for name, text in filled.items()}
         for name, text in texts.items():
             with writing(folder / name) as part:

@@ -77,7 +77,7 @@ class CommandProgram:
 
     def render(self, deck: EditedTemplate, analysis: Analysis) -> Rendered:
         asked = self._asked(analysis)
-        files = deck.template.filled(deck.values, asked.n_modes)
+        files = deck.template.filled(deck.numbers, asked.n_modes)
         main, *others = deck.template.files
         settings = self.settings
         content: Json = {

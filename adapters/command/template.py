@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -26,7 +26,6 @@ from pathlib import Path
 from modetune.adapters.command.settings import CommandSettings, NumberRule
 from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Values
 
 #: The placeholder that is no parameter's, and what it is in a deck that nobody asks anything of.
 N_MODES, SHOWN_MODES = "n_modes", 10
@@ -121,23 +120,26 @@ class Template:
     def has_placeholders(self) -> bool:
         return any(spot.head for spots in self.spots.values() for spot in spots)
 
-    def filled(self, values: Values, n_modes: int) -> dict[str, bytes]:
-        """The files as the program gets them, by name. Raises ModelError."""
+    def filled(self, numbers: Mapping[Spot, float], n_modes: int) -> dict[str, bytes]:
+        """The files with new numbers at some spots, as the program gets them, by name.
+
+        Raises ModelError.
+        """
 
         def new(spot: Spot) -> str:
             if spot.name == N_MODES:
                 return format(n_modes, spot.form)
-            return spot.written(spot.number * values.get(spot.name, 1.0))
+            return spot.written(numbers.get(spot, spot.number))
 
         return {file.name: file.replaced(new) for file in self.files}
 
-    def updated(self, values: Values) -> dict[str, bytes]:
-        """The files with new values, placeholders kept: what was written is the deck's own now."""
+    def updated(self, numbers: Mapping[Spot, float]) -> dict[str, bytes]:
+        """The files with new numbers, placeholders kept: what was written is the deck's own now."""
 
         def new(spot: Spot) -> str:
             if spot.name == N_MODES:
                 return f"{spot.head}{spot.tail}"
-            text = spot.written(spot.number * values.get(spot.name, 1.0))
+            text = spot.written(numbers.get(spot, spot.number))
             return f"{spot.head}={text.strip()}{spot.tail}" if spot.head else text
 
         return {file.name: file.replaced(new) for file in self.files}
@@ -307,10 +309,6 @@ def _with_values(
             problems.append(
                 f"{spot.where}: the placeholder of {spot.name} has no value; write the deck's own "
                 f"as {written}, or choose other `delimiters` if this is not a placeholder"
-            )
-        elif values[spot.name] == 0.0:
-            problems.append(
-                f"{spot.where}: {spot.name} is 0 in the deck, and parameters are relative to it"
             )
     return [
         replace(

@@ -84,7 +84,16 @@ class MatrixDeck(Deck):
                 "parts themselves"
             )
         parts = zip(parameter.targets, self.model.targets(parameter), strict=True)
-        return [Number(target, part.value, f"part {target}") for target, part in parts]
+        found = []
+        for target, part in parts:
+            where = self.file.where(self.values.get(target, ("parts", target)))
+            if not any(m is not None and m.count_nonzero() for m in (part.stiffness, part.mass)):
+                raise ModelError(
+                    f"{where}: all matrices of part {target} are zero, so nothing depends on it: "
+                    "name other files or leave it out"
+                )
+            found.append(Number(target, part.value, f"{where}: part {target}"))
+        return found
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         parts = self.model.targets(parameter)

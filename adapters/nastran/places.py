@@ -21,7 +21,7 @@ from modetune.adapters.nastran.sections import (
     section_entries,
 )
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.solver import check_one
+from modetune.adapters.solver import FROM_ZERO, check_moved, check_one
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
@@ -289,19 +289,18 @@ def select(
     ]
     symbols = ", ".join(symbol for _, _, symbol in picked)
     if all(value is None for _, value in numbers):
-        raise ModelError(f"{where}: {symbols} is blank, so there is no {parameter.quantity}")
+        raise ModelError(
+            f"{where}: {symbols} is blank, so there is no {parameter.quantity}; write it "
+            f"out (0. for none, and {FROM_ZERO})"
+        )
     relative = parameter.values == "relative"
     if parameter.quantity not in STATION:  # all stations of a beam are of one number
         check_one(parameter, where, [entry[0] for entry, value in numbers if value is not None])
+    given = [value for _, value in numbers if value is not None]
+    check_moved(parameter, f"{where}: {symbols}", given)
     # A factor does not change a zero.
-    places = [
+    return [
         ValuePlace(card, field, value, ident, symbol, at < 0)
         for (at, field, symbol), value in numbers
         if value or (value is not None and not relative and at >= 0)
     ]
-    if not places:
-        raise ModelError(
-            f"{where}: {symbols} is zero, which no factor changes; an absolute or additive "
-            "parameter does"
-        )
-    return places

@@ -14,7 +14,7 @@ from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.parameters import Parameter, Quantity
+from modetune.core.parameters import Parameter, Quantity, ValueKind, counted_from
 from modetune.core.updating.results import ModalResult
 from tests.adapters.ccx_decks import MATERIAL, attached, beams
 from tests.adapters.test_calculix_affected_elements import D_MATRIX, LAMINATE, ORTHOTROPIC
@@ -101,6 +101,42 @@ def test_twice_the_angle_is_that_of_axes_turned_by_hand(tmp_path: Path) -> None:
                                         LAMINATE.index("*SHELL")], axes)  # fmt: skip
     np.testing.assert_allclose(turned, eigenvalues(tmp_path, by_axes), rtol=1e-6)
     assert np.abs(turned / eigenvalues(tmp_path, LAMINATE) - 1.0).max() > 0.01
+
+
+FLAT = LAMINATE.replace("3, -45.\n", "3, 0.\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity", "target", "item", "line"),
+    [
+        (FLAT, "ply_angle", "P", 2, "3, 0."),
+        (FRAME.replace("\n100.\n", "\n0.\n"), "spring_stiffness", "K", 0, "0."),
+        (FRAME.replace("1e-6", "0.0"), "mass", "M", 0, "0.0"),
+        (FRAME.replace("2.7e-9", "0"), "density", "A", 0, "0"),
+    ],
+)
+def test_a_number_that_is_zero_is_refused_with_what_changes_it(
+    tmp_path: Path, text: str, quantity: Quantity, target: str, item: int, line: str
+) -> None:
+    wanted = replace(parameter(quantity, target), item=item)
+    with pytest.raises(ModelError) as caught:
+        model_of(tmp_path, text).numbers(wanted)
+    assert str(caught.value) == (
+        f"{tmp_path / 'main.inp'}, line {text.splitlines().index(line) + 1}: {quantity} of "
+        f"{target} is zero, which no factor changes; give the parameter `values: absolute` or "
+        "`additive`, with bounds and a deviation"
+    )
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@pytest.mark.parametrize("kind", ["absolute", "additive"])
+def test_a_ply_turns_from_zero_as_in_a_deck_edited_by_hand(tmp_path: Path, kind: ValueKind) -> None:
+    origin, scale = counted_from(kind, 0.0, -60.0, 10.0)
+    wanted = replace(parameter("ply_angle", "P"), item=2, values=kind, origin=origin, scale=scale)
+    turned = eigenvalues(tmp_path, FLAT, wanted, wanted.counted(25.0))
+    by_hand = eigenvalues(tmp_path, FLAT.replace("3, 0.\n", "3, 25.\n"))
+    np.testing.assert_allclose(turned, by_hand, rtol=1e-6)
+    assert np.abs(turned / eigenvalues(tmp_path, FLAT) - 1.0).max() > 0.01
 
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")

@@ -30,7 +30,7 @@ from modetune.core.errors import (
     SolverMissing,
     SolverRejected,
 )
-from modetune.core.parameters import Parameter, Quantity
+from modetune.core.parameters import Parameter, Quantity, ValueKind, counted_from
 from modetune.core.storage.keys import canonical_json
 from modetune.core.updating.results import ModalResult
 from tests.shaft_line import DECK, shaft_frequencies, write_shaft
@@ -238,6 +238,31 @@ def test_parameters_and_placeholders_must_meet(
     assert "line 3: propeller is no parameter of the campaign, and keeps its value 150" in (
         caplog.text
     )
+
+
+def test_a_number_that_is_zero_is_found_by_values_of_its_own(tmp_path: Path) -> None:
+    """The governor's spring is missing in the deck: no factor finds it, its own number does."""
+    text = DECK.replace("k_engine=4.0E+6", "k_engine=0.0")
+    factor, k = number("k_engine"), 2.5e6
+    deck = command_solver(write_shaft(tmp_path, text), (factor,), SHAFT).deck
+    (said,) = deck.problems((factor,))
+    assert said == (
+        f"parameter k_engine: {tmp_path / 'shaft.txt'}, line 2: number is zero, which no factor "
+        "changes; give the parameter `values: absolute` or `additive`, with bounds and a deviation"
+    )
+    kinds: tuple[ValueKind, ...] = ("absolute", "additive")
+    for kind in kinds:
+        origin, scale = counted_from(kind, 0.0, 0.0, 1e6)
+        own = replace(factor, values=kind, origin=origin, scale=scale, lower=1.0, upper=2.0)
+        solver = command_solver(write_shaft(tmp_path, text), (own,), SHAFT)
+        assert solver.deck.problems((own,)) == []
+        value = own.counted(k)
+        found = solved(solver, {"k_engine": value}, ModalAnalysis(5, (1,)), tmp_path / kind)
+        expected = shaft_frequencies(k_engine=k / 4.0e6)[:5]
+        np.testing.assert_allclose(found.modes.frequencies_hz, expected, rtol=1e-8)
+        assert solver.deck.written(own, value) == pytest.approx(value)
+        updated = solver.deck.write_updated({"k_engine": value}, tmp_path / f"{kind}_updated")
+        assert "{k_engine=2.500000000E+06:.9E}" in updated.read_text()
 
 
 # A reader of the user's

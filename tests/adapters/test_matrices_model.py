@@ -285,8 +285,20 @@ def test_parameters_are_checked_against_the_parts(deck: Reads, tmp_path: Path) -
     (wrong,) = solver.deck.problems((parameter("k", "mass", "k1"),))
     assert "part k1 has a spring_stiffness, which mass cannot scale" in wrong
     (twice,) = solver.deck.problems((good, parameter("j", "spring_stiffness", "k2")))
-    assert twice == "part k2: both k and j change this number"
+    assert twice == f"{tmp_path / 'model.yaml'}, line 5: part k2: both k and j change this number"
     assert solver.deck.deck_value(good) == 1000.0
+
+
+def test_a_part_without_a_number_is_refused(index: Path) -> None:
+    """Files of zeros, as an export of a group that has no stiffness leaves them."""
+    write_matrix(index.parent, "lump.npz", sparse.csr_array((3, 3)))
+    write_matrix(index.parent, "lump_K.npz", sparse.csr_array((3, 3)))
+    solver = matrices_solver(index, ())
+    (said,) = solver.deck.problems((parameter("l", "matrix_factor", "lump"),))
+    assert said == (
+        f"parameter l: {index}, line 6: all matrices of part lump are zero, so nothing depends on "
+        "it: name other files or leave it out"
+    )
 
 
 def test_energies_are_claimed_only_where_stiffness_alone_is_scaled(index: Path) -> None:

@@ -266,7 +266,11 @@ REFUSED: list[tuple[Parameter, str]] = [
     (parameter("nonstructural_mass", "property", "2"), "NSM is blank"),
     (parameter("ply_angle", "property", "6", item=1), "THETA1 is zero, which no factor changes"),
     (parameter("structural_damping", "material", "2"), "GE is blank"),
-    (parameter("offset", "element", "13"), "ZOFFS is blank"),
+    (
+        parameter("offset", "element", "13"),
+        "ZOFFS is blank, so there is no offset; write it out (0. for none, and give the parameter "
+        "`values: absolute` or `additive`",
+    ),
     (parameter("offset", "element", "43"), "CELAS2 43 has no property"),
     (parameter("rotary_inertia", "element", "11"), "no such element 11"),
 ]
