@@ -177,13 +177,17 @@ def _sum(text: str, increment: str) -> str:
 def _following(rows: Sequence[CardRow]) -> dict[int, int]:
     """Which row continues which, by index."""
     tags = {row.next_tag: place for place, row in enumerate(rows) if row.next_tag}
-    following: dict[int, int] = {}
+    # First the lines whose tag the line above has: the same tags may stand in many places.
+    following = {
+        place - 1: place
+        for place, row in enumerate(rows)
+        if place and row.tag and not row.name and rows[place - 1].next_tag == row.tag
+    }
+    done = set(following.values())
     for place, row in enumerate(rows):
-        if row.name:
+        if row.name or place in done:
             continue
-        before = place - 1
-        if row.tag and (before < 0 or rows[before].next_tag != row.tag):
-            before = tags.get(row.tag, before)
+        before = tags.get(row.tag, place - 1) if row.tag else place - 1
         if before in following:  # a tag that stands twice
             before = place - 1
         if before >= 0 and before not in following:

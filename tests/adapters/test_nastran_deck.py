@@ -513,3 +513,20 @@ def test_a_free_line_may_hold_more_than_eight_fields(tmp_path: Path) -> None:
     path.write_text("CORD2C,1,0, 0.,0.,0., 0.,0.,1., 0.,1.,5.\n")
     (card,) = read_deck(path).cards
     assert card.text(11) == "5."
+
+
+def test_a_tag_may_stand_in_many_places(tmp_path: Path) -> None:
+    # The third line's tag stands in the field before its column, as some generators write it.
+    rows = [
+        "GRID    1               0.      0.      0.",
+        "CONM2   1       1               1.                                      +C1",
+        "+C1     .1",
+        "CONM2   2       1               2.                              +C1",
+        "+C1     .2",
+        "CONM2   3       1               3.                                      +C1",
+        "+C1     .3",
+    ]
+    path = tmp_path / "model.bdf"
+    path.write_text("\n".join(["BEGIN BULK", *rows, "ENDDATA", ""]))
+    bodies = read_deck(path).named("CONM2")
+    assert [card.text(9) for card in bodies] == [".1", ".2", ".3"]
