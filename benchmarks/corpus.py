@@ -8,7 +8,8 @@ many modes each solver gives or the first reason why it gives none, and the larg
 the reference's first four elastic frequencies from the nearest that is computed (bars whose mass is
 lumped have no torsion of their own, so that modes in order are not the same): the reference is the
 OP2 or F06 file beside the deck where there is one with modes, else MYSTRAN. `--json FILE` keeps the
-rows, `--counts` prints the sums alone.
+rows, `--counts` prints the sums alone. What is outside linear structural dynamics is told from the
+cards (outside.py), and counted apart.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.card_decks import write_decks
+from benchmarks.outside import outside
 
 from modetune.adapters.nastran.deck import read_deck, write_edited
 from modetune.adapters.nastran.f06 import read_f06
@@ -50,6 +52,8 @@ RIGID = 1e-4
 #: Nodes whose shapes are asked for, to see that they are read.
 NODES = 3
 TIMEOUT_S = 120.0
+#: Of the message about a model that has no modes.
+MASSLESS = "nothing in the model has mass"
 SUFFIXES = (".bdf", ".dat", ".nas")
 BINDERS: dict[str, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
     "mystran": mystran_solver,
@@ -67,6 +71,17 @@ class Row:
     mystran: str
     calculix: str
     difference: str
+    outside: str = ""
+
+    @property
+    def runs(self) -> bool:
+        """Whether a solver gives modes."""
+        return self.mystran.isdecimal() or self.calculix.isdecimal()
+
+    @property
+    def massless(self) -> bool:
+        """Whether there is nothing that has modes."""
+        return MASSLESS in self.mystran
 
 
 def decks_below(folder: Path) -> list[Path]:
@@ -78,11 +93,12 @@ def decks_below(folder: Path) -> list[Path]:
 def look_at(path: Path, name: str) -> Row:
     """Read, write back and run a deck."""
     logging.disable(logging.WARNING)
+    other = outside(path)
     try:
         deck = read_deck(path)
         understand(deck).mesh()
     except ModetuneError as error:
-        return Row(name, reason(error), "", "", "", "")
+        return Row(name, reason(error), "", "", "", "", other)
     with tempfile.TemporaryDirectory() as folder:
         copy = write_edited(deck, {}, Path(folder) / "copy")
         same = "yes" if copy.read_bytes() == path.read_bytes() else "no"
@@ -95,7 +111,7 @@ def look_at(path: Path, name: str) -> Row:
             except ModetuneError as error:
                 found[solver] = reason(error)
     said = compared(frequencies, reference(path))
-    return Row(name, "yes", same, found["mystran"], found["calculix"], said)
+    return Row(name, "yes", same, found["mystran"], found["calculix"], said, other)
 
 
 def solve(solver: Solver, folder: Path) -> Floats:
@@ -176,15 +192,22 @@ def counts(rows: Sequence[Row]) -> str:
         f"written back {sum(row.rewritten == 'yes' for row in rows)}",
         f"MYSTRAN {sum(row.mystran.isdecimal() for row in rows)}",
         f"CalculiX {sum(row.calculix.isdecimal() for row in rows)}",
-        f"either {sum(row.mystran.isdecimal() or row.calculix.isdecimal() for row in rows)}",
+        f"either {sum(row.runs for row in rows)}",
+        f"without mass {sum(row.massless for row in rows)}",
     ]
-    return ", ".join(numbers)
+    lines = [", ".join(numbers)]
+    massive = [row for row in rows if not row.massless]
+    for kind in sorted({row.outside for row in massive}):
+        members = [row for row in massive if row.outside == kind]
+        said = kind or "nothing outside linear structural dynamics"
+        lines.append(f"{said}: {len(members)}, of which {sum(r.runs for r in members)} run")
+    return "\n".join(lines)
 
 
 def table(rows: Iterable[Row]) -> Iterator[str]:
     """The rows as a Markdown table."""
-    yield "| deck | read | written back | MYSTRAN | CalculiX | largest difference |"
-    yield "| --- | --- | --- | --- | --- | --- |"
+    yield "| deck | read | written back | MYSTRAN | CalculiX | largest difference | outside |"
+    yield "| --- | --- | --- | --- | --- | --- | --- |"
     for row in rows:
         yield "| " + " | ".join(asdict(row).values()) + " |"
 
