@@ -95,7 +95,7 @@ ON_BARS = {
     "CGAP": "GRID,9,,1.,0.,1.,,123456\nPGAP,8,0.,,1.E5\nCGAP,50,8,5,9,1.,0.,0.\n",
     "CBUSH1D": "GRID,9,,1.,0.,1.,,123456\nPBUSH1D,8,1.E5\nCBUSH1D,50,8,5,9\n",
     "PLOTEL": "PLOTEL,50,1,5\n", "AERO": "AERO,,1.,1.,1.2\n", "NSM1": "NSM1,3,PBAR,1.,1\n",
-    "GENEL": "GENEL,50,,5,3\n,UD,,1,3\n,K,3.E4\n",
+    "GENEL": "GENEL,50,,5,3,5,2\n,K,3.E4,1.E4,2.E4\n",
 }  # fmt: skip
 ON_LINES = {
     "CBEAM": "PBEAM,1,1,4.-4,2.-8,1.-8,,2.-8\n", "PBEAML": "PBEAML,1,1,,BAR\n,.03,.02\n",

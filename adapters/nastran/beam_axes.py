@@ -13,6 +13,9 @@ from modetune.core.modes import Floats
 #: What OFFT may be: of the orientation vector, of the offset at end A, at end B.
 OFFSET_TYPES = frozenset(first + a + b for first in "GB" for a in "GO" for b in "GO")
 
+#: In the place of OFFT old decks say how the orientation is given, by components or a grid point.
+OLD_VECTOR, OLD_GRID = "1", "2"
+
 
 @dataclass(frozen=True, slots=True)
 class BeamAxes:
@@ -44,6 +47,8 @@ def beam_axes(element: Any, places: Mapping[int, Floats], frames: Mapping[int, F
         axes = _axes(x, np.eye(3)[int(np.argmin(np.abs(x)))])
         return BeamAxes(np.zeros((2, 3)), grids, axes)
     kind = str(getattr(element, "offt", None) or "GGG").upper()
+    if kind == (OLD_GRID if element.g0 else OLD_VECTOR):
+        kind = "GGG"
     if kind not in OFFSET_TYPES:
         raise ValueError(f"OFFT={kind} is not one of {', '.join(sorted(OFFSET_TYPES))}")
     towards = _orientation(element, kind, places, frames)

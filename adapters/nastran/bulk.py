@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from pyNastran.bdf.bdf import BDF
+from pyNastran.bdf.bdf_interface.utils import fill_dmigs
 
 from modetune.adapters.nastran.cards import LOST, NAME
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
@@ -61,7 +62,9 @@ SCALAR = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4", "CDAMP5")
 #: Scalar masses, and where their two ends stand, each with a component.
 ENDS_AT = {"CMASS1": (3, 5), "CMASS2": (3, 5)}
 #: Elements that never have any.
-NO_MASS = (*SCALAR, "CELAS1", "CELAS2", "CBUSH1D", "CBUSH2D", "CGAP", "CVISC", "CDAMP1", "CDAMP2")
+NO_MASS = (
+    *SCALAR, "CELAS1", "CELAS2", "CBUSH1D", "CBUSH2D", "CGAP", "CVISC", "CDAMP1", "CDAMP2", "GENEL",
+)  # fmt: skip
 
 Cards = Mapping[int, tuple[NastranCard, ...]]
 
@@ -125,6 +128,10 @@ def read_bulk(deck: NastranDeck) -> tuple[Bulk, Owners, tuple[Objection, ...]]:
         bulk.properties.pop(number, None)
     while missing := list(_missing(deck, bulk, owners)):
         found += missing
+    try:
+        fill_dmigs(bulk)
+    except OBJECTIONS as error:
+        found.append(Objection("DMIG", f"{deck.file}: DMIG: {_sentence(error)}"))
     try:
         bulk.cross_reference(
             xref_loads=False,

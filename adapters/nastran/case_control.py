@@ -23,6 +23,7 @@ SELECTIONS = frozenset({
 #: Those that a job on another solver follows or that change no modes.
 FOLLOWED = frozenset({
     "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "AUTOSPC", "RIGID", "BC", "BOUTPUT",
+    "K2GG",
 })  # fmt: skip
 #: A temperature that loads alone: no modes know it.
 LOADING = re.compile(r"TEMP\w*\s*\(\s*LOAD\s*\)", re.IGNORECASE)
@@ -108,6 +109,12 @@ class CaseControl:
         """The selection of the temperature that materials have, empty where there is none."""
         found = (text for text in self.selections if text.upper().startswith("TEMP"))
         return next((text for text in found if not LOADING.match(text)), "")
+
+    @property
+    def added_stiffness(self) -> str:
+        """The DMIG that K2GG adds to the stiffness, or a sum of several; empty for none."""
+        found = (re.fullmatch(r"K2GG\s*=\s*(.*)", s, re.IGNORECASE) for s in self.selections)
+        return next((match.group(1).strip().upper() for match in found if match), "")
 
     def selected(self, name: str) -> int:
         """The set that a selection names (SPC, MPC), 0 where there is none."""

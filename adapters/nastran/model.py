@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from modetune.adapters.nastran.affected_elements import affected_elements_of, powers_of
-from modetune.adapters.nastran.bulk import Bulk, Objection, has_mass, read_bulk, refuse
+from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, read_bulk, refuse
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
     CaseControl,
@@ -108,6 +108,7 @@ class NastranModel(Deck):
                 *(item.text for item in self.objections if item.name not in HARMLESS),
                 *(f"{self.deck.file}: {text}" for text in case.lost),
                 *self._lost_parameters(),
+                *self._tied_bolts(),
                 *self._temperatures(case),
             ]
         )
@@ -138,6 +139,12 @@ class NastranModel(Deck):
                 reason = changing(card.text(place), card.text(place + 1))
                 if reason:
                     yield f"{self.deck.where(card)}: {reason}"
+
+    def _tied_bolts(self) -> Iterator[str]:
+        """Bolts that join two halves of a mesh; those that name elements alone are preloads."""
+        for card in self.deck.named("BOLT"):
+            if not all(text.isdecimal() or text == "THRU" for text in filled(card, None) if text):
+                yield f"{self.deck.where(card)}: BOLT joins grid points, which is not translated"
 
     def _temperatures(self, case: CaseControl) -> Iterator[str]:
         """Materials that depend on a temperature which the case control selects."""

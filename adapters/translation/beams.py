@@ -99,9 +99,10 @@ def _released(beam: Beam, element: Any) -> Beam:
     check_warping(element)
     flags = [(getattr(element, name) or 0, base) for name, base in (("pa", 0), ("pb", 6))]
     free = [base + int(digit) - 1 for flag, base in flags for digit in str(flag) if digit != "0"]
+    stiffness = beam.deformations.T @ beam.stiffness @ beam.deformations
+    free = [place for place in free if stiffness[place, place] > 0.0]  # without I1 no hinge for it
     if not free:
         return beam
-    stiffness = beam.deformations.T @ beam.stiffness @ beam.deformations
     kept = [place for place in range(12) if place not in free]
     condensed = np.eye(12)
     inner = stiffness[np.ix_(free, free)]

@@ -11,6 +11,7 @@ shell's normal) is not an unknown of the CalculiX model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -140,25 +141,15 @@ def _body(
     u_m = B A^-1 u_n.
     """
     what = f"{element.type} {element.eid}"
-    places = freedoms.builder.coordinates
-    centre, size = places[independent[0][0]], freedoms.builder.size
-
-    def motion(components: list[Component]) -> Floats:
-        rows = []
-        for node, component in components:
-            axis = freedoms.frames.get(node, np.eye(3))[(component - 1) % 3]
-            arm = np.cross((places[node] - centre) / size, axis)
-            rows.append(np.r_[np.zeros(3), axis] if component > 3 else np.r_[axis, arm])
-        return np.array(rows)
-
+    centre, size = independent[0][0], freedoms.builder.size
     forms = [freedoms.form(node, component) for node, component in independent]
-    known = motion(independent)
+    known = rigid_motions(freedoms, independent, centre)
     if len(forms) != 6 or not all(forms) or np.linalg.matrix_rank(known, tol=1e-9) < 6:
         problems.append(f"{what}: its independent components do not determine a rigid motion")
         return
     # Rotations are multiplied by the model's size, which makes the units alike.
     lengths = np.array([size if component > 3 else 1.0 for _, component in independent])
-    shares = np.linalg.solve(known.T, motion(dependent).T).T * lengths
+    shares = np.linalg.solve(known.T, rigid_motions(freedoms, dependent, centre).T).T * lengths
     for node, component in (*independent, *dependent):
         if component > 3:
             axis = freedoms.frames.get(node, np.eye(3))[component - 4]
@@ -175,6 +166,20 @@ def _body(
     for (node, turning), ties in rows.items():
         own_freedoms = freedoms.rotations(node) if turning else freedoms.translations(node)
         freedoms.tie(ties, own_freedoms, what)
+
+
+def rigid_motions(freedoms: Freedoms, components: Sequence[Component], centre: int) -> Floats:
+    """What six rigid motions about a point make of components, (n, 6).
+
+    Rotations, as motions and as components, are multiplied by the model's size.
+    """
+    places = freedoms.builder.coordinates
+    rows = []
+    for node, component in components:
+        axis = freedoms.frames.get(node, np.eye(3))[(component - 1) % 3]
+        arm = np.cross((places[node] - places[centre]) / freedoms.builder.size, axis)
+        rows.append(np.r_[np.zeros(3), axis] if component > 3 else np.r_[axis, arm])
+    return np.array(rows)
 
 
 def _rod(freedoms: Freedoms, element: Any) -> None:

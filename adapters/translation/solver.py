@@ -258,6 +258,7 @@ class TranslatedDeck(Deck):
                 stem,
                 spc=case.selected("SPC"),
                 mpc=case.selected("MPC"),
+                k2gg=case.added_stiffness,
                 single=self._single,
                 wtmass=self.model.wtmass,
                 weighed=not changed,  # other numbers are translated in the same way

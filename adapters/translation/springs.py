@@ -27,7 +27,7 @@ from modetune.adapters.translation.shells import SetsOf
 from modetune.core.modes import Floats
 
 SCALAR = ("CELAS1", "CELAS2", "CELAS3", "CELAS4")
-KINDS = (*SCALAR, "CBUSH")
+KINDS = (*SCALAR, "CBUSH", "CBUSH1D")
 
 #: Linear forms and their stiffnesses.
 Deformations = list[tuple[Form, float]]
@@ -46,6 +46,7 @@ def translate_springs(
     readers: dict[str, Callable[[Any, Freedoms], Deformations]] = {
         **dict.fromkeys(SCALAR, _scalar_spring),
         "CBUSH": _bush,
+        "CBUSH1D": _line_bush,
     }
     for element in bulk.elements.values():
         if element.type not in readers:
@@ -115,6 +116,24 @@ def _bush(element: Any, freedoms: Freedoms) -> Deformations:
         ]
         found.append((difference(ends[0], ends[1]) if len(ends) == 2 else ends[0], stiffness))
     return found
+
+
+def _line_bush(element: Any, freedoms: Freedoms) -> Deformations:
+    """The stretch of a CBUSH1D; its tables and equations are for nonlinear solutions."""
+    if element.pid_ref.m:
+        raise ValueError("the mass of its PBUSH1D: give it as CONM2")
+    first, second = [*element.node_ids, None][:2]
+    start = freedoms.builder.coordinates[first]
+    span = freedoms.builder.coordinates[second] - start if second else np.zeros(3)
+    length = float(np.linalg.norm(span))
+    if element.cid is None and length <= 1e-9 * (1.0 + float(np.abs(start).max())):
+        raise ValueError("its ends coincide or one is grounded: it needs a CID")
+    x = span / length if element.cid is None else local_axes(element.cid_ref, start)[0]
+    if np.linalg.norm(np.cross(x, span)) > 1e-6 * length:
+        raise ValueError("its axis (CID) is not along the line between its grid points")
+    ends = [freedoms.along(freedoms.translations(node), x) for node in (second, first) if node]
+    form = difference(*ends) if len(ends) == 2 else ends[0]
+    return [(form, float(element.pid_ref.k))]
 
 
 def _motion(freedoms: Freedoms, node: int, place: Floats, axis: Floats, turns: bool) -> Form:

@@ -41,6 +41,7 @@ from modetune.adapters.translation.shells import understand_shells
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.adapters.translation.solids import translate_solids
 from modetune.adapters.translation.springs import translate_springs
+from modetune.adapters.translation.stiffness_matrices import matrix_components, translate_matrices
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
@@ -71,14 +72,15 @@ def translate(
     single: frozenset[int] = frozenset(),
     spc: int = 0,
     mpc: int = 0,
+    k2gg: str = "",
     wtmass: float = 1.0,
     weighed: bool = True,
 ) -> Translation:
     """Translate a cross-referenced pyNastran BDF.
 
     name: of the deck, for messages. single: elements that get a set `E<eid>` of their own. spc,
-    mpc: constraint sets, 0 for none. wtmass: the factor on all masses, PARAM,WTMASS. weighed:
-    whether the masses are held against the cards'.
+    mpc: constraint sets, 0 for none. k2gg: the DMIG added to the stiffness, if any. wtmass:
+    the factor on all masses, PARAM,WTMASS. weighed: whether the masses are held against the cards'.
     Raises ModelError with every card and feature that cannot be translated.
     """
     if not bulk.nodes and not bulk.spoints:
@@ -100,6 +102,7 @@ def translate(
     translate_rigid_elements(bulk, freedoms, edges, problems)
     translate_beams(bulk, builder, freedoms, problems, wtmass, sets_of)
     translate_springs(bulk, builder, freedoms, problems, wtmass, sets_of)
+    translate_matrices(bulk, builder, freedoms, problems, k2gg, sets_of)
     translate_shear_panels(bulk, builder, freedoms, problems, sets_of)
     masses = point_masses(bulk, problems)
     translate_masses(bulk, masses, builder, freedoms, wtmass, sets_of)
@@ -165,6 +168,8 @@ def _held_rotations(bulk: Any) -> set[int]:
     for element in bulk.elements.values():
         if element.type in ("CBAR", "CBEAM", "CBUSH"):
             held.update(node for node in element.node_ids if node)
+        elif element.type == "GENEL":
+            held.update(node for node, component in matrix_components(element) if component > 3)
         elif element.type in ("CELAS1", "CELAS2"):
             ends = zip(element.node_ids, (element.c1, element.c2), strict=True)
             held.update(node for node, component in ends if node and int(component or 0) > 3)
