@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
 
 from modetune.adapters.nastran.bulk import DEFAULTS, Bulk, filled, unused_properties
 from modetune.adapters.nastran.cards import large_field
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck
+from modetune.adapters.nastran.geometry import output_frames
 from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.adapters.nastran.mystran_beams import CARDS as BEAM_CARDS
 from modetune.adapters.nastran.mystran_beams import BeamCards
@@ -14,6 +19,7 @@ from modetune.adapters.nastran.mystran_scalars import ALL, ELEMENTS, PROPERTIES,
 from modetune.adapters.nastran.mystran_shells import CARDS as SHELL_CARDS
 from modetune.adapters.nastran.mystran_shells import ShellCards
 from modetune.core.errors import ModelError
+from modetune.core.modes import Floats
 
 #: Cards whose modes by MYSTRAN were compared with another solver's or a closed form. What is
 #: neither here nor harmless is refused: MYSTRAN passes over some cards without a word.
@@ -34,6 +40,8 @@ ISOP, CORNERS_OF_FOUR = 6, 6
 PAIR_OF_LINES = 8
 #: Cards of which MYSTRAN reads the last odd line past the places that it has for it.
 COUNTED = ("MPC", "RBE3")
+#: Direction cosines that tell output frames apart: the digits of a card's coordinates.
+SAME_FRAME = 1e-6
 #: Fields of an EIGRL card: its number, and the shift of the first factorisation.
 EIGRL_ID, EIGRL_SHIFT = 1, 7
 #: A negative shift keeps the stiffness of free structures from being singular, (rad/s)^2. It is
@@ -74,12 +82,15 @@ def mystran_cards(
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
     beams = BeamCards(bulk, scalars.new_number)
     shells = ShellCards(bulk, scalars.new_number)
+    frames = cache(lambda: output_frames(bulk()))
     for card in deck.cards:
         if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
             continue
         reason = _obstacle(card)
         if not reason and card.name in (*ELEMENTS, "CBUSH"):
             reason = scalars.obstacle(card)
+        if not reason and card.name == "RBE3":
+            reason = _unlike_frames(bulk().rigid_elements[int(card.text(1))], frames())
         if card.name in (*BEAM_CARDS, *SHELL_CARDS):
             try:
                 written = (beams if card.name in BEAM_CARDS else shells).cards(card)
@@ -162,6 +173,19 @@ def _turning(card: NastranCard) -> bool:
     """Whether rotations are among the independent components of a RBE3, which follow weights."""
     weights = (place for place in range(5, len(card.fields)) if "." in card.text(place))
     return any(set(card.text(place + 1)) & set("456") for place in weights)
+
+
+def _unlike_frames(element: Any, frames: dict[int, Floats]) -> str:
+    """Why MYSTRAN has a RBE3 wrong: it reads all components in one output frame; empty if not."""
+    lead, *others = (*element.dependent_nodes, *element.independent_nodes)
+    own = frames.get(lead, np.eye(3))
+    for node in others:
+        if np.abs(frames.get(node, np.eye(3)) - own).max() > SAME_FRAME:
+            return (
+                f"MYSTRAN has RBE3 wrong whose points have unlike output frames (CD): those of "
+                f"{lead} and {node}; give them one frame"
+            )
+    return ""
 
 
 def _obstacle(card: NastranCard) -> str:

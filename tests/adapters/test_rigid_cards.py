@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.translation.solver import translated_solver
+from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from tests.adapters.solved import Binder, needs_ccx, on_both, solved
 
@@ -17,6 +19,8 @@ LEGS = {1: (0.0, 0.0, 0.0), 2: (2.0, 0.2, 0.1), 3: (0.4, 1.5, -0.2)}
 STIFFNESS = (300.0, 500.0, 4000.0)
 CENTRE = np.array([0.7, 0.6, 0.5])
 BODY = (3.0, (0.4, 0.5, 0.8))
+#: Rows are x, y and z of a turned frame.
+AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
 
 
 def table() -> tuple[str, Floats]:
@@ -74,6 +78,54 @@ def test_a_rod_keeps_the_distance_of_its_ends(tmp_path: Path) -> None:
     own = linalg.eigh(free.T @ np.diag(stiffness) @ free, mass, eigvals_only=True)
     found = solved(text + "RROD,31,1,2,,1\n", tmp_path, translated_solver)
     assert found.eigenvalues == pytest.approx(own, rel=1e-6)
+
+
+def averaged(turned: set[int]) -> tuple[str, Floats]:
+    """A body on the average of three masses on springs, and its eigenvalues.
+
+    turned: points whose output frame, along which their springs act, has x, y and z of AXES.
+    """
+    text = "CORD2R,7,,0.,0.,0.,0.,.6,.8\n,1.,0.,0.\n"
+    stiffness, rows, inertia = np.zeros((9, 9)), [], BODY[1][0]
+    for place, (node, xyz) in enumerate(LEGS.items()):
+        frame = AXES if node in turned else np.eye(3)
+        text += f"GRID,{node},,{xyz[0]},{xyz[1]},{xyz[2]},{7 * (node in turned)},456\n"
+        text += f"CONM2,{90 + node},{node},,.5\n"
+        for component, k in enumerate(STIFFNESS, start=1):
+            text += f"CELAS2,{10 * node + component},{k},{node},{component}\n"
+        own = slice(3 * place, 3 * place + 3)
+        stiffness[own, own] = frame.T @ np.diag(STIFFNESS) @ frame
+        arm = np.array(xyz) - CENTRE
+        rows += [np.r_[axis, np.cross(arm, axis)] for axis in np.eye(3)]
+    text += f"GRID,9,,{CENTRE[0]},{CENTRE[1]},{CENTRE[2]},{7 * (9 in turned)}\n"
+    text += f"CONM2,90,9,,{BODY[0]}\n,{inertia},,{inertia},,,{inertia}\n"
+    fit = np.linalg.pinv(np.array(rows))
+    body = np.diag([BODY[0]] * 3 + [inertia] * 3)
+    mass = 0.5 * np.eye(9) + fit.T @ body @ fit
+    text += "RBE3,51,,9,123456,1.,123,1,2\n,3\n"
+    return text, np.asarray(linalg.eigh(stiffness, mass, eigvals_only=True))
+
+
+@on_both
+@pytest.mark.parametrize("turned", [set(), {1, 2, 3, 9}], ids=["basic", "turned"])
+def test_an_rbe3_in_one_output_frame_is_the_fit_of_its_points(
+    binder: Binder, turned: set[int], tmp_path: Path
+) -> None:
+    text, own = averaged(turned)
+    assert solved(text, tmp_path, binder).eigenvalues == pytest.approx(own[:6], rel=1e-5)
+
+
+@on_both
+@pytest.mark.parametrize("turned", [{2}, {9}, {1, 2, 3}], ids=["one", "lead", "others"])
+def test_an_rbe3_in_several_output_frames_is_right_or_refused(
+    binder: Binder, turned: set[int], tmp_path: Path
+) -> None:
+    text, own = averaged(turned)
+    if binder is mystran_solver:  # reads the components of all in the lead's frame
+        with pytest.raises(ModelError, match=r"line \d+: .*RBE3 .* unlike output frames .*CD"):
+            solved(text, tmp_path, binder)
+    else:
+        assert solved(text, tmp_path, binder).eigenvalues == pytest.approx(own[:6], rel=1e-5)
 
 
 @needs_ccx
