@@ -177,9 +177,9 @@ def _turning(card: NastranCard) -> bool:
 
 def _unlike_frames(element: Any, frames: dict[int, Floats]) -> str:
     """Why MYSTRAN has a RBE3 wrong: it reads all components in one output frame; empty if not."""
-    lead, *others = (*element.dependent_nodes, *element.independent_nodes)
+    lead = int(element.refgrid)
     own = frames.get(lead, np.eye(3))
-    for node in others:
+    for node in element.independent_nodes:
         if np.abs(frames.get(node, np.eye(3)) - own).max() > SAME_FRAME:
             return (
                 f"MYSTRAN has RBE3 wrong whose points have unlike output frames (CD): those of "
