@@ -147,7 +147,8 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
 def _end(report: PreCheckReport) -> str:
     counts = {level: sum(item.level == level for item in report.findings) for level in MARKS}
     runs = report.runs
-    cost = "1 solver run" if runs.modal else "answered by the store" if runs.reused else "no run"
+    ran = "1 solver run" if runs.modal == 1 else f"{runs.modal} solver runs"
+    cost = ran if runs.modal else "answered by the store" if runs.reused else "no run"
     return f"{report.level}: {counts['wrong']} wrong, {counts['doubtful']} doubtful; {cost}"
 
 

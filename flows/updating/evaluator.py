@@ -183,6 +183,18 @@ class Evaluator:
             raise found
         for item in asked:
             item.state.analysis = item.analysis
+        for item, before, now in zip(
+            asked, previous.parts if previous else (), found.parts, strict=False
+        ):
+            if before.modal.n_rigid != now.modal.n_rigid:
+                logger.warning(
+                    "%s: the number of rigid modes changes from %d to %d, so the order of "
+                    "elastic modes shifts; look at the pairs, and start parameters inside their "
+                    "bounds (see `modetune check`)",
+                    item.state.case.of(title),
+                    before.modal.n_rigid,
+                    now.modal.n_rigid,
+                )
         if self.foresight:
             self.foresight.look_back(found, previous)
         return found, None if alone else self._deriving.matrix(title, found, ahead)

@@ -38,6 +38,9 @@ from modetune.flows.studies.check.parameters import (
     bound_findings,
     energy_findings,
     energy_shares,
+    from_nothing,
+    joined_values,
+    loose_findings,
 )
 from modetune.flows.studies.check.sensors import sensor_findings
 from modetune.flows.studies.check.suspects import suspected_sensors
@@ -78,6 +81,7 @@ class PreCheckReport:
 def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     """Judge a campaign that was read; run: with its first modal job, from the store if there.
 
+    Where parameters start from nothing a second job tells whether they leave parts loose so.
     A solver that fails is a finding. Raises StoreError.
     """
     static = (
@@ -91,15 +95,21 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     engine = job_engine(campaign)
     analysis = campaign_analysis(campaign)
     job = Job(campaign.parameters.values(campaign.start), analysis)
+    nothing = from_nothing(campaign)
+    jobs = [job, Job(joined_values(campaign, nothing), analysis)] if nothing else [job]
     try:
         campaign.solver_version()
-        outcome = engine.solve(job)
-        result = outcome.result(ModalResult)
+        outcomes = [engine.solve(item) for item in jobs]
+        result, *joined = (outcome.result(ModalResult) for outcome in outcomes)
     except SolverError as error:
         told = Finding("wrong", "model", f"the solver gave no modes: {error}")
         return PreCheckReport((*static, told), failure=error)
     engine.keep_text()
-    runs = RunCounts(modal=int(not outcome.reused), reused=int(outcome.reused))
+    reused = sum(outcome.reused for outcome in outcomes)
+    runs = RunCounts(modal=len(outcomes) - reused, reused=reused)
+    static += tuple(
+        item for other in joined for item in loose_findings(campaign, nothing, result, other)
+    )
     return judged(campaign, result, static, analysis.n_modes, runs)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import POWERS, Parameter
+from modetune.core.parameters import NOT_NEGATIVE, POWERS, Parameter, Values
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.self_test import not_confirmed
@@ -109,6 +109,51 @@ def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]
             )
         )
     return found
+
+
+def from_nothing(campaign: Campaign) -> tuple[Parameter, ...]:
+    """Parameters that start from no stiffness or mass at all: without it parts may be loose.
+
+    None where the number of rigid modes is given by hand.
+    """
+    solver = campaign.case.solver
+    if solver.rigid_modes is not None:
+        return ()
+    starts = zip(campaign.parameters.parameters, campaign.start.tolist(), strict=True)
+    return tuple(
+        item
+        for item, start in starts
+        if item.quantity in NOT_NEGATIVE
+        and any(POWERS[item.quantity])
+        and item.number(solver.deck.deck_value(item), start) == 0.0
+    )
+
+
+def joined_values(campaign: Campaign, nothing: tuple[Parameter, ...]) -> Values:
+    """The start, with parameters that start from nothing halfway to their upper bounds."""
+    start = campaign.parameters.values(campaign.start)
+    return start | {item.name: 0.5 * (start[item.name] + item.upper) for item in nothing}
+
+
+def loose_findings(
+    campaign: Campaign, nothing: tuple[Parameter, ...], start: ModalResult, joined: ModalResult
+) -> list[Finding]:
+    """Whether parameters that start from nothing change the number of rigid modes."""
+    if start.n_rigid == joined.n_rigid:
+        return []
+    names = ", ".join(item.name for item in nothing)
+    values = joined_values(campaign, nothing)
+    shown = ", ".join(f"{item.shown(values[item.name]):g}" for item in nothing)
+    return [
+        Finding(
+            "doubtful",
+            "parameters",
+            f"it starts from nothing, where {start.n_rigid} modes are rigid; at {shown} "
+            f"{joined.n_rigid} are, so the order of elastic modes shifts as it moves",
+            f"parameter {names}",
+            "start it inside its bounds, about where it is expected",
+        )
+    ]
 
 
 def energy_shares(result: ModalResult, computed: Integers) -> tuple[EnergyShare, ...]:
