@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from modetune.adapters.regular_file import largest, read_regular
 from modetune.core.errors import ModelError
@@ -21,8 +22,7 @@ from modetune.core.storage.files import writing
 INCLUDES = "includes"
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(NamedTuple):
     """One line of a deck without its line end, and where it stands.
 
     added: the file does not have it; it goes behind the file's line of that number.
@@ -104,7 +104,7 @@ def with_added(
     """
     found: list[Line] = []
     for position, line in enumerate(lines):
-        found.append(replace(line, text=changed.get(position, line.text)))
+        found.append(line._replace(text=changed.get(position, line.text)))
         found += (Line(text, line.file, line.number, True) for text in added.get(position, ()))
     return tuple(found)
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import count, repeat
 from pathlib import Path
 
 from modetune.adapters import deck_files
@@ -86,7 +87,9 @@ def read_deck(path: Path) -> KeywordDeck:
 
 def parse_deck(file: Path, text: str) -> KeywordDeck:
     """A deck from its text, which includes nothing; `file` is what messages call it."""
-    lines = tuple(Line(line, file, number) for number, line in enumerate(text.split("\n"), start=1))
+    # A translated deck has a million lines: they are made without a call of Python each.
+    fields = zip(text.split("\n"), repeat(file), count(1), repeat(False))
+    lines = tuple(map(partial(tuple.__new__, Line), fields))
     return KeywordDeck(file, lines, tuple(_cards(lines)), ())
 
 
@@ -135,6 +138,9 @@ def _cards(lines: Sequence[Line]) -> Iterable[KeywordCard]:
     start, header, data = 0, "", list[int]()
     open_header = False
     for position, line in enumerate(lines):
+        if header and line.text[:1].isdigit() and not open_header:
+            data.append(position)
+            continue
         text = line.text.strip()
         if not text or text.startswith(COMMENTS):
             continue

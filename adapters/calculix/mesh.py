@@ -53,7 +53,7 @@ def read_mesh(deck: KeywordDeck) -> CalculixMesh:
         number
         for card in deck.named("*NODE")
         for position in card.data
-        for number in _whole(deck, position, deck.fields(position)[:1])
+        for number in _whole(deck, position, [deck.lines[position].text.partition(",")[0].strip()])
     }
     sets: dict[str, set[int]] = {}
     elements: dict[int, Element] = {}

@@ -82,7 +82,7 @@ def texts_at(deck: NastranDeck, changed: Mapping[int, str]) -> tuple[Line, ...]:
     """The lines of a deck, some of them changed."""
     lines = list(deck.lines)
     for position, text in changed.items():
-        lines[position] = replace(lines[position], text=text)
+        lines[position] = lines[position]._replace(text=text)
     return tuple(lines)
 
 

@@ -8,16 +8,19 @@ sets, materials, other cards, sections, equations, fixed degrees of freedom.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 
 import numpy as np
 
 from modetune.adapters.calculix.deck import format_number
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 
 #: ccx reads at most this many entries of an element's or a set's line.
 LINE_ENTRIES = 16
 #: Terms of an equation on one line.
 LINE_TERMS = 4
+#: Factors below this are nothing.
+NO_FACTOR = 1e-14
 
 
 class CalculixText:
@@ -48,6 +51,13 @@ class CalculixText:
         self.node(self._last + 1, xyz)
         return self._last
 
+    def new_nodes(self, places: Floats) -> Integers:
+        """Add nodes at places (n, 3), numbered beyond all there are; returns their numbers."""
+        numbers = np.arange(len(places)) + self._last + 1
+        self.coordinates.update(zip(numbers.tolist(), places, strict=True))
+        self._last += len(places)
+        return numbers
+
     def new_element(self, kind: str, nodes: Sequence[int], sets: Sequence[str]) -> int:
         """Add an element of a ccx type to these sets, and return its ccx number."""
         number = len(self.elements) + 1
@@ -74,10 +84,31 @@ class CalculixText:
 
     def equation(self, terms: Sequence[tuple[int, int, float]]) -> None:
         """Add sum(factor * u(node, component)) = 0; the first term is the dependent one."""
-        words = [
-            f"{node}, {component}, {format_number(factor)}" for node, component, factor in terms
-        ]
-        self._equations += [str(len(words)), *_lines(words, LINE_TERMS)]
+        words = [f"{node},{component},{_factor(factor)}" for node, component, factor in terms]
+        self._equations.append(_equation(words))
+
+    def equations(self, owners: Integers, factors: Floats) -> None:
+        """Tie the displacements of nodes 1..3 to three of each of others, in bulk.
+
+        owners: (n, 1 + m), the dependent node and m / 3 others, each thrice; factors: (n, 3, 1 +
+        m), of the dependent component, then of components 1, 2, 3 of each of the others. What
+        depends on nothing is fixed.
+        """
+        alive = np.abs(factors) > NO_FACTOR
+        counts = alive.sum(axis=2)
+        alive &= counts[:, :, None] > 1
+        for row, axis in zip(*map(np.ndarray.tolist, np.nonzero(counts == 1)), strict=True):
+            self.fixed(int(owners[row, 0]), axis + 1)
+        rows, axes, places = np.nonzero(alive)
+        which = np.where(places == 0, axes, (places - 1) % 3) + 1
+        values, same = np.unique(factors[alive], return_inverse=True)
+        texts = [_factor(value) for value in values.tolist()]
+        columns = (owners[rows, places].tolist(), which.tolist(), same.tolist())
+        words = [f"{n},{c},{texts[place]}" for n, c, place in zip(*columns, strict=True)]
+        stop = 0
+        for count in counts[counts > 1].tolist():
+            start, stop = stop, stop + count
+            self._equations.append(_equation(words[start:stop]))
 
     @property
     def size(self) -> float:
@@ -101,8 +132,8 @@ class CalculixText:
     def text(self) -> str:
         """The model part of the deck: everything but a step."""
         lines = ["*NODE, NSET=NALL"]
-        for number in sorted(self.coordinates):
-            lines.append(f"{number}, {number_list(self.coordinates[number])}")
+        for number, place in sorted(self.coordinates.items(), key=itemgetter(0)):
+            lines.append(f"{number}, {number_list(place.tolist())}")
         lines += self._element_lines()
         for name, members in self.sets.items():
             lines += [f"*ELSET, ELSET={name}", *_lines(map(str, members), LINE_ENTRIES)]
@@ -124,6 +155,19 @@ class CalculixText:
                     rows = list(_lines(map(str, (number, *nodes)), LINE_ENTRIES))
                     lines += [*(f"{row}," for row in rows[:-1]), rows[-1]]
         return lines
+
+
+def _equation(words: Sequence[str]) -> str:
+    """The lines of an equation; words: its terms."""
+    if len(words) <= LINE_TERMS:
+        return f"{len(words)}\n{','.join(words)}"
+    rows = [words[i : i + LINE_TERMS] for i in range(0, len(words), LINE_TERMS)]
+    return "\n".join([str(len(words)), *map(",".join, rows)])
+
+
+def _factor(value: float) -> str:
+    """A factor of an equation; normals and arms in it have no more digits."""
+    return f"{value:.12g}"
 
 
 def number_list(values: Iterable[float]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, parse_deck
+from modetune.adapters.calculix.deck import KeywordDeck, parse_deck
 from modetune.adapters.translation.calculix_text import CalculixText
 from modetune.adapters.translation.element_geometry import SHAPES, Points, integration_points
 from modetune.core.errors import ModelError
@@ -124,38 +124,34 @@ def calculix_mass_properties(builder: CalculixText, text: str) -> MassProperties
 
     Springs have no mass; scalar masses are left out, as they are on the other side.
     """
-    deck = parse_deck(Path("translation"), text)
+    deck = parse_deck(Path("translation"), text.partition("*EQUATION")[0])
     densities = _densities(deck)
-    kinds = {number: (kind, nodes) for kind, number, nodes in builder.elements}
+    groups: dict[tuple[str, bool], list[tuple[float, tuple[int, ...]]]] = {}
     parts: list[Moments] = []
     for card in deck.named("*MASS", "*SOLID SECTION"):
-        groups: dict[str, list[Floats]] = {}
-        if card.option("ELSET").startswith(SCALAR_MASS):
+        name = card.option("ELSET")
+        if name.startswith(SCALAR_MASS):
             continue
-        for number in builder.sets.get(card.option("ELSET"), []):
-            kind, nodes = kinds[number]
-            places = np.array([builder.coordinates[node] for node in nodes])
-            groups.setdefault(kind.rstrip("IR"), []).append(places)
-        for kind, places_of in groups.items():
-            parts += _group(deck, card, densities, kind, np.array(places_of))
+        density = densities.get(card.option("MATERIAL"), 0.0)
+        for number in builder.sets.get(name, []):
+            kind, _, nodes = builder.elements[number - 1]
+            if card.is_one_of("*MASS"):
+                mass = float(deck.fields(card.data[0])[0])
+                parts.append(of_point(mass, builder.coordinates[nodes[0]]))
+            else:
+                group = groups.setdefault((kind.rstrip("IR"), name.endswith(POINT)), [])
+                group.append((density, nodes))
+    for (kind, is_point), group in groups.items():
+        places = np.array([builder.coordinates[node] for _, nodes in group for node in nodes])
+        places = places.reshape(len(group), -1, 3)
+        points = integration_points(SHAPES[kind], places)
+        of_each = np.array([density for density, _ in group])
+        if is_point:
+            masses = of_each * points.measures.sum(axis=1)
+            parts += map(of_point, masses.tolist(), places.mean(axis=1))
+        else:
+            parts.append(of_volume(points, of_each))
     return mass_properties(parts)
-
-
-def _group(
-    deck: KeywordDeck, card: KeywordCard, densities: dict[str, float], kind: str, places: Floats
-) -> list[Moments]:
-    rows = [deck.fields(position) for position in card.data]
-    if card.is_one_of("*MASS"):
-        return [of_point(float(rows[0][0]), place[0]) for place in places]
-    points = integration_points(SHAPES[kind], places)
-    density = densities.get(card.option("MATERIAL"), 0.0)
-    if card.option("ELSET").endswith(POINT):
-        masses = density * points.measures.sum(axis=1)
-        return [
-            of_point(float(mass), place.mean(axis=0))
-            for mass, place in zip(masses, places, strict=True)
-        ]
-    return [of_volume(points, density * np.ones(len(places)))]
 
 
 def _densities(deck: KeywordDeck) -> dict[str, float]:

@@ -36,7 +36,7 @@ from modetune.adapters.nastran.shell_laws import law_of
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
 from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total, trimmed
 from modetune.adapters.translation.shells import Edges, SetsOf, Shell, own_thickness
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 
 #: Height of the bricks as a share of the usual edge: what the comparison of masses sees of it, in
 #: the inertia of a single element, is its square.
@@ -114,24 +114,20 @@ def write_shells(
     if not shells:
         return WrittenShells(0.0, wtmass, lumped, {})
     turned = frozenset(freedoms.turn_nodes)
-    writer = BrickWriter(builder, freedoms, HEIGHT * _usual_edge(shells, builder), wtmass)
+    writer = BrickWriter(builder, HEIGHT * _usual_edge(shells, builder), wtmass)
     written = WrittenShells(writer.height, wtmass, lumped, {})
+    bricks: dict[tuple[object, ...], list[Brick]] = {}
     for shell in shells:
-        bricks = bricks_of(shell, writer.height, lumped)
-        names = [writer.add(shell, brick, sets_of(shell.element)) for brick in bricks]
         element = shell.element
         key = (element.pid, own_thickness(element, []), element.tflag, element.zoffset)
-        written.laws.setdefault(key, (shell, tuple(names), _shape(shell, bricks)))
-    around: dict[int, list[Shell]] = {}
-    for shell in shells:
-        for node in shell.nodes:
-            around.setdefault(node, []).append(shell)
-    middles = {middle: edge for edge, middle in edges.middles.items() if middle in edges.made}
-    for node, near in around.items():
-        if any(shell.law.bends for shell in near):
-            _hold_drilling(freedoms, node, near, node in turned)
-        if node not in held and _is_flat(near):
-            _hold_loose(freedoms, node, near, middles.get(node, ()))
+        if key not in bricks:
+            parts = bricks[key] = bricks_of(shell, writer.height, lumped)
+            names = tuple(writer.material(element.pid, brick) for brick in parts)
+            written.laws[key] = (shell, names, _shape(shell, parts))
+        for brick, name in zip(bricks[key], written.laws[key][1], strict=True):
+            writer.add(shell, brick, name, sets_of(element))
+    writer.write(freedoms)
+    _hold_rest(shells, edges, freedoms, turned, held)
     return written
 
 
@@ -141,85 +137,160 @@ def _usual_edge(shells: Sequence[Shell], builder: CalculixText) -> float:
 
 
 class BrickWriter:
-    """Adds bricks; those of one plane share nodes, those of one law and direction a section."""
+    """Writes bricks; those of one plane share nodes, those of one law and direction a section."""
 
-    def __init__(
-        self, builder: CalculixText, freedoms: Freedoms, height: float, wtmass: float
-    ) -> None:
+    def __init__(self, builder: CalculixText, height: float, wtmass: float) -> None:
         self._builder = builder
-        self._freedoms = freedoms
         self.height = height
         self._wtmass = wtmass
-        self._nodes: dict[tuple[float | int | None, ...], int] = {}
+        self._bricks: list[tuple[Shell, float, str, Sequence[str]]] = []
         self._materials: dict[tuple[int, tuple[str, ...]], str] = {}
-        self._sections: dict[tuple[str, tuple[float, ...]], str] = {}
+        self._sections: dict[tuple[object, ...], str] = {}
 
-    def add(self, shell: Shell, brick: Brick, sets: Sequence[str]) -> str:
-        """Add one brick of a shell to these sets; returns the name of its material."""
-        quad = len(shell.nodes) == 8
-        corners, normal = 4 if quad else 3, np.round(shell.normal, DIGITS) + 0.0
-        places = np.array([self._builder.coordinates[node] for node in shell.nodes])
-        beside = (places - places[:corners].mean(axis=0)) @ shell.normal
-        beside[np.abs(beside) < 1e-9 * self._builder.size] = 0.0
-        low, high = -self.height / 2.0, self.height / 2.0
-        rows = [(low, 0), (high, 0), (low, 1), (high, 1), (0.0, 0)]
-        nodes = [
-            self._node(shell.nodes[place], normal, float(-beside[place]), z, brick.lever)
-            for z, middles in rows
-            for place in range(middles * corners, (middles + 1) * corners)
-        ]
-        kind = "C3D20R" if quad else "C3D15"
-        material = self._material(shell.element.pid, material_lines(brick, self._wtmass))
-        section = self._section(material, shell.axis, normal)
-        self._builder.new_element(kind, nodes, (*sets, section))
-        return material
-
-    def _node(self, node: int, normal: Floats, down: float, z: float, lever: float | None) -> int:
-        """A brick's node at z over the mean plane, which is `down` from the shell's node."""
-        arm = z if lever is None else round(down + lever, 12)
-        key = (node, *normal.tolist(), round(down, 12), z, arm, lever is None)
-        if key in self._nodes:
-            return self._nodes[key]
-        place = self._builder.coordinates[node] + (down + z + (lever or 0.0)) * normal
-        made = self._nodes[key] = self._builder.new_node(place)
-        x, y, z = normal.tolist()
-        # Displacement along each basic axis: of theta x n it is theta . (n x axis).
-        turning = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
-        freedoms = self._freedoms.translations(node)
-        rotations = self._freedoms.rotations(node) if arm else []
-        for axis, row in enumerate(turning):
-            if lever is None:
-                moves = [(x, y, z)[axis] * share for share in (x, y, z)]
-            else:
-                moves = [float(axis == other) for other in range(3)]
-            shares = [*zip(freedoms, moves, strict=True)]
-            shares += zip(rotations, (arm * share for share in row), strict=False)
-            terms = [(n, c, -factor) for (n, c), factor in shares if abs(factor) > 1e-14]
-            if terms:
-                self._builder.equation([(made, axis + 1, 1.0), *terms])
-            else:
-                self._builder.fixed(made, axis + 1)
-        return made
-
-    def _material(self, pid: int, lines: tuple[str, ...]) -> str:
-        """The name of a material; of each property its own, whose numbers may change."""
+    def material(self, pid: int, brick: Brick) -> str:
+        """The name of a brick's material; of each property its own, whose numbers may change."""
+        lines = material_lines(brick, self._wtmass)
         key = (pid, lines)
         if key not in self._materials:
             self._materials[key] = f"L{len(self._materials) + 1}"
             self._builder.material(self._materials[key], lines)
         return self._materials[key]
 
-    def _section(self, material: str, first: Floats, normal: Floats) -> str:
-        axes = (*first, *np.cross(normal, first))
-        key = (material, tuple(round(float(value), DIGITS) + 0.0 for value in axes))
-        if key not in self._sections:
-            name = self._sections[key] = f"S{len(self._sections) + 1}"
-            head = f"*ORIENTATION, NAME=O{name}, SYSTEM=RECTANGULAR"
-            self._builder.card([head, number_list(key[1])])
-            self._builder.section(
-                [f"*SOLID SECTION, ELSET={name}, MATERIAL={material}, ORIENTATION=O{name}"]
-            )
-        return self._sections[key]
+    def add(self, shell: Shell, brick: Brick, material: str, sets: Sequence[str]) -> None:
+        """Note one brick of a shell, of these sets."""
+        self._bricks.append((shell, _lever(brick), material, sets))
+
+    def write(self, freedoms: Freedoms) -> None:
+        """Write all bricks, and the equations of their nodes."""
+        by_corners = [[b for b in self._bricks if len(b[0].nodes) == 2 * n] for n in (4, 3)]
+        there = [bricks for bricks in by_corners if bricks]
+        corners = _joined([self._corners(bricks) for bricks in there])
+        numbers = self._numbers(corners, freedoms)
+        stop = 0
+        for bricks in there:
+            kind, count = ("C3D20R", 20) if len(bricks[0][0].nodes) == 8 else ("C3D15", 15)
+            start, stop = stop, stop + count * len(bricks)
+            sections = self._named_sections(bricks)
+            nodes = numbers[start:stop].reshape(-1, count).tolist()
+            for brick, row, section in zip(bricks, nodes, sections, strict=True):
+                self._builder.new_element(kind, row, (*brick[3], section))
+
+    def _corners(self, bricks: Sequence[tuple[Shell, float, str, Sequence[str]]]) -> BrickPoints:
+        """The corners and edge points of bricks on shells of equally many nodes."""
+        nodes = np.array([shell.nodes for shell, *_ in bricks])
+        count = nodes.shape[1] // 2
+        normals = np.array([shell.normal for shell, *_ in bricks])
+        beside = np.array([[self._builder.coordinates[n] for n in row] for row in nodes.tolist()])
+        beside -= beside[:, :count].mean(axis=1, keepdims=True)
+        down = -np.einsum("snx,sx->sn", beside, normals)
+        down[np.abs(down) < 1e-9 * self._builder.size] = 0.0
+        low, high = -self.height / 2.0, self.height / 2.0
+        rows = [(low, 0), (high, 0), (low, 1), (high, 1), (0.0, 0)]
+        places = [p for _, m in rows for p in range(m * count, (m + 1) * count)]
+        heights = np.repeat([z for z, _ in rows], count)
+        levers = np.array([lever for _, lever, *_ in bricks])
+        return BrickPoints(
+            nodes[:, places].ravel(),
+            np.repeat(np.round(normals, DIGITS) + 0.0, len(places), axis=0),
+            np.round(down, 12)[:, places].ravel() + 0.0,
+            np.tile(heights, len(bricks)),
+            np.repeat(levers, len(places)),
+        )
+
+    def _numbers(self, corners: BrickPoints, freedoms: Freedoms) -> Integers:
+        """Make and tie the bricks' nodes, one for all corners that are alike; returns theirs."""
+        first, same = corners.alike()
+        corners = corners.taken(first)
+        coordinates = self._builder.coordinates
+        places = np.array([coordinates[node] for node in corners.nodes.tolist()])
+        away = corners.down + corners.heights + np.nan_to_num(corners.levers)
+        arms = corners.arms
+        turning = np.zeros(len(places), dtype=np.int64)
+        for row in np.flatnonzero(arms).tolist():
+            rotations = freedoms.rotations(int(corners.nodes[row]))
+            turning[row] = rotations[0][0] if rotations else 0
+        numbers = self._builder.new_nodes(places + away[:, None] * corners.normals)
+        # Factors of the node itself, then of displacements and rotations: (nodes, axes, 7).
+        factors = np.zeros((len(places), 3, 7))
+        factors[:, :, 0] = 1.0
+        bends = np.isnan(corners.levers)
+        whole = np.einsum("ni,nj->nij", corners.normals, corners.normals)
+        factors[:, :, 1:4] = -np.where(bends[:, None, None], whole, np.eye(3))
+        # Displacement along each basic axis: of theta x n it is theta . (n x axis).
+        x, y, z = (arms * (turning > 0))[None, :] * corners.normals.T
+        factors[:, 0, 5], factors[:, 0, 6] = -z, y
+        factors[:, 1, 4], factors[:, 1, 6] = z, -x
+        factors[:, 2, 4], factors[:, 2, 5] = -y, x
+        owners = np.stack([numbers, *3 * [corners.nodes], *3 * [turning]], axis=1)
+        self._builder.equations(owners, factors)
+        return numbers[same]
+
+    def _named_sections(
+        self, bricks: Sequence[tuple[Shell, float, str, Sequence[str]]]
+    ) -> list[str]:
+        """The sections of bricks, by material and direction; those that are new are written."""
+        first = np.array([shell.axis for shell, *_ in bricks])
+        normals = np.round([shell.normal for shell, *_ in bricks], DIGITS) + 0.0
+        axes = np.round(np.hstack([first, np.cross(normals, first)]), DIGITS) + 0.0
+        keys = [(brick[2], *row) for brick, row in zip(bricks, axes.tolist(), strict=True)]
+        for key in keys:
+            if key not in self._sections:
+                name = self._sections[key] = f"S{len(self._sections) + 1}"
+                head = f"*ORIENTATION, NAME=O{name}, SYSTEM=RECTANGULAR"
+                self._builder.card([head, number_list(key[1:])])
+                self._builder.section(
+                    [f"*SOLID SECTION, ELSET={name}, MATERIAL={key[0]}, ORIENTATION=O{name}"]
+                )
+        return [self._sections[key] for key in keys]
+
+
+@dataclass(frozen=True, slots=True)
+class BrickPoints:
+    """BrickPoints and edge points of bricks, (n,) each, normals (n, 3).
+
+    down: from the shell's node to the mean plane; heights: over it; levers: NaN of bending bricks.
+    """
+
+    nodes: Integers
+    normals: Floats
+    down: Floats
+    heights: Floats
+    levers: Floats
+
+    @property
+    def arms(self) -> Floats:
+        """What rotations are multiplied with."""
+        bends = np.isnan(self.levers)
+        return np.where(bends, self.heights, np.round(self.down + self.levers, 12)) + 0.0
+
+    def columns(self) -> tuple[Integers, Floats, Floats, Floats, Floats]:
+        return self.nodes, self.normals, self.down, self.heights, self.levers
+
+    def taken(self, rows: Integers) -> BrickPoints:
+        own = (self.normals, self.down, self.heights, self.levers)
+        return BrickPoints(self.nodes[rows], *(column[rows] for column in own))
+
+    def alike(self) -> tuple[Integers, Integers]:
+        """The first rows of those that are alike, ascending, and the place there of each row."""
+        bends = np.isnan(self.levers)
+        key = np.zeros(len(self.nodes), dtype=np.int64)
+        for column in (self.nodes, *self.normals.T, self.down, self.heights, self.arms, bends):
+            values, ids = np.unique(column, return_inverse=True)
+            key = np.unique(key * len(values) + ids, return_inverse=True)[1]
+        _, first, same = np.unique(key, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        return first[order], rank[same]
+
+
+def _joined(parts: Sequence[BrickPoints]) -> BrickPoints:
+    columns = zip(*(part.columns() for part in parts), strict=True)
+    return BrickPoints(*map(np.concatenate, columns))
+
+
+def _lever(brick: Brick) -> float:
+    return np.nan if brick.lever is None else brick.lever
 
 
 def material_lines(brick: Brick, wtmass: float) -> tuple[str, ...]:
@@ -268,17 +339,42 @@ def _shape(shell: Shell, bricks: Sequence[Brick]) -> tuple[object, ...]:
     return (shell.law.bends, shell.law.stretches, *levers)
 
 
-def _hold_drilling(freedoms: Freedoms, node: int, near: Sequence[Shell], turned: bool) -> None:
-    """Tie the rotation about the normal; turned: whether anything but shells has rotations here."""
-    axis, rotations = near[0].normal, freedoms.rotations(node)
-    own = freedoms.along(rotations, axis)
-    if not _is_flat(near) or not _is_loose(freedoms, own) or _is_held(freedoms, node, axis):
-        return
-    same = all(abs(float(shell.normal @ axis)) > SAME_PLANE for shell in near)
-    form: Form = {}
-    if turned or not same:
-        form = _mean_rotation(freedoms, node, axis, {n for s in near for n in s.nodes} - {node})
-    freedoms.tie([difference(own, form)], rotations, f"rotation of {node} in its plane")
+def _hold_rest(
+    shells: Sequence[Shell],
+    edges: Edges,
+    freedoms: Freedoms,
+    turned: frozenset[int],
+    held: set[int],
+) -> None:
+    """Hold what the shells leave free; turned: nodes where anything but shells has rotations."""
+    around: dict[int, list[int]] = {}
+    for place, shell in enumerate(shells):
+        for node in shell.nodes:
+            around.setdefault(node, []).append(place)
+    middles = {middle: edge for edge, middle in edges.middles.items() if middle in edges.made}
+    normals = np.array([shell.normal for shell in shells])
+    near = np.concatenate([np.array(places) for places in around.values()])
+    starts = np.cumsum([0, *(len(places) for places in around.values())])[:-1]
+    firsts = np.repeat(near[starts], np.diff([*starts, len(near)]))
+    cosines = np.abs(np.einsum("ni,ni->n", normals[near], normals[firsts]))
+    least = dict(zip(around, np.minimum.reduceat(cosines, starts).tolist(), strict=True))
+    axes: dict[int, Floats] = {}
+    for node, places in around.items():
+        if least[node] > FLAT and any(shells[place].law.bends for place in places):
+            axis = shells[places[0]].normal
+            own = freedoms.along(freedoms.rotations(node), axis)
+            if _is_loose(freedoms, own) and not _is_held(freedoms, node, axis):
+                axes[node] = axis
+    mean = [node for node in axes if node in turned or least[node] <= SAME_PLANE]
+    others = {node: {n for p in around[node] for n in shells[p].nodes} - {node} for node in mean}
+    forms = _mean_rotations(freedoms, others, axes)
+    for node, places in around.items():
+        if node in axes:
+            rotations = freedoms.rotations(node)
+            row = difference(freedoms.along(rotations, axes[node]), forms.get(node, {}))
+            freedoms.tie([row], rotations, f"rotation of {node} in its plane")
+        if node not in held and least[node] > FLAT:
+            _hold_loose(freedoms, node, [shells[p] for p in places], middles.get(node, ()))
 
 
 def _hold_loose(
@@ -288,19 +384,17 @@ def _hold_loose(
 
     ends: the corners beside a midside node, which moves as their mean does there.
     """
-    axes = [near[0].axis, np.cross(near[0].normal, near[0].axis)]
-    axes = [] if any(shell.law.stretches for shell in near) else axes
-    axes += [] if any(shell.law.bends for shell in near) else [near[0].normal]
+    axes = []
+    if not any(shell.law.stretches for shell in near):
+        axes += [near[0].axis, np.cross(near[0].normal, near[0].axis)]
+    if not any(shell.law.bends for shell in near):
+        axes += [near[0].normal]
     for axis in axes:
         own = freedoms.along(freedoms.translations(node), axis)
         if _is_loose(freedoms, own):
             mean = [freedoms.along(freedoms.translations(end), 0.5 * axis) for end in ends]
             form = difference(own, total(mean))
             freedoms.tie([form], list(own), f"displacement of {node} across its shells")
-
-
-def _is_flat(near: Sequence[Shell]) -> bool:
-    return all(abs(float(shell.normal @ near[0].normal)) > FLAT for shell in near)
 
 
 def _is_loose(freedoms: Freedoms, form: Form) -> bool:
@@ -313,19 +407,29 @@ def _is_held(freedoms: Freedoms, node: int, axis: Floats) -> bool:
     return bool((found > HELD * freedoms.builder.size).any())
 
 
-def _mean_rotation(freedoms: Freedoms, node: int, normal: Floats, near: set[int]) -> Form:
-    """The rotation about the normal that fits the displacements of the nodes near best."""
-    others = sorted(near)
-    places = freedoms.builder.coordinates
-    arms = np.array([places[other] - places[node] for other in others])
-    spread = np.trace(arms.T @ arms) * np.eye(3) - arms.T @ arms
-    factors = np.cross(np.linalg.solve(spread, normal), arms)
-    form: Form = {}
-    for other, (x, y, z) in zip(others, factors.tolist(), strict=True):
-        pairs = (*freedoms.translations(other), *freedoms.translations(node))
-        for freedom, factor in zip(pairs, (x, y, z, -x, -y, -z), strict=True):
-            form[freedom] = form.get(freedom, 0.0) + factor
-    return trimmed(form)
+def _mean_rotations(
+    freedoms: Freedoms, near: dict[int, set[int]], axes: dict[int, Floats]
+) -> dict[int, Form]:
+    """Of nodes, the rotations about axes that fit the displacements of the nodes near best."""
+    if not near:
+        return {}
+    coordinates = freedoms.builder.coordinates
+    others = [sorted(nodes) for nodes in near.values()]
+    counts = np.array([len(nodes) for nodes in others])
+    starts = np.cumsum(counts) - counts
+    arms = np.array([coordinates[node] for nodes in others for node in nodes])
+    arms -= np.repeat([coordinates[node] for node in near], counts, axis=0)
+    outer = np.add.reduceat(np.einsum("ni,nj->nij", arms, arms), starts)
+    spread = np.trace(outer, axis1=1, axis2=2)[:, None, None] * np.eye(3) - outer
+    turning = np.linalg.solve(spread, np.array([axes[node] for node in near])[:, :, None])
+    factors = np.cross(np.repeat(turning[:, :, 0], counts, axis=0), arms)
+    own = -np.add.reduceat(factors, starts)
+    forms = {}
+    for node, nodes, start, last in zip(near, others, starts.tolist(), own.tolist(), strict=True):
+        rows = factors[start : start + len(nodes)].ravel().tolist()
+        freedoms_near = [(other, c) for other in (*nodes, node) for c in (1, 2, 3)]
+        forms[node] = trimmed(dict(zip(freedoms_near, (*rows, *last), strict=True)))
+    return forms
 
 
 def hold_leaders(freedoms: Freedoms, leaders: set[int]) -> None:
