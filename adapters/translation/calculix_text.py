@@ -166,8 +166,8 @@ def _equation(words: Sequence[str]) -> str:
 
 
 def _factor(value: float) -> str:
-    """A factor of an equation; normals and arms in it have no more digits."""
-    return f"{value:.12g}"
+    """A factor of an equation: as many digits as always fit the characters that ccx reads."""
+    return f"{value:.14g}"
 
 
 def number_list(values: Iterable[float]) -> str:
