@@ -25,11 +25,18 @@ from modetune.adapters.calculix.incidence import Incidence, read_incidence
 from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.observation import observe
+from modetune.adapters.calculix.places import edited_lines, energy_sets, find_numbers
 from modetune.adapters.calculix.results import (
     SolverMessage,
     read_messages,
     read_modal,
     read_version,
+)
+from modetune.adapters.calculix.sections import (
+    least_thickness,
+    material_masses,
+    point_mass,
+    wave_speeds,
 )
 from modetune.adapters.calculix.spare_unknowns import modes_at_most
 from modetune.adapters.calculix.splitting import split_model
@@ -118,24 +125,24 @@ class CalculixDeck(Deck):
         return self._mesh
 
     def numbers(self, parameter: Parameter) -> list[Number]:
-        return self.model.numbers(parameter)
+        return find_numbers(self.model, parameter)
 
     def splits(self) -> tuple[str, ...]:
         return self.model.split
 
     def wave_speeds(self) -> dict[str, float]:
-        return self.model.wave_speeds()
+        return wave_speeds(self.model)
 
     def material_masses(self) -> dict[str, float]:
-        return self.model.material_masses(cell_sizes(self.mesh()))
+        return material_masses(self.model, cell_sizes(self.mesh()))
 
     def least_length(self) -> float:
-        return min(super().least_length(), self.model.least_thickness())
+        return min(super().least_length(), least_thickness(self.model))
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         if self.preload() or not parameter.proportional or driven_by(parameter, self.parameters):
             return ()
-        return self.model.energy_sets(parameter)
+        return energy_sets(self.model, parameter)
 
     def is_linear(self, parameter: Parameter) -> bool:
         """Of engineering constants a single Young's modulus is coupled with the others."""
@@ -159,7 +166,7 @@ class CalculixDeck(Deck):
         plain = parameter.proportional and not driven
         if not (across and plain) and not self.is_linear(parameter):
             return None
-        numbers = [n for item in (parameter, *driven) for n in self.model.numbers(item)]
+        numbers = [n for item in (parameter, *driven) for n in find_numbers(self.model, item)]
         found = self.affected_elements_of({number.place for number in numbers})
         return found and replace(
             found, proportional=found.proportional and plain, related=bool(driven)
@@ -185,7 +192,7 @@ class CalculixDeck(Deck):
         return write_edited(self.model.deck, self._changed(values), folder)
 
     def _changed(self, values: Values) -> dict[int, str]:
-        return self.model.edit(assigned(self.parameters, values))
+        return edited_lines(self.model, assigned(self.parameters, values))
 
 
 CAPABILITIES = Capabilities(strain_energies=True, matrices=True, tell_rigid=True, matrix_modes=True)
@@ -274,11 +281,11 @@ class CalculixProgram:
                 f"line\n{log_tail(folder)}"
             )
         if isinstance(analysis, ModalAnalysis):
-            point_mass = deck.model.point_mass(deck.changed)
+            ballast = point_mass(deck.model, deck.changed)
             dat = folder / f"{JOB}.dat"
             asked = replace(analysis, n_modes=modes_at_most(deck.model, analysis.n_modes))
             cyclic = read_cyclic_symmetry(deck.model)
-            found = read_modal(dat, asked, point_mass, _node_set(folder), cyclic)
+            found = read_modal(dat, asked, ballast, _node_set(folder), cyclic)
             result = without_spare(found)
             if not deck.model.preload():
                 try:

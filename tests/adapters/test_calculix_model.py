@@ -9,6 +9,8 @@ import pytest
 
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.model import CalculixModel, read_number, understand
+from modetune.adapters.calculix.places import edited_lines, energy_sets, find_fields
+from modetune.adapters.calculix.sections import point_mass, wave_speeds
 from modetune.adapters.calculix.solver import CalculixDeck
 from modetune.core.errors import ModelError
 from modetune.core.parameters import TARGETS, Parameter, Quantity
@@ -116,19 +118,21 @@ def test_every_quantity_is_found_and_edited(
 ) -> None:
     model = model_of(tmp_path)
     wanted = parameter(quantity, target)
-    assert [field.value for field in model.fields(wanted)] == values
-    changed = {model.deck.lines[p].text: new for p, new in model.edit([(wanted, 2.0)]).items()}
+    assert [field.value for field in find_fields(model, wanted)] == values
+    changed = {
+        model.deck.lines[p].text: new for p, new in edited_lines(model, [(wanted, 2.0)]).items()
+    }
     assert changed == edited
 
 
 def test_a_value_of_one_changes_nothing(tmp_path: Path) -> None:
-    assert model_of(tmp_path).edit([(parameter("youngs_modulus", "AL"), 1.0)]) == {}
+    assert edited_lines(model_of(tmp_path), [(parameter("youngs_modulus", "AL"), 1.0)]) == {}
 
 
 def test_two_parameters_on_one_line_are_both_edited(tmp_path: Path) -> None:
     model = model_of(tmp_path)
-    changed = model.edit(
-        [(parameter("youngs_modulus", "AL"), 1.1), (parameter("poissons_ratio", "AL"), 0.5)]
+    changed = edited_lines(
+        model, [(parameter("youngs_modulus", "AL"), 1.1), (parameter("poissons_ratio", "AL"), 0.5)]
     )
     # 71000 * 1.1 in floating point, shortest text that reads back
     assert list(changed.values()) == ["78100.0, 0.15"]
@@ -160,7 +164,7 @@ def test_what_the_deck_lacks_is_said_with_what_it_has(
     tmp_path: Path, quantity: Quantity, target: str, message: str
 ) -> None:
     with pytest.raises(ModelError, match=re.escape(message)):
-        model_of(tmp_path).fields(parameter(quantity, target))
+        find_fields(model_of(tmp_path), parameter(quantity, target))
 
 
 @pytest.mark.parametrize(
@@ -194,33 +198,33 @@ def test_what_cannot_be_updated_names_file_and_line(
     text = DECK.replace(old, new)
     where = f"{tmp_path / 'main.inp'}, line {line_of(line, text)}: {message}"
     with pytest.raises(ModelError, match=re.escape(where)):
-        model_of(tmp_path, text).fields(parameter(quantity, target))
+        find_fields(model_of(tmp_path, text), parameter(quantity, target))
 
 
 def test_a_material_without_the_card_or_its_data_is_said(tmp_path: Path) -> None:
     text = DECK.replace("*ELASTIC\n71000., 0.3\n", "*ELASTIC\n")
     with pytest.raises(ModelError, match="material AL has no \\*ELASTIC card with data"):
-        model_of(tmp_path, text).fields(parameter("youngs_modulus", "AL"))
+        find_fields(model_of(tmp_path, text), parameter("youngs_modulus", "AL"))
 
 
 def test_a_section_whose_set_has_no_elements_is_refused(tmp_path: Path) -> None:
     text = DECK + "*SHELL SECTION, ELSET=EMPTY, MATERIAL=AL\n1.\n"
     with pytest.raises(ModelError, match="element set EMPTY has no elements"):
-        model_of(tmp_path, text).fields(parameter("thickness", "EMPTY"))
+        find_fields(model_of(tmp_path, text), parameter("thickness", "EMPTY"))
 
 
 def test_all_sections_of_one_set_are_edited(tmp_path: Path) -> None:
     # ccx takes the last of them.
     text = DECK + "*SHELL SECTION, ELSET=PLATE, MATERIAL=AL\n2.\n"
-    fields = model_of(tmp_path, text).fields(parameter("thickness", "PLATE"))
+    fields = find_fields(model_of(tmp_path, text), parameter("thickness", "PLATE"))
     assert [field.value for field in fields] == [1.5, 2.0]
 
 
 def test_all_temperatures_of_a_spring_are_edited(tmp_path: Path) -> None:
     text = DECK.replace("5.E3\n", "5.E3,,0.\n4.E3,,100.\n").replace("250.\n", "250.\n240.,,9.\n")
     model = model_of(tmp_path, text)
-    ground = model.fields(parameter("spring_stiffness", "GROUND"))
-    strut = model.fields(parameter("spring_stiffness", "STRUT"))
+    ground = find_fields(model, parameter("spring_stiffness", "GROUND"))
+    strut = find_fields(model, parameter("spring_stiffness", "STRUT"))
     assert [field.value for field in ground] == [5000.0, 4000.0]
     assert [field.value for field in strut] == [250.0, 240.0]
 
@@ -322,7 +326,7 @@ def test_shapes_follow_from_matrices_for_free_solids_only(tmp_path: Path) -> Non
 
 
 def test_wave_speeds_are_roots_of_modulus_over_density(tmp_path: Path) -> None:
-    speeds = model_of(tmp_path).wave_speeds()
+    speeds = wave_speeds(model_of(tmp_path))
     assert speeds == {  # SPARE is used by no element and has no density
         "AL": pytest.approx((71000.0 / 2.8e-9) ** 0.5),
         "SKINAL": pytest.approx((70000.0 / 2.7e-9) ** 0.5),
@@ -331,36 +335,40 @@ def test_wave_speeds_are_roots_of_modulus_over_density(tmp_path: Path) -> None:
 
 def test_point_mass_counts_each_element_and_follows_edits(tmp_path: Path) -> None:
     model = model_of(tmp_path)
-    assert model.point_mass({}) == 2 * 1e-3
-    assert model.point_mass(model.edit([(parameter("mass", "BALLAST"), 1.5)])) == 2 * 1.5e-3
+    assert point_mass(model, {}) == 2 * 1e-3
+    assert (
+        point_mass(model, edited_lines(model, [(parameter("mass", "BALLAST"), 1.5)])) == 2 * 1.5e-3
+    )
 
 
 def test_energy_sets_are_those_a_stiffness_parameter_scales(tmp_path: Path) -> None:
     model = model_of(tmp_path)
-    assert model.energy_sets(parameter("youngs_modulus", "Skin Al", "al")) == ("BLOCK", "PLATE")
-    assert model.energy_sets(parameter("spring_stiffness", "ground")) == ("GROUND",)
-    assert model.energy_sets(parameter("density", "AL")) == ()
-    assert model.energy_sets(parameter("thickness", "PLATE")) == ()
+    assert energy_sets(model, parameter("youngs_modulus", "Skin Al", "al")) == ("BLOCK", "PLATE")
+    assert energy_sets(model, parameter("spring_stiffness", "ground")) == ("GROUND",)
+    assert energy_sets(model, parameter("density", "AL")) == ()
+    assert energy_sets(model, parameter("thickness", "PLATE")) == ()
 
 
 def test_a_laminate_or_an_overlap_has_no_energy_of_its_own(tmp_path: Path) -> None:
     section = "PLATE, MATERIAL=SkinAl\n 1.5 , 0"
     laminate = DECK.replace(section, "PLATE, COMPOSITE\n.5,,AL\n.5,,SkinAl")
     model = model_of(tmp_path, laminate)
-    assert model.energy_sets(parameter("youngs_modulus", "AL")) == ()
-    assert len(model.fields(parameter("youngs_modulus", "Skin Al"))) == 2  # in use all the same
+    assert energy_sets(model, parameter("youngs_modulus", "AL")) == ()
+    assert (
+        len(find_fields(model, parameter("youngs_modulus", "Skin Al"))) == 2
+    )  # in use all the same
     overlap = "*ELSET, ELSET=HALF\n2\n*SOLID SECTION, ELSET=HALF, MATERIAL=SKINAL\n"
     model = model_of(tmp_path, DECK + overlap)
-    assert model.energy_sets(parameter("youngs_modulus", "AL")) == ()
-    assert model.energy_sets(parameter("spring_stiffness", "GROUND")) == ("GROUND",)
+    assert energy_sets(model, parameter("youngs_modulus", "AL")) == ()
+    assert energy_sets(model, parameter("spring_stiffness", "GROUND")) == ("GROUND",)
 
 
 def test_elements_without_whole_energies_have_no_energy_sets(tmp_path: Path) -> None:
     # SPRINGA: test_solver_contract.py shows it; S4R, C3D8R: the hourglass part is left out.
-    assert model_of(tmp_path).energy_sets(parameter("spring_stiffness", "STRUT")) == ()
+    assert energy_sets(model_of(tmp_path), parameter("spring_stiffness", "STRUT")) == ()
     for full, reduced in (("C3D8I", "C3D8R"), ("S4", "S4R")):
         model = model_of(tmp_path, DECK.replace(f"TYPE={full}", f"TYPE={reduced}"))
-        assert model.energy_sets(parameter("youngs_modulus", "AL", "SKINAL")) == ()
+        assert energy_sets(model, parameter("youngs_modulus", "AL", "SKINAL")) == ()
 
 
 @pytest.mark.parametrize("text", ["7.1E4", "7.1e+04", "7.1d4", "7.1D+4", "7.1+4", " 71000 "])

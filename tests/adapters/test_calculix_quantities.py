@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modetune.adapters.calculix.places import edited_lines, find_fields, find_numbers
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError
@@ -48,14 +49,14 @@ def test_an_item_is_edited_and_nothing_else(
     tmp_path: Path, text: str, quantity: Quantity, target: str, item: int, lines: list[str]
 ) -> None:
     wanted = replace(parameter(quantity, target), item=item)
-    assert list(model_of(tmp_path, text).edit([(wanted, 2.0)]).values()) == lines
+    assert list(edited_lines(model_of(tmp_path, text), [(wanted, 2.0)]).values()) == lines
 
 
 def test_constants_at_several_temperatures_change_together(tmp_path: Path) -> None:
     rows = "130000., 9000., 9500., .3, .28, .4, 5000., 4800.\n3300.\n"
     text = ORTHOTROPIC.replace(rows, rows.replace("3300.", "3300., 20.") + rows)
     wanted = replace(parameter("shear_modulus", "A"), item=23)
-    changed = model_of(tmp_path, text).edit([(wanted, 2.0)])
+    changed = edited_lines(model_of(tmp_path, text), [(wanted, 2.0)])
     assert list(changed.values()) == ["6600.0, 20.", "6600.0"]
 
 
@@ -76,7 +77,7 @@ def test_what_is_not_there_is_said_with_what_is(
     tmp_path: Path, text: str, quantity: Quantity, target: str, item: int, reason: str
 ) -> None:
     with pytest.raises(ModelError, match=re.escape(reason)):
-        model_of(tmp_path, text).fields(replace(parameter(quantity, target), item=item))
+        find_fields(model_of(tmp_path, text), replace(parameter(quantity, target), item=item))
 
 
 def eigenvalues(
@@ -120,7 +121,7 @@ def test_a_number_that_is_zero_is_refused_with_what_changes_it(
 ) -> None:
     wanted = replace(parameter(quantity, target), item=item)
     with pytest.raises(ModelError) as caught:
-        model_of(tmp_path, text).numbers(wanted)
+        find_numbers(model_of(tmp_path, text), wanted)
     assert str(caught.value) == (
         f"{tmp_path / 'main.inp'}, line {text.splitlines().index(line) + 1}: {quantity} of "
         f"{target} is zero, which no factor changes; give the parameter `values: absolute` or "
