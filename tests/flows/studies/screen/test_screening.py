@@ -31,7 +31,8 @@ ONE = np.ones(1)
 
 
 class ShortProgram(ScriptedProgram):
-    """Leaves out all modes but the first where the first spring is stiff, until asked for more."""
+    """Gives the last mode in place of all but the first where the first spring is stiff, until
+    asked for more."""
 
     def read(self, deck: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         result = super().read(deck, analysis, folder, return_code)
@@ -39,12 +40,13 @@ class ShortProgram(ScriptedProgram):
         assert isinstance(analysis, ModalAnalysis)
         if deck["k1"] < 2.0 or analysis.n_modes > 2 + 10:  # two measured, ten to spare
             return result
+        kept = np.append(0, np.full(analysis.n_modes - 1, result.eigenvalues.size - 1))
         return ModalResult(
-            result.eigenvalues[:1],
-            result.modes.select(np.array([0])),
+            result.eigenvalues[kept],
+            result.modes.select(kept),
             result.groups,
-            result.strain_energies[:, :1],
-            result.total_strain_energy[:1],
+            result.strain_energies[:, kept],
+            result.total_strain_energy[kept],
             result.mass,
         )
 
