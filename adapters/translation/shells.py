@@ -158,7 +158,11 @@ def material_axes(element: Any, problems: list[str]) -> tuple[Floats, Floats]:
     side = corners[1] - corners[0]
     across = corners[2] - corners[0]
     normal = np.cross(across, corners[3] - corners[1]) if count == 4 else np.cross(side, across)
-    normal = normal / np.linalg.norm(normal)
+    area = float(np.linalg.norm(normal))
+    if not side.any() or not area > 1e-12 * float(np.linalg.norm(side) * np.linalg.norm(across)):
+        problems.append(f"{element.type} {element.eid}: its corners span no area")
+        return np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    normal = normal / area
     angle = 0.0
     if isinstance(element.theta_mcid, float):
         angle = float(np.radians(element.theta_mcid))

@@ -248,3 +248,22 @@ def test_an_independent_point_of_solids_turns_with_what_follows_it(tmp_path: Pat
     # rigid rotation about z a little, and one of the six rigid modes is no longer one of zero.
     assert solved.result.eigenvalues[7] > 1e3
     assert np.abs(solved.result.eigenvalues[:5]).max() < 1.0
+
+
+def test_shells_without_area_are_refused(tmp_path: Path) -> None:
+    cards = [
+        MAT1,
+        PSHELL,
+        *strip(),
+        "GRID,900,,.5,.5,.5",
+        "GRID,901,,.5,.5,.6",
+        "GRID,902,,.5,.5,.7",
+        "GRID,903,,.5,.5,.5",
+        "CTRIA3,910,1,900,901,902",
+        "CQUAD4,911,1,900,903,901,902",
+    ]
+    with pytest.raises(ModelError) as caught:
+        translate(bulk_of(cards, tmp_path), "flat.bdf")
+    said = str(caught.value)
+    assert "CTRIA3 910: its corners span no area" in said
+    assert "CQUAD4 911: its corners span no area" in said
