@@ -6,6 +6,7 @@ import ast
 import graphlib
 import importlib.util
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -274,21 +275,21 @@ def test_links_under_the_import_name_are_relative_and_lead_to_the_root(part: str
 
 def copy_of_sources(folder: Path) -> None:
     """What a wheel is built from, links as links; what runs leave in the folders stays out."""
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "README.md", "CHANGELOG.md", "CITATION.cff", "LICENSE"):
         shutil.copy(ROOT / name, folder / name)
     ignore = shutil.ignore_patterns("__pycache__", ".modetune", "runs", ".*")
     for name in ("src", *PARTS):
         shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=ignore)
 
 
-def test_the_wheel_holds_every_module(tmp_path: Path) -> None:
+def test_a_wheel_built_from_the_sdist_holds_every_module_and_runs(tmp_path: Path) -> None:
     pytest.importorskip("hatchling", reason="the build backend is not installed")
-    source, out = tmp_path / "source", tmp_path / "out"
+    source, out, place = tmp_path / "source", tmp_path / "out", tmp_path / "installed"
     source.mkdir()
     copy_of_sources(source)
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out)]
-    ended = subprocess.run([*command, str(source)], capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
+    python = (sys.executable, "-m")
+    succeeds(*python, "build", "--no-isolation", "--outdir", str(out), str(source))
+    assert len(list(out.glob("modetune-*.tar.gz"))) == 1
     (wheel,) = out.glob("modetune-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
@@ -301,3 +302,21 @@ def test_the_wheel_holds_every_module(tmp_path: Path) -> None:
     }
     assert wanted - held == set()
     assert {"modetune/__init__.py", "modetune/py.typed"} <= held
+
+    options = ("--quiet", "--no-deps", "--no-index", "--target", str(place))
+    succeeds(*python, "pip", "install", *options, str(wheel))
+    where = "import modetune; print(modetune.__file__)"
+    environment = os.environ | {"PYTHONPATH": str(place)}
+    told = succeeds(sys.executable, "-c", where, cwd=tmp_path, env=environment)
+    assert Path(told.strip()) == place / "modetune" / "__init__.py"
+    command = "from modetune.flows.cli.main import main; main()"
+    case = ("demo", "six-mass")  # its files come with the package
+    told = succeeds(sys.executable, "-c", command, *case, cwd=tmp_path, env=environment)
+    assert "converged" in told
+
+
+def succeeds(*command: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> str:
+    """The standard output of a command that must end well."""
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 from modetune.adapters.calculix.constants import constant_places
 from modetune.adapters.calculix.deck import (
@@ -18,6 +17,7 @@ from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel
 from modetune.adapters.solver import Number, check_moved, check_one, moved_numbers
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
+from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
 
 
@@ -62,7 +62,7 @@ def find_materials(model: CalculixModel, parameter: Parameter) -> tuple[str, ...
         if not elements:
             what = "element set" if parameter.by == "elset" else "element"
             raise ModelError(
-                f"the deck has no {what} {target}{_suggest(target, model.mesh.element_sets)}"
+                f"the deck has no {what} {target}{suggestion(target, model.mesh.element_sets)}"
             )
         sections = [card for card in model.sections if model.members(card) & elements]
         names = [card.option("MATERIAL") for card in sections]
@@ -137,7 +137,7 @@ def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[K
     """The cards of one keyword that belong to a material. Raises ModelError."""
     names = [card.option("NAME") for card in model.deck.named("*MATERIAL")]
     if material not in names:
-        raise ModelError(f"the deck has no material {material}{_suggest(material, names)}")
+        raise ModelError(f"the deck has no material {material}{suggestion(material, names)}")
     users = model.users({material})
     if not any(model.mesh.element_sets.get(card.option("ELSET")) for card in users):
         raise ModelError(f"no element uses material {material}")
@@ -150,14 +150,6 @@ def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[K
     if not any(card.data for card in cards):
         raise ModelError(f"material {material} has no {keyword} card with data")
     return cards
-
-
-def _suggest(name: str, known: Iterable[str]) -> str:
-    names = sorted(set(known))
-    close = get_close_matches(name, names, n=1)
-    if close:
-        return f"; did you mean {close[0]}?"
-    return f" (it has {', '.join(names) or 'none'})"
 
 
 def _picked(found: list[KeywordField], name: str, parameter: Parameter) -> list[KeywordField]:
@@ -209,7 +201,7 @@ def _section_cards(model: CalculixModel, elset: str, keyword: str) -> list[Keywo
         if cards:
             return cards
         known = [card.option("ELSET") for card in model.deck.named(keyword)]
-        raise ModelError(f"the deck has no {keyword} for {elset}{_suggest(elset, known)}")
+        raise ModelError(f"the deck has no {keyword} for {elset}{suggestion(elset, known)}")
     if not model.mesh.element_sets.get(elset):
         raise ModelError(f"{model.deck.where(cards[0])}: element set {elset} has no elements")
     return cards

@@ -34,6 +34,7 @@ from modetune.adapters.solver import Deck, ModelSummary, Number
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Integers
+from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Values, assigned
 from modetune.core.storage.files import storage_errors, writing
 from modetune.core.updating.observation import Observation, observe
@@ -132,7 +133,7 @@ def read_deck(path: Path, parameters: tuple[Parameter, ...] = ()) -> MatrixDeck:
     known = SYSTEM_KEYS if system else MATRIX_KEYS
     needed = ("masses", "springs") if system else ("stiffness", "mass")
     problems = [
-        f"{file.where((key,))}: unknown key `{key}`; there are {', '.join(sorted(known))}"
+        f"{file.where((key,))}: unknown key `{key}`{suggestion(key, known)}"
         for key in map(str, file.data)
         if key not in known
     ]

@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +21,7 @@ from scipy import sparse
 from modetune.core.algebra.matrices import MatrixResult, upper_triangle
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
+from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
@@ -60,9 +60,7 @@ class MatrixModel:
     def part(self, name: str) -> MatrixPart:
         """A part by its name. Raises ModelError with the nearest names."""
         if name not in self.parts:
-            near = get_close_matches(name, self.parts, n=3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"it has {_some(self.parts)}"
-            raise ModelError(f"the model has no part {name}; {hint}")
+            raise ModelError(f"the model has no part {name}{suggestion(name, self.parts)}")
         return self.parts[name]
 
     def targets(self, parameter: Parameter) -> list[MatrixPart]:
@@ -167,11 +165,6 @@ class MatrixModel:
                 if matrix is not None:
                     _feed_matrix(digest, f"{name}/{kind}", matrix)
         return digest.hexdigest()
-
-
-def _some(names: Mapping[str, MatrixPart]) -> str:
-    shown = ", ".join(list(names)[:10]) or "none"
-    return f"{shown}, ..." if len(names) > 10 else shown
 
 
 def _feed_matrix(digest: hashlib._Hash, name: str, matrix: sparse.csr_array) -> None:

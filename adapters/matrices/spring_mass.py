@@ -11,6 +11,7 @@ from scipy import sparse
 from modetune.adapters.matrices.model import MatrixModel, MatrixPart
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
+from modetune.core.near_names import suggestion
 
 GROUND = "ground"
 
@@ -62,7 +63,9 @@ def _spring(
     where, given = file.where(place), file.entries(place, problems)
     unknown = [key for key in given if key not in ("between", "stiffness")]
     if unknown:
-        problems.append(f"{where}: unknown key `{unknown[0]}`; there are between, stiffness")
+        problems.append(
+            f"{where}: unknown key `{unknown[0]}`{suggestion(unknown[0], ('between', 'stiffness'))}"
+        )
     ends = given.get("between")
     if not isinstance(ends, list) or len(ends) != 2 or ends[0] == ends[1]:
         problems.append(f"{where}: `between` must name two ends, such as [{GROUND}, m1]")

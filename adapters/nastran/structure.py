@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import cached_property
 
 from modetune.adapters.nastran.bulk import Bulk, Cards, Owners
@@ -13,11 +12,11 @@ from modetune.adapters.nastran.cards import blank_field
 from modetune.adapters.nastran.deck import CardField, NastranCard, NastranDeck
 from modetune.adapters.nastran.number import read_number
 from modetune.core.errors import ModelError
+from modetune.core.near_names import suggestion
 
 #: A range of element numbers in a campaign.
 RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
 #: How many known numbers a message lists.
-LISTED = 10
 #: pyNastran's names for a property's materials.
 MATERIALS = ("mid", "mid1", "mid2", "mid3", "mid4")
 
@@ -145,7 +144,9 @@ class Structure:
             first, last = int(span.group(1)), int(span.group(2))
             inside = sorted(number for number in family if first <= number <= last)
             if not inside:
-                raise ModelError(f"the deck has no such element in {target}{_known(family)}")
+                raise ModelError(
+                    f"the deck has no such element in {target}{suggestion('', map(str, family))}"
+                )
             found += inside
         return tuple(dict.fromkeys(found))
 
@@ -174,7 +175,7 @@ class Structure:
         text = target.strip()
         if text.isdecimal() and int(text) in family:
             return int(text)
-        raise ModelError(f"the deck has no such {what} {text}{_known(family, text)}")
+        raise ModelError(f"the deck has no such {what} {text}{suggestion(text, map(str, family))}")
 
     def _card(self, what: str, family: Cards, target: str) -> tuple[int, NastranCard]:
         number = self._number(what, family, target)
@@ -183,12 +184,3 @@ class Structure:
             places = " and ".join(self.deck.where(card) for card in cards)
             raise ModelError(f"{places}: {what} {number} is there more than once")
         return number, cards[0]
-
-
-def _known(family: Cards, wanted: str = "") -> str:
-    numbers = [str(number) for number in sorted(family)]
-    close = get_close_matches(wanted, numbers, n=1) if wanted else []
-    if close:
-        return f"; did you mean {close[0]}?"
-    more = ", ..." if len(numbers) > LISTED else ""
-    return f" (it has {', '.join(numbers[:LISTED]) or 'none'}{more})"

@@ -46,6 +46,7 @@ from modetune.flows.campaign.schema import (
     SensitivitySection,
     UpdateSection,
 )
+from modetune.flows.campaign.section import section_problems
 from modetune.flows.campaign.settings import override
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.campaign.solvers import bind_solver
@@ -193,7 +194,7 @@ def load_campaign(
         file = form.model_validate(override(source, settings or []))
         run = file.run.on_site()
     except ValidationError as error:
-        raise CampaignError([_problem(source, item) for item in error.errors()]) from None
+        raise CampaignError(section_problems(error, source, form, "campaign")) from None
     problems: list[str] = []
     parameters = file.parameter_set()
     cases = _read_cases(source, file, problems)
@@ -277,20 +278,6 @@ def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Cas
             reach=frequency_reach(parameters, parameters.initial),
         ),
     )
-
-
-def _problem(source: YamlFile, item: object) -> str:
-    assert isinstance(item, dict)
-    place = tuple(item["loc"])
-    key = ".".join(str(part) for part in place)
-    said = str(item["msg"]).removeprefix("Value error, ")
-    if item["type"] == "extra_forbidden":
-        said = f"unknown key `{place[-1]}`"
-    elif item["type"] == "missing":
-        said = f"the key `{place[-1]}` is missing"
-    elif not isinstance(item["input"], dict | list):
-        said = f"{said}; found {item['input']!r}"
-    return f"{source.where(place)}: {key or 'campaign'}: {said}"
 
 
 def _store_folder(source: YamlFile, file: CampaignFile) -> Path:

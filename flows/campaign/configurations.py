@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of
+from modetune.core.near_names import suggestion
 from modetune.flows.campaign.schema import CampaignFile, ConfigurationSection
 from modetune.flows.campaign.solvers import bind_solver
 
@@ -104,7 +105,7 @@ def _joint_problems(
         if unknown:
             found.append(
                 f"{source.where(('parameters', place, 'configurations'))}: {parameter.name}: "
-                f"there is no configuration {', '.join(unknown)}; there are {', '.join(names)}"
+                f"there is no configuration {unknown[0]}{suggestion(unknown[0], names)}"
             )
         used = [section.name for section in sections if not section.hold_out]
         if parameter.configurations is not None and not set(parameter.configurations) & set(used):

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import re
+from collections.abc import Iterator
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.near_names import suggestion
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -17,3 +22,51 @@ class Section(BaseModel):
     """A mapping of the campaign file; the docstring below a field says what its key means."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+def section_problems(
+    error: ValidationError, file: YamlFile, section: type[Section], name: str
+) -> list[str]:
+    """What does not fit a section that a whole file is, each with file and line.
+
+    name: of the file, for what is wrong with it as a whole.
+    """
+    errors = error.errors()
+    places = [item["loc"] for item in errors]
+    found = []
+    for item in errors:
+        place = item["loc"]
+        if any(len(other) > len(place) and other[: len(place)] == place for other in places):
+            continue  # what is wrong inside, and told there, leaves too few of it
+        said, given = item["msg"].removeprefix("Value error, "), item["input"]
+        if item["type"] == "extra_forbidden":
+            near = suggestion(str(place[-1]), _keys(section, place[:-1]))
+            said = f"unknown key `{place[-1]}`{near}"
+        elif item["type"] == "missing":
+            said = f"the key `{place[-1]}` is missing"
+        elif item["type"] == "literal_error":
+            known = re.findall(r"'([^']*)'", item["ctx"]["expected"])
+            said = f"unknown value `{given}`{suggestion(str(given), known)}"
+        elif not isinstance(given, dict | list):
+            said = f"{said}; found {given!r}"
+        key = ".".join(map(str, place)) or name
+        found.append(f"{file.where(place)}: {key}: {said}")
+    return found
+
+
+def _keys(section: type[Section], place: tuple[str | int, ...]) -> set[str]:
+    """The keys that what stands at a place of a section may have."""
+    inside = [section]
+    for key in place:
+        named = [item.model_fields[str(key)] for item in inside if str(key) in item.model_fields]
+        # A position in a list, or the kind of a section among several, leads no deeper.
+        inside = [kind for field in named for kind in _sections(field.annotation)] or inside
+    return {key for kind in inside for key in kind.model_fields}
+
+
+def _sections(annotation: Any) -> Iterator[type[Section]]:
+    """The sections that a field's type is made of."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _sections(inner)

@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError
-from modetune.flows.campaign.section import Name, Positive, Section
+from modetune.flows.campaign.section import Name, Positive, Section, section_problems
 
 #: Names a site file in another place.
 SITE_VARIABLE = "MODETUNE_SITE"
@@ -210,14 +210,7 @@ def site_run() -> dict[str, Any]:
     try:
         site = SiteFile.model_validate(source.data)
     except ValidationError as error:
-        problems = []
-        for item in error.errors():
-            place = tuple(item["loc"])
-            key = ".".join(str(part) for part in place) or "site"
-            said = item["msg"].removeprefix("Value error, ")
-            if item["type"] == "extra_forbidden":
-                said = f"unknown key `{place[-1]}`"
-            problems.append(f"{source.where(place)}: {key}: {said}")
+        problems = section_problems(error, source, SiteFile, "site")
         raise CampaignError(problems) from None
     return site.run.model_dump(exclude_unset=True)
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Solver
 from modetune.core.errors import ModelError
+from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.schema import ModelSection
 from modetune.flows.campaign.self_test import passed_here
@@ -83,8 +84,8 @@ def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Sol
     found = registered()
     if name not in found:
         raise ModelError(
-            f"the solver {name} is not known here; there are {', '.join((*SOLVERS, *found))}. "
-            f"Packages bring others by an entry point of the group {GROUP}"
+            f"the solver {name} is not known here{suggestion(name, (*SOLVERS, *found))}; "
+            f"packages bring others by an entry point of the group {GROUP}"
         )
     entry = found[name]
     package = f"package {entry.dist.name} {entry.dist.version}" if entry.dist else "its package"

@@ -7,7 +7,6 @@ the nearest name that there is.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import get_args
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, dof_name
+from modetune.core.near_names import suggestion
 from modetune.core.updating.weighting import Weighting
 from modetune.flows.campaign.residual_section import OTHERS, ModeKey, ResidualSection, SensorKey
 from modetune.flows.campaign.schema import CampaignFile
@@ -110,8 +110,7 @@ def _sensor_problem(name: str, test: MeasuredModes) -> str:
         return "the test holds frequencies only, no sensors"
     if name in names or name in {item.partition(".")[0] for item in names}:
         return ""
-    (near,) = get_close_matches(name, names, n=1, cutoff=0.0)
-    return f"the test has no sensor {name}; the nearest is {near}"
+    return f"the test has no sensor {name}{suggestion(name, names)}"
 
 
 def _idle(

@@ -37,12 +37,13 @@ def demo(
     """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
     from modetune.configs.cases import write_case
     from modetune.core.errors import CampaignError
+    from modetune.core.near_names import suggestion
     from modetune.core.storage.files import check_writable
     from modetune.flows.report.tables import json_object
     from modetune.flows.updating.recording import summary
 
     if case not in DEMOS:
-        raise CampaignError(f"there is no demo {case!r}; there is {', '.join(DEMOS)}")
+        raise CampaignError(f"there is no demo {case!r}{suggestion(case, DEMOS)}")
     source, campaign, judge = DEMOS[case]
     folder = Path("demo") / case
     check_writable(folder, "run it in another folder")

@@ -15,9 +15,12 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections.abc import Callable
+from typing import Annotated
 
 import typer
 
+from modetune import __version__
 from modetune.core.errors import ModetuneError
 from modetune.flows.cli.check import check
 from modetune.flows.cli.correlate import correlate
@@ -42,51 +45,46 @@ from modetune.flows.cli.store import store_app
 from modetune.flows.cli.twin import twin
 from modetune.flows.cli.update import update
 from modetune.flows.cli.validate import validate
-from modetune.flows.cli.version import version
 from modetune.flows.cli.worker import worker
 
-#: In the order of a campaign's life.
-COMMANDS = (
-    pretest,
-    inspect,
-    identify,
-    sensors,
-    check,
-    screen,
-    modes,
-    correlate,
-    update,
-    explain,
-    validate,
-    localise,
-    sample,
-    report,
-    paraview,
-    deploy,
-    serve,
-    worker,
-    twin,
-    demo,
-    doctor,
-    schema,
-    version,
-)
+#: In the order of a campaign's life, under the headings of `--help`.
+COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
+    "The test": (pretest, inspect, identify, sensors),
+    "Model and test, before updating": (check, modes, correlate, screen, localise),
+    "Updating": (update, explain),
+    "How far to trust it": (validate, sample),
+    "Results": (report, paraview),
+    "Unattended": (deploy, serve, worker),
+    "This installation": (demo, doctor, twin, schema),
+}
 #: The extra of `modetune[...]` that brings a package; a cluster's tell themselves.
 EXTRAS = {
     **dict.fromkeys(("polars", "pypardiso"), "calculix"),
     **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
     **dict.fromkeys(("SALib", "sklearn", "emcee", "pandas"), "studies"),
 }
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help="Finite element models that agree with vibration tests.",
-)
-for command in COMMANDS:
-    app.command()(command)
-app.add_typer(server_app, name="server")
-app.add_typer(store_app, name="store")
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
+for heading, commands in COMMANDS.items():
+    for command in commands:
+        app.command(rich_help_panel=heading)(command)
+app.add_typer(server_app, name="server", rich_help_panel="Unattended")
+app.add_typer(store_app, name="store", rich_help_panel="This installation")
+
+
+def _tell_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"modetune {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _modetune(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell the version."),
+    ] = False,
+) -> None:
+    """Finite element models that agree with vibration tests."""
 
 
 def _quiet() -> None:

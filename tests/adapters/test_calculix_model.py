@@ -153,10 +153,10 @@ def test_two_parameters_on_one_number_are_refused(tmp_path: Path) -> None:
     ("quantity", "target", "message"),
     [
         ("youngs_modulus", "SKINAI", "the deck has no material SKINAI; did you mean SKINAL?"),
-        ("density", "XYZ", "the deck has no material XYZ (it has AL, SKINAL, SPARE)"),
+        ("density", "XYZ", "the deck has no material XYZ (there are AL, SKINAL, SPARE)"),
         ("thickness", "PLATES", "the deck has no *SHELL SECTION for PLATES; did you mean PLATE?"),
         ("spring_stiffness", "GRUND", "no *SPRING for GRUND; did you mean GROUND?"),
-        ("mass", "BLOCK", "the deck has no *MASS for BLOCK (it has BALLAST)"),
+        ("mass", "BLOCK", "the deck has no *MASS for BLOCK (there are BALLAST)"),
         ("youngs_modulus", "SPARE", "no element uses material SPARE"),
     ],
 )

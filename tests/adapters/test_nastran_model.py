@@ -223,7 +223,7 @@ def test_what_cannot_be_updated_is_refused_with_its_reason(
     model: NastranModel, wanted: Parameter, reason: str
 ) -> None:
     if reason == "did you mean 51?":
-        reason = "no such element 11 (it has 51)"  # 11 is not a mass, and 51 not near to it
+        reason = "no such element 11 (there are 51)"  # 11 is not a mass, and 51 not near to it
     with pytest.raises(ModelError, match=re.escape(reason)):
         model.places(wanted)
 

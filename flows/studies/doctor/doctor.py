@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from modetune.core.errors import CampaignError, SolverMissing
+from modetune.core.near_names import suggestion
 from modetune.core.storage.files import storage_errors
 from modetune.core.storage.keys import Json
 from modetune.flows.campaign.campaign import load_campaign
@@ -64,7 +65,9 @@ def run_doctor(
     """
     known = (*SOLVERS, *registered())
     if solver is not None and solver not in known:
-        raise CampaignError(f"--solver {solver!r}: there are {', '.join(known)}")
+        raise CampaignError(
+            f"--solver {solver!r}: there is no such solver{suggestion(solver, known)}"
+        )
     if solver is not None and campaign is None and solver not in MODELS:
         raise CampaignError(
             f"--solver {solver}: there is no model of ten elements for it; name a campaign file "

@@ -76,6 +76,32 @@ def test_the_store_can_be_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     assert named.store.folder == folder / "mine"
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ("deck:", "dekc:", "model.dekc: unknown key `dekc`; did you mean deck?"),
+        (
+            "quantity:",
+            "quantitty:",
+            "parameters.0.quantitty: unknown key `quantitty`; did you mean",
+        ),
+        (
+            "youngs_modulus",
+            "Youngs-Modulus",
+            "unknown value `Youngs-Modulus`; did you mean youngs_",
+        ),
+        ("calculix", "calculics", "did you mean calculix?"),
+    ],
+)
+def test_a_name_that_is_not_known_is_told_with_the_nearest(
+    folder: Path, right: str, wrong: str, said: str
+) -> None:
+    assert right in GOOD
+    found = problems(folder, GOOD.replace(right, wrong))
+    assert said in found
+    assert "at least 1 item" not in found  # what follows from it is not told again
+
+
 def test_all_problems_come_at_once_each_with_its_line(folder: Path) -> None:
     text = GOOD.replace("deck:", "dekc:").replace("[0.7, 1.3]", "[1.3, 0.7]") + "colour: red\n"
     said = problems(folder, text)

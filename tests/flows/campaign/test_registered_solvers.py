@@ -74,7 +74,7 @@ def test_a_campaign_runs_on_a_solver_that_a_package_brings(site: Path, tmp_path:
         ),
         ("blunt", "`rodpackage:no_such` of package rusted 1.4, which cannot be imported: Attri"),
         ("plain", "which gives a dict and must give a Solver"),
-        ("abaqus", "the solver abaqus is not known here; there are calculix, nastran, mystran"),
+        ("abaqus", "the solver abaqus is not known here (there are calculix, nastran, mystran"),
     ],
 )
 def test_an_entry_that_fails_is_told_in_one_paragraph(
