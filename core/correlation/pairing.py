@@ -260,8 +260,10 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     reasons = []
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         cluster = close_modes(computed.frequencies_hz, column)
-        space = _space_or_zero(shapes_before[:, row], shapes_now[:, cluster])
-        if max(table[row, column], space) < LOST_MAC:
+        if (
+            table[row, column] < LOST_MAC
+            and _space_or_zero(shapes_before[:, row], shapes_now[:, cluster]) < LOST_MAC
+        ):
             raise LostMode(
                 f"the elastic mode at {previous.frequencies_hz[before.computed[row]]:.4g} Hz, one "
                 f"of the pairs, does not continue: the best MAC with its shape before is "

@@ -51,7 +51,9 @@ class ReducedPart:
     def moved(self, value: float, reference: float) -> Floats:
         """What it adds at a parameter value beyond the reference, (r, r)."""
         factors = powers_moved(self.powers, value, reference)
-        return np.asarray(np.tensordot(factors, self.values, axes=1))
+        return np.asarray(factors @ self.values.reshape(factors.size, -1)).reshape(
+            self.values.shape[1:]
+        )
 
     def slope(self, value: float) -> Floats:
         """Its derivative at a parameter value, (r, r)."""

@@ -1,9 +1,9 @@
 """A reduced model that holds over a range of values, and by how much it may be off anywhere in it.
 
 A reduced model made at one set (`reduced_basis`) loses its modes with the distance from it. Where
-many sets are asked for, it grows until it holds for all of them (greedy reduced basis: Prud'homme
-et al. 2002): of the sets the one where it is worst is solved in full, and its modes join the basis,
-until the full solution there says that nothing is missing any more.
+many sets are asked for, it grows until it holds all over their range (greedy reduced basis:
+Prud'homme et al. 2002): of sets spread over the range the one where it is worst is solved in full,
+and its modes join the basis, until the full solution there says that nothing is missing any more.
 
 Where it is worst is told by residuals. What a reduced mode leaves of its equation, r = K phi -
 lambda M phi, moves the structure by about w = (K_0 - s M_0)^-1 r, which is what the shape lacks.
@@ -16,6 +16,7 @@ worst set gives.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,6 +26,7 @@ from scipy import sparse
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import upper_product
 from modetune.core.algebra.pencil import shift_below
+from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel, ReducedPart, lowest
@@ -67,7 +69,41 @@ class ReducedRange:
         relative. Raises ModesError where the reduced model has no such modes."""
         found = lacking_modes(self.whole, self.size, theta, n_modes, self.n_rigid)
         eigenvalues, combined, lacking = found
-        return eigenvalues, self.whole.rows[:, : self.size] @ combined, self.factor * lacking**2
+        return eigenvalues, self.model.rows @ combined, self.factor * lacking**2
+
+
+@dataclass(frozen=True, slots=True)
+class RangeUse:
+    """How sets were evaluated by reduced models for a range, and how far these may be off.
+
+    vectors: of the largest; solutions: full ones that all are made of. asked, error: of
+    frequencies, relative: what was asked, and what the last full solution was off by before it
+    joined. estimate: the largest over the sets; in_full: sets at which it was too large, so that
+    they were solved in full. solver, apart, where: who confirmed, within what, at which values.
+    """
+
+    sets: int
+    vectors: int
+    solutions: int
+    asked: float
+    error: float
+    estimate: float
+    in_full: int
+    solver: str
+    apart: float
+    where: str
+
+    @property
+    def sentence(self) -> str:
+        """The same for people."""
+        full = f"; {self.in_full} of them solved in full" if self.in_full else ""
+        return (
+            f"{self.sets} sets by a reduced model of {self.vectors} vectors, made of "
+            f"{self.solutions} full solutions: error {self.error:.1e} at the last, asked "
+            f"{self.asked:.0e}, at most {self.estimate:.1e} by estimate at the sets{full}; "
+            f"confirmed by {self.solver} where it was worst, at {self.where}: frequencies within "
+            f"{self.apart:.1e}"
+        )
 
 
 def reduce_over(
@@ -78,17 +114,19 @@ def reduce_over(
     n_rigid: int,
     observer: sparse.csr_array,
     accuracy: float,
+    tell: Callable[[int, float], None] = lambda solutions, error: None,
 ) -> ReducedRange:
     """A reduced model whose frequencies are as good as `accuracy`, relative, at all these sets.
 
-    thetas: (n_sets, n_parameters); begin: a reduced model around one set, and its basis (n, r);
-    n_modes: the lowest ones wanted, rigid ones included; observer: (n_rows, n). Where the number of
+    thetas: (n_sets, n_parameters), as of `range_sets`; begin: a reduced model around one set, and
+    its basis (n, r); n_modes: the lowest ones wanted, rigid ones included; observer: (n_rows, n);
+    tell: hears of full solutions, how many so far and what frequencies were off by at the last.
+    Sets that leave parts loose are passed over. Where the number of
     full solutions runs out the last of `errors` is above the accuracy. Raises ModelError where the
     matrices allow no solution, ModesError where the model has no such modes.
     """
     model, basis = begin
     base = affine.base
-    chosen = _spread(thetas, model.reference)
     solver = ModeSolver()
     solver.solve(base.upper_stiffness, base.upper_mass, n_modes, model.shift)
     answers = _answers_to_loads(solver, base.upper_mass)
@@ -103,25 +141,26 @@ def reduce_over(
     errors: list[float] = []
     while True:
         whole = projected_model(affine, np.hstack([basis, answers]), model.shift, observer)
-        looked = [lacking_modes(whole, basis.shape[1], at, n_modes, n_rigid) for at in chosen]
-        worst = int(np.argmax([lacking for _, _, lacking in looked]))
-        eigenvalues, combined, lacking = looked[worst]
-        here = affine.at(chosen[worst])
+        at, (eigenvalues, combined, lacking) = _worst(
+            whole, basis.shape[1], thetas, n_modes, n_rigid
+        )
+        here = affine.at(at)
         first = float(eigenvalues[min(n_rigid, n_modes - 1)])
         found = solver.solve(
             here.upper_stiffness, here.upper_mass, n_modes, shift_below(first), basis @ combined
         )
         apart = np.sqrt(eigenvalues[n_rigid:] / found.eigenvalues[n_rigid:]) - 1.0
-        solved.append(chosen[worst])
+        solved.append(at)
         errors.append(float(np.max(np.abs(apart), initial=0.0)))
+        tell(1 + len(solved), errors[-1])
         widened = basis
-        if errors[-1] > accuracy and len(solved) < min(SOLUTIONS, len(chosen)):
+        if errors[-1] > accuracy and len(solved) < min(SOLUTIONS, len(thetas)):
             shapes = found.shapes[:, n_rigid:]
             widened = with_directions(energy, basis, shapes, room - basis.shape[1])
         if widened.shape[1] == basis.shape[1]:  # good enough, or nothing can be added
             factor = errors[-1] / max(lacking, LEAST) ** 2
-            at = np.array(solved), np.array(errors)
-            return ReducedRange(whole, basis.shape[1], n_rigid, *at, factor)
+            seen = np.array(solved), np.array(errors)
+            return ReducedRange(whole, basis.shape[1], n_rigid, *seen, factor)
         basis = widened
 
 
@@ -140,7 +179,7 @@ def leading(whole: ReducedModel, size: int) -> ReducedModel:
         base_mass=whole.base_mass[:size, :size],
         stiffness=parts(whole.stiffness),
         mass=parts(whole.mass),
-        rows=whole.rows[:, :size],
+        rows=np.ascontiguousarray(whole.rows[:, :size]),
     )
 
 
@@ -168,10 +207,30 @@ def _answers_to_loads(solver: ModeSolver, mass: sparse.csr_array) -> Floats:
     return np.asarray(solver.inverse(np.asfortranarray(deviations[:, None] * random)))
 
 
-def _spread(thetas: Floats, reference: Floats) -> Floats:
-    """Sets at which the worst is looked for: of all some by their order, and those farthest off."""
-    if len(thetas) <= LOOKED_AT:
-        return thetas
-    far = np.argsort(-np.linalg.norm(thetas / reference - 1.0, axis=1), kind="stable")
-    some = np.linspace(0, len(thetas) - 1, LOOKED_AT // 2).round().astype(np.int64)
-    return thetas[np.union1d(some, far[: LOOKED_AT // 2])]
+def range_sets(lower: Floats, upper: Floats) -> Floats:
+    """Sets (n_sets, n_parameters) at which the worst is looked for between these values.
+
+    Half of them are corners, where reduced models are worst, the others a Latin hypercube inside;
+    the same whenever they are asked for.
+    """
+    random, half = np.random.default_rng(0), LOOKED_AT // 2
+    corners = random.integers(0, 2, (half, lower.size))
+    strata = np.stack([random.permutation(half) for _ in range(lower.size)], axis=1)
+    unit = np.vstack([np.unique(corners, axis=0), (strata + 0.5) / half])
+    return np.asarray(lower + unit * (upper - lower))
+
+
+def _worst(
+    whole: ReducedModel, size: int, thetas: Floats, n_modes: int, n_rigid: int
+) -> tuple[Floats, tuple[Floats, Floats, float]]:
+    """The set whose modes on the first `size` vectors lack most, and `lacking_modes` there."""
+    found, error = [], None
+    for at in thetas:
+        try:
+            found.append((at, lacking_modes(whole, size, at, n_modes, n_rigid)))
+        except ModesError as problem:
+            error = problem
+    strained = [item for item in found if (item[1][0][n_rigid:] > 0.0).all()]
+    if not strained:
+        raise error or ModesError("a reduced model has no elastic modes at any set of its range")
+    return max(strained, key=lambda item: item[1][2])

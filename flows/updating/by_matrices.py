@@ -12,7 +12,7 @@ Nothing is skipped: sensitivities follow from the reduced model, which the step 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -87,11 +87,16 @@ class ByMatrices:
         return self._stored(()).foreseen(theta, analysis)
 
     def over(
-        self, point: Point, thetas: Floats, analysis: ModalAnalysis, accuracy: float
+        self,
+        point: Point,
+        thetas: Floats,
+        analysis: ModalAnalysis,
+        accuracy: float,
+        tell: Callable[[int, float], None],
     ) -> tuple[str, ReducedRange]:
         """The key and a reduced model for all these sets (n_sets, n_parameters), from an evaluated
-        one on. Raises ModelError, ModesError, UnlikeMatrices."""
-        return self._stored(()).over(point, thetas, analysis, accuracy)
+        one on; tell: as of `reduce_over`. Raises ModelError, ModesError, UnlikeMatrices."""
+        return self._stored(()).over(point, thetas, analysis, accuracy, tell)
 
     def release(self) -> None:
         """Leave the factors' memory to others."""

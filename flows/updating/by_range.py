@@ -1,23 +1,25 @@
-"""Many sets at once: by a reduced model that holds for all of them, where matrices are there.
+"""Many sets: by a reduced model that holds between the bounds, where matrices are there.
 
 The model grows until its worst set agrees with the full solution there (`core/updating/
 reduced_range`); a set for which its estimate is still not good enough is solved in full. The
-solver's own run at the worst set says whether all this is to be believed.
+solver's own run at the worst set says whether all this is to be believed. It is made once, for
+whatever is asked within the bounds: a screening's is the one that sampling finds in the store.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError, ModesError, ModetuneError
 from modetune.core.modes import Floats
-from modetune.core.updating.reduced_range import ReducedRange
+from modetune.core.updating.reduced_range import RangeUse, ReducedRange, range_sets
 from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.work import Done, Work
 from modetune.flows.updating.by_matrices import ByMatrices, reduced_columns
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, Point
@@ -26,32 +28,46 @@ from modetune.flows.updating.finders import REDUCED, Columns, ModeFinder
 from modetune.flows.updating.foresight import BELIEVED
 from modetune.flows.updating.loop import CONFIRMED
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
-from modetune.flows.updating.stored_modes import one_thread
 
 logger = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class Tally:
+    """Sets that a range was asked for, those that were solved in full, and the largest estimate
+    of the others."""
+
+    sets: int = 0
+    in_full: int = 0
+    estimate: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class ByRange:
     """Modes by a reduced model for a range of values, and by the matrices where it may be off.
 
-    key: of the range; around: an evaluated set, whose degrees of freedom the range has.
+    key: of the range; around: an evaluated set, whose degrees of freedom the range has. worst:
+    (n_parameters,), the last set of the range that was solved in full.
     """
 
     key: str
     range: ReducedRange
     around: CaseEvaluation
     matrices: ByMatrices
+    worst: Floats
     name: str = REDUCED
     cheap: bool = True
+    tally: Tally = field(default_factory=Tally)
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        return self.matrices.works(theta, analysis)
+        return []  # what the matrices are made of went before the range
 
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
         found = self._reduced(theta, analysis.n_modes)
+        self.tally.sets += 1
+        self.tally.in_full += found is None
         return found or self.matrices.modes(theta, analysis, done)
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
@@ -80,6 +96,7 @@ class ByRange:
             return None
         if off > CONFIRMED:
             return None
+        self.tally.estimate = max(self.tally.estimate, off)
         modes = known.modes
         return self.key, ModalResult.of_shapes(
             eigenvalues, shapes, modes.nodes, modes.components, 0.5 * eigenvalues, known.n_rigid
@@ -87,59 +104,99 @@ class ByRange:
 
 
 class ReducedRanges:
-    """Evaluates many sets by reduced models that hold for all of them, one a case.
-
-    said: how, and what confirmed it, for people; empty where no such model was made.
-    """
+    """Reduced models that hold between the bounds, one a case, made when first asked for."""
 
     def __init__(self, evaluator: Evaluator) -> None:
         self.evaluator = evaluator
-        self.said = ""
-        self._within: Evaluator | None = None
+        self._finders: list[ByRange] = []
+        self._confirmed: tuple[float, str] | None = None
+        self._refused = False
 
-    def points(
-        self, title: str, thetas: Floats, known: Sequence[Evaluation], grows: bool
-    ) -> list[Evaluation | ModetuneError] | None:
-        """As `Evaluator.points`; None where a case has no such model, or it is not believed."""
-        if self._within is not None:
-            return _points(self._within, title, thetas, known, grows)
-        ranges = self._ranges(thetas, known[0])
-        if not ranges:
+    @property
+    def asked(self) -> float:
+        """What frequencies may be off by, relative."""
+        return BELIEVED * min(self.evaluator.campaign.tolerances.frequency, CONFIRMED)
+
+    @property
+    def use(self) -> RangeUse | None:
+        """How sets were evaluated so, and what confirmed it; None where none was."""
+        if self._confirmed is None:
             return None
-        states = [
-            replace(state, finder=finder)
-            for state, finder in zip(self.evaluator.used, ranges, strict=True)
-        ]
-        within = Evaluator(
-            self.evaluator.campaign, states, self.evaluator.execution, self.evaluator.ledger
+        ranges = [finder.range for finder in self._finders]
+        tallies = [finder.tally for finder in self._finders]
+        return RangeUse(
+            sets=max(tally.sets for tally in tallies),
+            vectors=max(own.size for own in ranges),
+            solutions=sum(1 + len(own.solved) for own in ranges),
+            asked=self.asked,
+            error=max(float(own.errors[-1]) for own in ranges),
+            estimate=max(tally.estimate for tally in tallies),
+            in_full=sum(tally.in_full for tally in tallies),
+            solver=self.evaluator.campaign.solver_name,
+            apart=self._confirmed[0],
+            where=self._confirmed[1],
         )
-        batch = Work(f"reduced model for {len(thetas)} sets", ())
-        self.evaluator.execution.run(title, [batch])  # whoever watches hears of it
-        found = _points(within, title, thetas, known, grows)
-        solved = ranges[0].range.solved
-        worst = int(np.argmin(np.linalg.norm(states[0].own(thetas.T).T - solved[-1], axis=1)))
-        there = found[worst]
-        apart = 0.0
-        if isinstance(there, Evaluation):
-            confirmed = self.evaluator.confirmed(0, there)
-            assert confirmed is not None
-            apart = float(np.max(np.abs(confirmed.errors - there.errors)))
-            if apart > CONFIRMED:
-                self.evaluator.refuted(there, apart)
-                return None
-        self._within = within
-        self.said = (
-            f"{len(thetas)} sets by a reduced model of {ranges[0].range.size} vectors, made of "
-            f"{1 + len(solved)} full solutions; confirmed by {self.evaluator.campaign.solver_name} "
-            f"at set {worst + 1}, where it is worst: frequencies within {apart:.1e}"
-        )
-        logger.info("%s", self.said)
-        return found
 
-    def _ranges(self, thetas: Floats, known: Evaluation) -> list[ByRange]:
-        """A reduced model for all sets in each case; none where a case has none."""
+    def within(self, campaign: Campaign, around: Evaluation) -> Evaluator | None:
+        """What evaluates sets of a campaign within the bounds, another test of the same models
+        among them; None where a case has no such model, or the solver does not confirm it.
+
+        around: an evaluated set of the evaluator's own campaign.
+        """
+        if not self._finders and not self._refused:
+            self._finders = self._made(around)
+            self._refused = not self._finders or not self._believed(around)
+        return None if self._refused else self._evaluator(campaign)
+
+    def _evaluator(self, campaign: Campaign) -> Evaluator:
+        """The evaluator's cases on the ranges, as this campaign compares them."""
+        states = [
+            replace(
+                state,
+                case=case,
+                campaign=campaign.alone(case),
+                finder=finder,
+                analysis=ModalAnalysis(state.case.n_modes, state.case.nodes),
+            )
+            for case, state, finder in zip(
+                (case for case in campaign.cases if not case.aside),
+                self.evaluator.used,
+                self._finders,
+                strict=True,
+            )
+        ]
+        return Evaluator(campaign, states, self.evaluator.execution, self.evaluator.ledger)
+
+    def _believed(self, around: Evaluation) -> bool:
+        """Whether the solver confirms the frequencies where they were worst."""
+        place = max(range(len(self._finders)), key=lambda n: self._finders[n].range.errors[-1])
+        finder, state = self._finders[place], self.evaluator.used[place]
+        theta = around.theta.copy()
+        theta[state.columns] = finder.worst
+        (there,) = self._evaluator(self.evaluator.campaign).points("range", theta[None], [around])
+        for item in self._finders:
+            item.tally.sets = item.tally.in_full = 0
+        if not isinstance(there, Evaluation):
+            logger.info("the reduced model cannot be confirmed: %s", there)
+            return False
+        confirmed = self.evaluator.confirmed(0, there)
+        assert confirmed is not None
+        apart = float(np.max(np.abs(confirmed.errors - there.errors)))
+        if apart > CONFIRMED:
+            self.evaluator.refuted(there, apart)
+            return False
+        names = self.evaluator.campaign.parameters.names
+        where = ", ".join(
+            f"{n} {value:.4g}" for n, value in zip(names, theta.tolist(), strict=True)
+        )
+        self._confirmed = apart, where
+        return True
+
+    def _made(self, known: Evaluation) -> list[ByRange]:
+        """A reduced model between the bounds in each case; none where a case has none."""
         found: list[ByRange] = []
-        tolerance = self.evaluator.campaign.tolerances.frequency
+        bounds = self.evaluator.campaign.parameters
+        thetas = range_sets(bounds.lower, bounds.upper)
         for state, part in zip(self.evaluator.used, known.parts, strict=True):
             if not isinstance(state.finder, ByMatrices):
                 return []
@@ -147,21 +204,19 @@ class ReducedRanges:
             analysis = ModalAnalysis(state.case.n_modes, state.case.nodes)
             self.evaluator.carry_out("range", state.finder.works(part.theta, analysis), state)
             try:
-                made = state.finder.over(
-                    part.point, own, analysis, BELIEVED * min(tolerance, CONFIRMED)
-                )
+                made = state.finder.over(part.point, own, analysis, self.asked, self._told)
             except (UnlikeMatrices, ModelError) as error:
                 state.finder = state.finder.instead(error)
                 return []
             except ModesError as error:
-                logger.info("no reduced model for all sets: %s", error)
+                logger.info("no reduced model between the bounds: %s", error)
                 return []
-            found.append(ByRange(*made, part, state.finder))
+            written = np.array([state.finder.source.written(theta) for theta in own])
+            apart = np.abs(written - made[1].solved[-1]).sum(axis=1)
+            found.append(ByRange(*made, part, state.finder, own[int(np.argmin(apart))]))
         return found
 
-
-def _points(
-    within: Evaluator, title: str, thetas: Floats, known: Sequence[Evaluation], grows: bool
-) -> list[Evaluation | ModetuneError]:
-    with one_thread():
-        return within.points(title, thetas, known, grows)
+    def _told(self, solutions: int, error: float) -> None:
+        self.evaluator.tell(
+            f"reduced model: {solutions} full solutions, error {error:.0e}, asked {self.asked:.0e}"
+        )

@@ -10,7 +10,7 @@ finder that cannot be believed is replaced (`asked.py`). Sensitivities are put t
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +21,7 @@ from modetune.core.errors import ModesError, ModetuneError, SolverError
 from modetune.core.modes import Floats
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.estimation import Step
+from modetune.core.updating.reduced_range import RangeUse
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobOutcome, Ledger
@@ -44,11 +45,14 @@ from modetune.flows.updating.finders import (
 )
 from modetune.flows.updating.holding_out import HoldingOut
 from modetune.flows.updating.pieces import Pieces
+from modetune.flows.updating.stored_modes import one_thread
 
 logger = logging.getLogger(__name__)
 
 #: So many sets are worth a reduced model that holds for all of them.
 MANY = 16
+#: Sets whose shapes are in memory at once.
+TOGETHER = 256
 
 
 class Foresight(Protocol):
@@ -87,24 +91,24 @@ class Foresight(Protocol):
 
 
 class Ranges(Protocol):
-    """Many sets by reduced models that hold for all of them, where matrices are there."""
+    """Many sets by reduced models that hold between the bounds, where matrices are there."""
 
     @property
-    def said(self) -> str:
-        """How sets were evaluated so, and what confirmed it; empty where none was."""
+    def use(self) -> RangeUse | None:
+        """How sets were evaluated so, and what confirmed it; None where none was."""
         ...
 
-    def points(
-        self, title: str, thetas: Floats, known: Sequence[Evaluation], grows: bool
-    ) -> list[Evaluation | ModetuneError] | None:
-        """As `Evaluator.points`; None where a case has no such model, or it is not believed."""
+    def within(self, campaign: Campaign, around: Evaluation) -> Evaluator | None:
+        """What evaluates sets of a campaign within the bounds, another test of the same models
+        among them; None where a case has no such model, or the solver does not confirm it."""
         ...
 
 
 class Evaluator:
     """Evaluates parameter sets in all cases of a campaign, and counts what it cost.
 
-    foresight, ranges: of reduced models, where modes come from stored matrices.
+    foresight, ranges: of reduced models, where modes come from stored matrices. tell: hears how
+    far these are, in words.
     """
 
     def __init__(
@@ -122,6 +126,7 @@ class Evaluator:
         self.ledger = ledger
         self.foresight: Foresight | None = None
         self.ranges: Ranges | None = None
+        self.tell: Callable[[str], None] = logger.info
         self.pieces = Pieces(self.execution, ledger)
         self._deriving = Deriving(campaign, self.used, self.pieces)
 
@@ -199,18 +204,38 @@ class Evaluator:
             self.foresight.look_back(found, previous)
         return found, None if alone else self._deriving.matrix(title, found, ahead)
 
+    @property
+    def range_use(self) -> RangeUse | None:
+        """How reduced models served for many sets; None where they did not."""
+        return None if self.ranges is None else self.ranges.use
+
     def points(
         self, title: str, thetas: Floats, known: Sequence[Evaluation] = (), grows: bool = False
-    ) -> list[Evaluation | ModetuneError]:
-        """Evaluations of sets (n, n_parameters) side by side, or what keeps one from having any.
+    ) -> Iterator[Evaluation | ModetuneError]:
+        """Evaluations of sets (n, n_parameters) in turn, or what keeps one from having any.
 
-        known: evaluation points that modes are tracked from; grows: whether new ones join them.
+        They go side by side, so many at once that their shapes find room in memory. known:
+        evaluation points that modes are tracked from; grows: whether new ones join them.
         Raises what is not a set's own failure.
         """
+        within = None
         if self.ranges and known and len(thetas) >= MANY:
-            found = self.ranges.points(title, thetas, known, grows)
-            if found is not None:
-                return found
+            within = self.ranges.within(self.campaign, known[0])
+        parameters = self.campaign.parameters
+        track = ModeTrack(parameters.upper - parameters.lower, list(known), grows)
+        for first in range(0, len(thetas), TOGETHER):
+            some = thetas[first : first + TOGETHER]
+            if within is None:
+                yield from self._points(title, some, track)
+                continue
+            self.execution.run(title, [Work(f"reduced model for {len(some)} sets", ())])
+            with one_thread():
+                found = within._points(title, some, track)
+            yield from found
+
+    def _points(
+        self, title: str, thetas: Floats, track: ModeTrack
+    ) -> list[Evaluation | ModetuneError]:
         # Shapes of the whole surface, which a report shows, would fill the store for nothing.
         asked = [
             AskedModes(
@@ -219,8 +244,6 @@ class Evaluator:
             for point, theta in enumerate(thetas)
             for state in self.used
         ]
-        parameters = self.campaign.parameters
-        track = ModeTrack(parameters.upper - parameters.lower, list(known), grows)
         return self._solve(title, thetas, asked, track, Ahead(), [])
 
     def modes(self, theta: Floats, analysis: ModalAnalysis) -> ModalResult:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
@@ -51,7 +52,7 @@ logger = logging.getLogger(__name__)
 #: Raised by hand when the same matrices are solved, or reduced, to other numbers.
 MODES_VERSION = 4
 REDUCED_VERSION = 3
-RANGE_VERSION = 1
+RANGE_VERSION = 2
 #: Unobservable nodes that a message names.
 NAMED = 5
 
@@ -241,7 +242,12 @@ class MatrixModes:
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
 
     def over(
-        self, point: Point, thetas: Floats, analysis: ModalAnalysis, accuracy: float
+        self,
+        point: Point,
+        thetas: Floats,
+        analysis: ModalAnalysis,
+        accuracy: float,
+        tell: Callable[[int, float], None],
     ) -> tuple[str, ReducedRange]:
         """The key and a reduced model for all these sets (n_sets, n_parameters), from an evaluation
         point on, whose frequencies are off by `accuracy` at most, relative."""
@@ -268,6 +274,7 @@ class MatrixModes:
                     begin.n_rigid,
                     around.observer,
                     accuracy,
+                    tell,
                 )
 
         found = self.engine.derived(asked, compute, ReducedRange)

@@ -52,8 +52,8 @@ def digest(kind: Any) -> str:
     ("kind", "number", "expected"),
     [
         (CAMPAIGN.kind, CAMPAIGN.format, (5, "eec69cee87f8")),
-        (SCREENING.kind, SCREENING.format, (3, "309ff64c3425")),
-        (POSTERIOR.kind, POSTERIOR.format, (3, "afe1bcce626f")),
+        (SCREENING.kind, SCREENING.format, (4, "f0077ecdfb79")),
+        (POSTERIOR.kind, POSTERIOR.format, (4, "adfd7a1f7fe2")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),
         (store.KINDS["matrices"], store.FORMAT, (4, "2a942894df94")),
         (store.KINDS["derivatives"], store.FORMAT, (4, "98c110189d0b")),

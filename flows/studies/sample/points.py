@@ -51,7 +51,7 @@ class PointSolver:
         Raises CampaignError where more than half fail; SolverError, ModesError where all do;
         StoreError.
         """
-        found = self.evaluator.points(title, points, self._known, grows=True)
+        found = list(self.evaluator.points(title, points, self._known, grows=True))
         self._tell([item for item in found if isinstance(item, ModetuneError)], len(found))
         sets = {n: item for n, item in enumerate(found) if isinstance(item, Evaluation)}
         self._known += sets.values()

@@ -5,8 +5,7 @@ single values are attributes, arrays and tuples datasets, dataclasses groups, ea
 its field.
 
     attributes      name, seed, walkers, steps (of each walker), burned, acceptance, enough (chains
-                    long enough), points_by (how the modes of training points were
-                    found, where not each took a run of the solver), begun (training points before
+                    long enough), begun (training points before
                     any was added near the posterior), solver, solver_version,
                     modetune_version, units, campaign_text, wall_s
     (n_parameters,) names, lower, upper (range of the samples), bound_lower, bound_upper,
@@ -23,6 +22,8 @@ its field.
                     errors of the surrogate in standard deviations of the test, at the checks and
                     with each near training point left out
     failures        texts of solver runs that were left out
+    reduced_model/  where sets were evaluated by one: attributes sets, vectors, solutions, asked,
+                    error, estimate, in_full, solver, apart, where (`core/updating/reduced_range`)
     runs/           attributes modal, sensitivity, reused, core_s, licence_s
 
 Values of parameters are relative to the deck's.
@@ -40,6 +41,7 @@ from modetune.core.brief import brief
 from modetune.core.modes import Floats
 from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import RecordFile
+from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.studies.sample.surrogate import Training
 
 FILE = "posterior.h5"
@@ -61,7 +63,6 @@ class PosteriorRecord:
     modetune_version: str
     units: str
     wall_s: float
-    points_by: str
     campaign_text: str
     names: tuple[str, ...]
     lower: Floats
@@ -94,11 +95,17 @@ class PosteriorRecord:
     check_errors: Floats
     failures: tuple[str, ...]
     runs: RunCounts
+    reduced_model: RangeUse | None
 
     __repr__ = brief
 
+    @property
+    def points_by(self) -> str:
+        """How sets were evaluated, where not each took a run of the solver."""
+        return self.reduced_model.sentence if self.reduced_model else ""
 
-POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 3)
+
+POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 4)
 
 
 def write_posterior(path: Path, record: PosteriorRecord) -> None:

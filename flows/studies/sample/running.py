@@ -102,6 +102,7 @@ def sample_campaign(
         try:
             threads = ThreadExecution(engine, campaign.parallel, watcher=watcher)
             evaluator = evaluator_of(campaign, engine, threads, sets=asked)
+            evaluator.tell = progress.working
             solver = PointSolver(campaign, evaluator)
             # Where nothing was measured but frequencies, pairs are those that updating begins with.
             solver.solve("start", campaign.start[None])
@@ -114,14 +115,14 @@ def sample_campaign(
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling
             raise
-        runs, said = evaluator.runs, evaluator.ranges.said if evaluator.ranges else ""
+        runs, use = evaluator.runs, evaluator.range_use
     record = _record(campaign, request, learned, chains, checks)
     return replace(
         record,
         solver_version=version,
         failures=tuple(solver.failures),
         runs=runs,
-        points_by=said,
+        reduced_model=use,
         wall_s=time.monotonic() - started,
     )
 
@@ -212,5 +213,5 @@ def _record(
         check_errors=checks.errors,
         failures=(),
         runs=RunCounts(),
-        points_by="",
+        reduced_model=None,
     )

@@ -271,6 +271,7 @@ def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
         peaks=[{"share": share, "point": point} for share, point in peaks],
         surrogate=[ResponseError(*values) for values in errors],
         points_by=record.points_by,
+        reduced_model=record.reduced_model,
         training_runs=record.near.size,
         training_runs_near=record.near.sum(),
         checks=len(record.check_keys),

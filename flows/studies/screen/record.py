@@ -4,7 +4,7 @@ The file is the dataclass Screening below as `core/storage/codec` writes it, beh
 values are attributes, arrays datasets, dataclasses groups, each by the name of its field.
 
 /                     attributes: name, seed, solver, solver_version, units, campaign_text (of the
-                      file), wall_s, wanted, points_by; datasets: names, deviations, importance
+                      file), wall_s, wanted; datasets: names, deviations, importance
                       (n_parameters,), numbers, test_hz, nominal_hz, nominal_mac (n_modes,)
 design/               points (n_points, n_parameters), blocks (n_points,), lower, upper
                       (n_parameters,); attributes method, levels
@@ -18,6 +18,8 @@ indices/              measures (names), values (n_measures, n_responses, n_param
                       explained, interactions, interaction_shares; attribute used. Not for `local`.
 choice/               verdicts/0000/...: attributes name, rank, reason; ranking, misfits,
                       groups/0000, ...
+reduced_model/        where points were found by one: attributes sets, vectors, solutions, asked,
+                      error, estimate, in_full, solver, apart, where (`core/updating/reduced_range`)
 runs/                 attributes modal, sensitivity, reused, core_s, licence_s
 """
 
@@ -30,6 +32,7 @@ from modetune.core.brief import brief
 from modetune.core.modes import Floats
 from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import RecordFile
+from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.studies.screen.choice import ChosenParameters
 from modetune.flows.studies.screen.design import Design
 from modetune.flows.studies.screen.indices import Indices
@@ -81,7 +84,7 @@ class Screening:
     names, deviations: of the parameters; numbers: of the used modes; test_hz, nominal_hz,
     nominal_mac: (n_modes,), of the pairs at the deck's values. indices: None for `local`.
     importance: (n_parameters,). wanted: how many parameters were asked for, 0 where the choice
-    was free. points_by: how the points' modes were found, where not each took a run of the solver.
+    was free. reduced_model: by which the points were found, None where each took a run.
     """
 
     name: str
@@ -105,9 +108,14 @@ class Screening:
     runs: RunCounts = field(default_factory=RunCounts)
     wall_s: float = 0.0
     wanted: int = 0
-    points_by: str = ""
+    reduced_model: RangeUse | None = None
 
     __repr__ = brief
+
+    @property
+    def points_by(self) -> str:
+        """How the points' modes were found, where not each took a run of the solver."""
+        return self.reduced_model.sentence if self.reduced_model else ""
 
     @property
     def response_names(self) -> tuple[str, ...]:
@@ -117,7 +125,7 @@ class Screening:
         return frequencies + (macs if self.responses.mac.shape[1] else ())
 
 
-SCREENING = RecordFile(Screening, "screening", FILE, 3)
+SCREENING = RecordFile(Screening, "screening", FILE, 4)
 
 
 def write_screening(path: Path, screening: Screening) -> None:

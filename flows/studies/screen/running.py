@@ -19,6 +19,7 @@ from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import RunCounts
+from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
@@ -99,14 +100,15 @@ def screen_campaign(
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine, _ended(engine):
         progress.working("deck's values, sensitivities")
-        shown = _Shown(engine, campaign.parallel, progress, watcher)
+        shown = _Shown(engine, campaign.parallel, progress, watcher, len(design.points))
         evaluator = evaluator_of(campaign, engine, shown, sets=len(design.points))
+        evaluator.tell = progress.working
         nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
         assert matrix is not None
         progress.working(POINTS)
         points = evaluator.points(POINTS, design.points, [nominal])
-        responses = _responses(campaign, nominal, points)
-        runs, said = evaluator.runs, evaluator.ranges.said if evaluator.ranges else ""
+        responses = _responses(campaign, nominal, points, len(design.points))
+        runs, use = evaluator.runs, evaluator.range_use
     local = local_sensitivity(campaign, nominal, matrix)
     found = None
     if request.method != "local":
@@ -123,7 +125,7 @@ def screen_campaign(
         runs,
         version,
         time.monotonic() - started,
-        said,
+        use,
     )
 
 
@@ -149,7 +151,7 @@ def _screening(
     runs: RunCounts,
     version: str,
     wall_s: float,
-    points_by: str,
+    use: RangeUse | None,
 ) -> Screening:
     numbers = tuple(campaign.test.numbers[place] for place in nominal.pairing.measured.tolist())
     values = importance(campaign, design, local, found)
@@ -190,7 +192,7 @@ def _screening(
         runs=runs,
         wall_s=wall_s,
         wanted=request.choose or 0,
-        points_by=points_by,
+        reduced_model=use,
     )
 
 
@@ -201,34 +203,51 @@ def _relative(responses: Responses, nominal: Evaluation) -> Floats:
 
 
 def _responses(
-    campaign: Campaign, nominal: Evaluation, found: Sequence[Evaluation | ModetuneError]
+    campaign: Campaign,
+    nominal: Evaluation,
+    points: Iterator[Evaluation | ModetuneError],
+    n: int,
 ) -> Responses:
-    """The responses at the points of the design; NaN where one failed."""
-    n, n_modes = len(found), nominal.pairing.measured.size
+    """The responses at the n points of the design; NaN where one failed.
+
+    Evaluations are let go one by one: of 5,000 all shapes would fill gigabytes.
+    """
+    n_modes = nominal.pairing.measured.size
     shaped = n_modes if campaign.test.has_shapes else 0
     frequencies, macs = np.full((n, n_modes), np.nan), np.full((n, shaped), np.nan)
-    for place, item in enumerate(found):
+    failures, keys = [""] * n, [""] * n
+    for place, item in enumerate(points):
         if isinstance(item, Evaluation):
             frequencies[place] = item.seen.frequencies_hz[item.pairing.computed]
             macs[place] = item.pairing.judged_mac[:shaped]
-    failures = tuple(str(item) if isinstance(item, ModetuneError) else "" for item in found)
-    keys = tuple("" if isinstance(item, ModetuneError) else item.key for item in found)
-    return Responses(frequencies, macs, failures, keys)
+            keys[place] = item.key
+        else:
+            failures[place] = str(item)
+    return Responses(frequencies, macs, tuple(failures), tuple(keys))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Shown:
-    """An execution that tells how far the points of the design are."""
+    """An execution that tells how far the points of the design are.
+
+    total: points in all; begun: those that were handed over before, some at a time.
+    """
 
     engine: JobEngine
     parallel: int
     progress: ScreeningProgress
-    watcher: JobWatcher | None = None
+    watcher: JobWatcher | None
+    total: int
+    begun: int = 0
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
-        if iteration != POINTS:
+        if iteration != POINTS or not work[0].jobs:
             return self._threads().run(iteration, work)
-        done = ran = failed = 0
+        before, total = self.begun, self.total
+        self.begun += len(work)
+        if self.begun > total:  # some once more, for more modes
+            before, total, self.begun = 0, len(work), before
+        done, ran, failed = before, 0, 0
 
         def told(item: Done) -> None:
             nonlocal done, ran, failed
@@ -237,7 +256,7 @@ class _Shown:
                 failed += 1
             else:
                 ran += outcomes_count("modal", item).modal
-            self.progress.points(done, len(work), ran, failed)
+            self.progress.points(done, total, ran, failed)
 
         self.progress.working(POINTS)
         return self._threads(told).run(iteration, work)

@@ -37,6 +37,7 @@ def told(screening: Screening) -> dict[str, Json]:
         points=len(design.points),
         points_failed=screening.responses.n_failed,
         points_by=screening.points_by,
+        reduced_model=screening.reduced_model,
         points_used=screening.indices.used if screening.indices else 0,
         levels=design.levels,
         solver_runs=runs,

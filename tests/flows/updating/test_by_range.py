@@ -91,8 +91,13 @@ def test_points_are_those_of_the_solver_for_a_few_runs(name: str, tmp_path: Path
     # Matrix jobs: the deck's, one a set of parameters that share no node, four a thickness.
     assert found.runs.modal == 1
     assert found.runs.sensitivity <= (6 if "shells" in name else 4)
-    assert "confirmed by calculix at set " in found.points_by
-    # 1e-5 is asked of the model at its worst point; ccx prints seven digits of eigenvalues.
+    assert "confirmed by calculix where it was worst, at " in found.points_by
+    used = found.reduced_model
+    assert used is not None
+    assert (used.sets, used.in_full) == (24, 0)
+    assert used.error <= used.asked <= 1e-5
+    assert used.apart < 1e-4 > used.estimate
+    # At most 1e-5 is asked of the model where it is worst; ccx prints seven digits of eigenvalues.
     assert apart(found.responses.frequencies_hz, own.responses.frequencies_hz) < 1e-4
     np.testing.assert_allclose(found.responses.mac[good], own.responses.mac[good], atol=2e-3)
     if "square" not in name:  # of its halves one tells as much as the other

@@ -121,7 +121,7 @@ def at_points(file: Path, place: Path) -> list[Evaluation | ModetuneError]:
     campaign = load_campaign(file, [f"store={place / 'store'}", STORED])
     engine = job_engine(campaign)
     thetas = np.random.default_rng(1).uniform(0.8, 1.2, (5, 3))
-    return evaluator_of(campaign, engine, ThreadExecution(engine, 1)).points("points", thetas)
+    return list(evaluator_of(campaign, engine, ThreadExecution(engine, 1)).points("points", thetas))
 
 
 def test_points_of_a_study_that_was_killed_have_the_same_bits(
