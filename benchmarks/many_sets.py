@@ -102,7 +102,7 @@ def main(folder: Path, study: Study, count: int) -> None:
 
 
 if __name__ == "__main__":
-    named = sys.argv[2]
-    if named not in get_args(Study):
-        sys.exit(f"{named}: expected one of {', '.join(get_args(Study))}")
-    main(Path(sys.argv[1]), named, int(sys.argv[3]))
+    named = [study for study in get_args(Study) if study == sys.argv[2]]
+    if not named:
+        sys.exit(f"{sys.argv[2]}: expected one of {', '.join(get_args(Study))}")
+    main(Path(sys.argv[1]), named[0], int(sys.argv[3]))
