@@ -13,7 +13,11 @@ that starts with `*ERROR`.
 from __future__ import annotations
 
 import json
+import shutil
+import sys
+import tempfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TextIO
 
@@ -26,14 +30,23 @@ from modetune.adapters.process import log_tail, read_log
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.pardiso import FactorFiles
 from modetune.core.algebra.rigid_modes import GIVEN, matrix_energies
-from modetune.core.errors import ModelError, ModesError, NoResult, SolverCrashed, SolverRejected
+from modetune.core.errors import (
+    ModelError,
+    ModesError,
+    NoResult,
+    SolverCrashed,
+    SolverExhausted,
+    SolverRejected,
+)
 from modetune.core.modes import Floats, mode_set
 from modetune.core.updating.results import MatrixResult, ModalResult, Result
 
 JOB, RESULT = "job.json", "result.npz"
-FAULT = "*ERROR"
+FAULT, EXHAUSTED = "*ERROR", "*EXHAUSTED"
 CLOSING_MARK = "modetune matrices: job finished"
 MODAL = ("eigenvalues", "mode_shapes", "strain_energies", "total_strain_energy")
 MATRICES = tuple(
@@ -71,9 +84,13 @@ def write_job(model: MatrixModel, factors: Factors, analysis: Analysis, folder: 
 def read_result(
     model: MatrixModel, factors: Factors, analysis: Analysis, folder: Path, return_code: int
 ) -> Result:
-    """The result of a finished job. Raises SolverRejected or SolverCrashed where there is none."""
+    """The result of a finished job. Raises SolverRejected, SolverExhausted or SolverCrashed where
+    there is none."""
     lines = read_log(folder).splitlines()
     faults = [line.removeprefix(FAULT).strip() for line in lines if line.startswith(FAULT)]
+    full = [line.removeprefix(EXHAUSTED).strip() for line in lines if line.startswith(EXHAUSTED)]
+    if full:
+        raise SolverExhausted(f"the model {model.name} (job in {folder}): {full[0]}")
     if faults:
         raise SolverRejected(f"the model {model.name} has no modes (job in {folder}): {faults[0]}")
     if return_code != 0 or not lines or lines[-1] != CLOSING_MARK:
@@ -143,13 +160,14 @@ def run_job(folder: Path, log: TextIO) -> int:
     _say(log, f"{stiffness.shape[0]} unknowns, {stiffness.nnz} entries of stiffness")
     try:
         if job.n_modes:
-            arrays = _solved(job, stiffness, mass, folder)
+            with factor_room(FactorRoom(machine_memory(), sys.maxsize, lambda: _files(folder))):
+                arrays = _solved(job, stiffness, mass, folder)
             found = arrays["eigenvalues"]
             _say(log, f"{found.size} modes, eigenvalues {found[0]:.6e} to {found[-1]:.6e}")
         else:
             arrays = _given(stiffness, mass)
-    except ModelError as error:
-        _say(log, f"{FAULT} {error}")
+    except (ModelError, SolverExhausted) as error:
+        _say(log, f"{EXHAUSTED if isinstance(error, SolverExhausted) else FAULT} {error}")
         return 1
     part = folder / f"{RESULT}.part"
     with part.open("wb") as out:
@@ -187,6 +205,12 @@ def _given(stiffness: sparse.csr_array, mass: sparse.csr_array) -> dict[str, Flo
         for name, matrix in (("stiffness", stiffness), ("mass", mass))
         for part in ("data", "indices", "indptr")
     }
+
+
+def _files(folder: Path) -> FactorFiles:
+    """A folder for factors within the job's own, which goes with it."""
+    own = Path(tempfile.mkdtemp(dir=folder))
+    return FactorFiles(own, partial(shutil.rmtree, own, ignore_errors=True))
 
 
 def _load(folder: Path, name: str) -> sparse.csr_array:

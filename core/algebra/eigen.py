@@ -137,7 +137,9 @@ class ModeSolver:
             raise ModelError(f"{n_modes} modes were asked of a model with {size} unknowns")
         if self._pencil is None or not self._pencil.update(stiffness, mass):
             self._pencil = None  # its memory is free before the next one takes any
-            self._pencil, self._shift = Pencil(stiffness, mass), None
+            # Vectors of a space from nothing, each twice (M times it); half of them is common.
+            self._pencil = Pencil(stiffness, mass, VECTORS * n_modes + MORE_VECTORS)
+            self._shift = None
         pencil = self._pencil
         if size <= DENSE or n_modes > size // 2:
             return self._whole(pencil, n_modes, shift)
@@ -166,6 +168,11 @@ class ModeSolver:
         if self._pencil.shift != self._shift:
             self._shift = factorise_below(self._pencil, self._shift)
         return self._pencil.inverse(block)
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether the factors did not fit in memory."""
+        return self._pencil is not None and self._pencil.on_disk
 
     def _from_start(
         self, pencil: Pencil, n_modes: int, shift: float, start: Floats

@@ -34,7 +34,8 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from modetune.core.algebra import matrices
-from modetune.core.algebra.pardiso import Pardiso, is_available
+from modetune.core.algebra.factor_room import roomy_factors
+from modetune.core.algebra.pardiso import is_available
 from modetune.core.errors import ModelError
 
 Numbers: TypeAlias = NDArray[np.float64] | NDArray[np.complex128]
@@ -49,9 +50,11 @@ class SymmetricFactors(Protocol):
     """The factors of one real symmetric matrix after the other, all of one sparsity.
 
     negative_pivots: how many eigenvalues of the matrix are negative. lifted_pivots: how many were
-    as good as zero.
+    as good as zero. on_disk: whether they are in files.
     """
 
+    @property
+    def on_disk(self) -> bool: ...
     @property
     def negative_pivots(self) -> int: ...
     @property
@@ -159,14 +162,15 @@ def symmetric_matrix(matrix: Matrix, name: str) -> sparse.csr_array:
     return a
 
 
-def symmetric_factors(upper: sparse.csr_array) -> SymmetricFactors:
+def symmetric_factors(upper: sparse.csr_array, columns: int = 0) -> SymmetricFactors:
     """Order a real symmetric matrix for factorisation by the program that is here.
 
     upper: (n, n), the upper triangle, sorted, with each diagonal entry. `refactor` gives values.
+    columns: vectors (n,) that will be in memory beside the factors.
     Raises ModelError where it is no such triangle, SolverExhausted where memory does not suffice.
     """
     if not _superlu_only.get() and is_available():
-        return Pardiso(upper)
+        return roomy_factors(upper, columns=columns)
     return _SymmetricSuperLu(upper)
 
 
@@ -263,6 +267,8 @@ class _SuperLuFactors:
 class _SymmetricSuperLu:
     """SuperLU with pivots on the diagonal, whose signs then count eigenvalues."""
 
+    on_disk = False
+
     def __init__(self, upper: sparse.csr_array) -> None:
         # Both triangles, and for each of their entries its place in the upper one.
         numbered = sparse.csr_array(
@@ -306,7 +312,7 @@ class _PardisoFactors:
 
     def __init__(self, scaled: sparse.csr_array) -> None:
         upper = filled_triangle(scaled)
-        self._pardiso = Pardiso(upper, matching=True)
+        self._pardiso = roomy_factors(upper, matching=True)
         self._pardiso.refactor(upper.data)
 
     def solve(self, rhs: Any) -> Any:

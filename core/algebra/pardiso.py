@@ -21,6 +21,8 @@ import os
 import sys
 import threading
 import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -38,6 +40,7 @@ Floats = NDArray[np.float64]
 _ONE_CALL = threading.RLock()
 _ANALYSE, _FACTORISE, _SOLVE, _FREE = 11, 22, 33, -1
 _TOO_LONG = -8
+_LARGEST_MB = 2**31 - 1  # MKL reads it as an int
 
 _INPUT, _MEMORY, _DISK = "input", "memory", "disk"
 _ERRORS = {
@@ -49,7 +52,7 @@ _ERRORS = {
     -6: (_INPUT, "its unknowns could not be ordered"),
     -7: (_INPUT, "a diagonal entry is zero"),
     _TOO_LONG: (_MEMORY, "its factors have too many entries for this library"),
-    -9: (_DISK, "MKL_PARDISO_OOC_MAX_CORE_SIZE is too small for it"),
+    -9: (_MEMORY, "there is not enough memory even with factors on disk"),
     -10: (_DISK, "the files of the factors cannot be opened"),
     -11: (_DISK, "the files of the factors cannot be read or written"),
     -12: (_INPUT, "the library lacks its interface for 64-bit integers"),
@@ -77,6 +80,37 @@ class FactorMemory:
         return max(self.ordering_peak, self.permanent + self.factors)
 
 
+@dataclass(slots=True, weakref_slot=True, eq=False)
+class FactorFiles:
+    """Where the factors of one matrix are kept on disk.
+
+    folder: for this matrix alone: PARDISO gives the same names to the files of all; remove: takes
+    it away; memory_mb: what PARDISO may hold beside, of which it makes buffers.
+    """
+
+    folder: Path
+    remove: Callable[[], None]
+    memory_mb: int = _LARGEST_MB
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """PARDISO reads of its files in the environment, anew with each call."""
+        told = {
+            "MKL_PARDISO_OOC_PATH": str(self.folder),
+            "MKL_PARDISO_OOC_MAX_CORE_SIZE": str(min(self.memory_mb, _LARGEST_MB)),
+        }
+        before = {name: os.environ.get(name) for name in told}
+        os.environ.update(told)
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+
+
 class Pardiso:
     """A real symmetric matrix and its factors; their memory is freed with the object.
 
@@ -89,23 +123,22 @@ class Pardiso:
         *,
         definite: bool = False,
         matching: bool = False,
-        out_of_core: bool = False,
+        files: FactorFiles | None = None,
         long_integers: bool = False,
     ) -> None:
         """Order the unknowns of a matrix; `refactor` gives it its values.
 
         upper: (n, n), the upper triangle, sorted, with each diagonal entry; definite: refuse what
         is not positive definite; matching: scale and pair unknowns by their values first, for
-        matrices with zeros on the diagonal; out_of_core: keep the factors in files, which have
-        the same names for all matrices, in the environment's MKL_PARDISO_OOC_PATH, an existing
-        folder for this matrix alone, with MKL_PARDISO_OOC_MAX_CORE_SIZE MB of memory;
+        matrices with zeros on the diagonal; files: keep the factors there, not in memory;
         long_integers: for factors of more than 2^31 entries (turned to anyhow where PARDISO asks
         for it). Raises ModelError where upper is not such a triangle, SolverExhausted where
         memory or disk do not suffice.
         """
         _check_triangle(upper)
         self.n = int(upper.shape[0])
-        self._settings = _settings(definite, matching, out_of_core)
+        self._settings = _settings(definite, matching, files is not None)
+        self.files = files
         self._matrix_type = 2 if definite else -2
         self._values = upper.data
         self._open(upper.indptr + 1, upper.indices + 1, long_integers)
@@ -135,6 +168,15 @@ class Pardiso:
             self._call(_SOLVE, given, x)
         return x
 
+    def close(self) -> None:
+        """Give memory and files back now, not with the object: there is no solution after it."""
+        self._release()
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether the factors are in files."""
+        return self.files is not None
+
     @property
     def negative_pivots(self) -> int:
         """How many eigenvalues of the matrix are negative (Sylvester's law of inertia)."""
@@ -156,6 +198,12 @@ class Pardiso:
         peak, permanent, factors = (1024 * int(number) for number in self._handle.iparm[14:17])
         return FactorMemory(peak, permanent, factors)
 
+    @property
+    def memory_on_disk(self) -> int:
+        """The least memory with which factors in files can be made and used, in bytes."""
+        peak, permanent = (int(number) for number in self._handle.iparm[14:16])
+        return 1024 * max(peak, permanent + int(self._handle.iparm[62]))
+
     def _open(self, starts: Any, columns: Any, long_integers: bool) -> None:
         kind: Any = np.int64 if long_integers else np.int32
         self._handle = _Handle(
@@ -164,15 +212,17 @@ class Pardiso:
             np.ascontiguousarray(starts, dtype=kind),
             np.ascontiguousarray(columns, dtype=kind),
             self._settings.astype(kind),
+            self.files,
         )
-        weakref.finalize(self, self._handle.close).atexit = False
+        self._release = weakref.finalize(self, self._handle.close)
+        self._release.atexit = False
         self._call(_ANALYSE)
 
     def _call(self, phase: int, rhs: Floats | None = None, out: Floats | None = None) -> None:
         error = self._handle.call(phase, self._values, rhs, out)
         if error == _TOO_LONG and not self._handle.long_integers:
             before = self._handle
-            before.close()
+            before.close(files=False)
             self._open(before.starts, before.columns, long_integers=True)
             if phase != _ANALYSE:
                 self._call(phase, rhs, out)
@@ -184,8 +234,15 @@ class _Handle:
     """PARDISO's own data of one matrix."""
 
     def __init__(
-        self, matrix_type: int, n: int, starts: Any, columns: Any, iparm: NDArray[Any]
+        self,
+        matrix_type: int,
+        n: int,
+        starts: Any,
+        columns: Any,
+        iparm: NDArray[Any],
+        files: FactorFiles | None = None,
     ) -> None:
+        self.files = files
         self.matrix_type, self.n, self.starts, self.columns = matrix_type, n, starts, columns
         self.iparm = iparm
         self.long_integers = bool(iparm.dtype == np.int64)
@@ -203,7 +260,7 @@ class _Handle:
         def number(value: int) -> Any:
             return ctypes.byref(integer(value))
 
-        with _ONE_CALL:
+        with _ONE_CALL, self.files.told() if self.files else nullcontext():
             program(
                 _pointer(self._addresses),
                 number(1),
@@ -224,11 +281,13 @@ class _Handle:
             )
         return int(error.value)
 
-    def close(self) -> None:
-        """Give PARDISO's memory back."""
+    def close(self, files: bool = True) -> None:
+        """Give PARDISO's memory back, and the folder of its files."""
         if not self._closed:
             self._closed = True
             self.call(_FREE, np.zeros(0), None, None)
+            if files and self.files:
+                self.files.remove()
 
 
 def is_available() -> bool:
@@ -307,11 +366,10 @@ def _error_of(error: int, matrix_type: Literal[2, -2] | int, handle: _Handle) ->
     text = f"{of}: {words} (PARDISO error {error})"
     if kind == _MEMORY:
         return SolverExhausted(f"{text}; free memory, take a smaller model, or factors on disk")
-    if error == -9:
-        return SolverExhausted(f"{text}; raise it")
     if kind == _DISK:
+        folder = handle.files.folder if handle.files else "their folder"
         return SolverExhausted(
-            f"{text}; look at the folder MKL_PARDISO_OOC_PATH and its free space"
+            f"{text}; look at {folder} and its free space, free some, or raise `run.memory_gb`"
         )
     if error in (-4, -7):
         return ModelError(f"{text}: it is singular")

@@ -57,10 +57,13 @@ class Pencil:
     as many as K - s M has negative ones); -1 where a pivot was as good as zero.
     """
 
-    def __init__(self, stiffness: sparse.csr_array, mass: sparse.csr_array) -> None:
+    def __init__(
+        self, stiffness: sparse.csr_array, mass: sparse.csr_array, columns: int = 0
+    ) -> None:
         """Order the unknowns; nothing is factorised yet.
 
-        stiffness, mass: (n, n), upper triangles, sorted, kept and not copied. Raises ModelError
+        stiffness, mass: (n, n), upper triangles, sorted, kept and not copied; columns: vectors
+        (n,) that will be in memory beside the factors. Raises ModelError
         where they are not a model, SolverExhausted where memory does not suffice.
         """
         _check(stiffness, mass)
@@ -73,7 +76,7 @@ class Pencil:
         self._stiffness_places = _places(pattern, stiffness)
         self._mass_places = _places(pattern, mass)
         self._take(stiffness, mass)
-        self._factors: SymmetricFactors = symmetric_factors(pattern)
+        self._factors: SymmetricFactors = symmetric_factors(pattern, columns)
 
     def update(self, stiffness: sparse.csr_array, mass: sparse.csr_array) -> bool:
         """Take the next model; false, and nothing done, where its sparsity is another."""
@@ -82,6 +85,11 @@ class Pencil:
         _check(stiffness, mass)
         self._take(stiffness, mass)
         return True
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether the factors are in files."""
+        return self._factors.on_disk
 
     def factorise(self, shift: float) -> None:
         """Factorise K - shift M. Raises ModelError where it is exactly singular."""

@@ -123,6 +123,9 @@ class RunSection(Section):
     """Longest run of one job [s]"""
     disk_gb: Positive = 100.0
     """Disk that the files and the output of one job may take [GB]"""
+    memory_gb: Positive | None = None
+    """Memory of this machine that the campaign may take: jobs side by side, and factors, which go
+    to disk where they do not fit; without it what machine or container have [GB]"""
     licence_pause_s: Positive = 30.0
     """First pause of a job that got no licence; it grows by half each time [s]"""
     licence_wait_s: Positive = 86400.0
@@ -174,6 +177,8 @@ class SiteRun(Section):
     """What a solver prints where no licence is free, besides what is known: parts of lines."""
     disk_gb: Positive = 100.0
     """Disk that the files and the output of one job may take [GB]"""
+    memory_gb: Positive | None = None
+    """Memory of this machine that a campaign may take [GB]"""
 
 
 class SiteFile(Section):

@@ -11,6 +11,7 @@ two campaigns that want the same job run it once.
 from __future__ import annotations
 
 import logging
+import os
 import shutil
 import threading
 import time
@@ -24,6 +25,12 @@ from typing import Protocol, TypeVar
 from modetune.adapters.licence import licence_refusal
 from modetune.adapters.process import JOB_DISK, disk_full, run_process
 from modetune.adapters.solver import Command, Program, Solver
+from modetune.core.algebra.factor_room import (
+    MEMORY_VARIABLE,
+    FactorRoom,
+    factor_room,
+    machine_memory,
+)
 from modetune.core.errors import (
     LicenceDenied,
     ModelError,
@@ -44,14 +51,17 @@ from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.results import Result, finite
 from modetune.flows.jobs.deck_texts import keep_text
-from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans
-from modetune.flows.jobs.limits import CORES, Limit, Limits
+from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans, analysis_kind
+from modetune.flows.jobs.limits import CORES, MEMORY, Limit, Limits
+from modetune.flows.jobs.scratch import factor_files
 
 logger = logging.getLogger(__name__)
 R = TypeVar("R", bound=Result)
 
 #: Pauses before asking again for a licence grow by this factor up to this length, seconds.
 PAUSE_GROWTH, LONGEST_PAUSE_S = 1.5, 600.0
+#: Shares that the memory is handed out in: a job takes whole ones.
+LEAST_SHARES = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +97,9 @@ class Policy:
     stopped, timeout, no_result: how often it is tried again when it was killed or broke off, ran
     out of time, or left what is not a result. What the solver rejected, and what was too large for
     the machine, is never tried again. disk_bytes: what a job's files and output may take.
-    licence_messages: what says that no licence was free, besides what is known.
+    licence_messages: what says that no licence was free, besides what is known. memory_bytes: what
+    jobs side by side, or this process with its factors, may take of this machine; 0: what that
+    has.
     """
 
     timeout_s: float
@@ -98,6 +110,7 @@ class Policy:
     licence_wait_s: float
     disk_bytes: int = JOB_DISK
     licence_messages: tuple[str, ...] = ()
+    memory_bytes: int = 0
 
     def chances(self, error: SolverError) -> int:
         """How often a job that ended so may be tried again."""
@@ -127,6 +140,41 @@ class Ledger:
                     self.core_s += limit.taken * seconds
                 else:
                     self.licence_s += limit.taken * seconds
+
+
+class JobMemory:
+    """The most that jobs of a kind took so far, as shares of the memory; safe from many threads.
+
+    A kind is a solver, a model and an analysis. Nobody knows what the first of a kind takes: where
+    the campaign names a limit it gets all of it, else it starts with one share. One that takes more
+    than there is gets all of it for itself.
+    """
+
+    def __init__(self) -> None:
+        self._peaks: dict[tuple[str, str, str], int] = {}
+        self._lock = threading.Lock()
+
+    def limit(self, kind: tuple[str, str, str], memory_bytes: int, named: bool) -> Limit:
+        """The shares that a job of a kind takes; small jobs never keep a core from its work.
+
+        named: whether the campaign names a limit.
+        """
+        slots = max(LEAST_SHARES, 4 * (os.cpu_count() or 1))
+        peak = self._peaks.get(kind, memory_bytes if named else 0)
+        return Limit(MEMORY, slots, min(max(-(-slots * peak // memory_bytes), 1), slots))
+
+    def add(self, kind: tuple[str, str, str], peak_bytes: int, memory_bytes: int) -> None:
+        """Keep what a job took, and tell where the machine cannot give as much."""
+        with self._lock:
+            before = self._peaks.get(kind, 0)
+            self._peaks[kind] = max(before, peak_bytes)
+        if peak_bytes > memory_bytes >= before:
+            logger.warning(
+                "a %s job (%s) took %.3g GB of memory, more than the %.3g GB that may be taken "
+                "(`run.memory_gb`, or else what machine or container have): such jobs run one at "
+                "a time, and only the solver's own options make them smaller",
+                kind[0], kind[2], peak_bytes / 1e9, memory_bytes / 1e9,
+            )  # fmt: skip
 
 
 class Launcher(Protocol):
@@ -162,6 +210,18 @@ class JobEngine:
     may_run: bool = True
     elsewhere: Callable[[Job, str], tuple[bool, float]] | None = None
     launcher: Launcher | None = None
+    memory: JobMemory = field(default_factory=JobMemory)
+
+    @property
+    def room(self) -> FactorRoom:
+        """What factors in this process may take."""
+        store = self.store
+        return FactorRoom(self.memory_bytes, self.policy.disk_bytes, lambda: factor_files(store))
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory of this machine that may be taken."""
+        return self.policy.memory_bytes or machine_memory()
 
     @property
     def solver(self) -> Solver:
@@ -244,7 +304,8 @@ class JobEngine:
 
     def _compute(self, key: str, asked: str, compute: Callable[[], Result]) -> None:
         started = time.monotonic()
-        result = compute()
+        with factor_room(self.room):
+            result = compute()
         self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), asked)
 
     def _stored(self, key: str, kind: type[R]) -> R | None:
@@ -309,7 +370,12 @@ class JobEngine:
             command = self.program.command(self.threads)
             if self.launcher is not None:
                 command = self.launcher.wrapped(command)
-            with self.counter.held(self.limits, self._wait_for_slot):
+            else:
+                memory = (MEMORY_VARIABLE, str(self.memory_bytes))
+                command = replace(command, environment=(*command.environment, memory))
+            kind = self.program.name, self.solver.deck.summary.name, analysis_kind(job.analysis)
+            share = self.memory.limit(kind, self.memory_bytes, self.policy.memory_bytes > 0)
+            with self.counter.held((*self.limits, share), self._wait_for_slot):
                 started = time.monotonic()
                 try:
                     finished = run_process(
@@ -321,6 +387,8 @@ class JobEngine:
                     )
                 finally:
                     self.ledger.add(time.monotonic() - started, self.limits)
+            if self.launcher is None:
+                self.memory.add(kind, finished.peak_memory_bytes, self.memory_bytes)
             try:
                 code = finished.return_code
                 if self.launcher is not None and code != 0:

@@ -18,8 +18,10 @@ from typing import Protocol
 from modetune.core.storage.files import storage_errors
 from modetune.core.storage.locks import FileLock
 
-#: The limit on processor cores; every other name is a licence's.
-CORES = "cores"
+#: The machine's own limits: processor cores, and shares of the memory that may be taken; every
+#: other name is a licence's.
+CORES, MEMORY = "cores", "memory"
+OWN = frozenset({CORES, MEMORY})
 
 
 @dataclass(frozen=True, slots=True)

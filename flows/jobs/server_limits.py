@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from modetune.flows.jobs.limits import CORES, Limit, Limits
+from modetune.flows.jobs.limits import OWN, Limit, Limits
 from modetune.flows.jobs.prefect_api import PrefectApi, ServerRefused
 
 logger = logging.getLogger(__name__)
@@ -53,7 +53,7 @@ class ServerLimits:
 
         Where the server does not count the machine's own limits hold, with a warning.
         """
-        licences = sorted((item for item in limits if item.name != CORES), key=lambda i: i.name)
+        licences = sorted((item for item in limits if item.name not in OWN), key=lambda i: i.name)
         with ExitStack() as held:
             for limit in licences:
                 if self._counts:

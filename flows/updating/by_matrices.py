@@ -50,9 +50,13 @@ class ByMatrices:
     engine: JobEngine
     source: MatrixSource
     solver: BySolver
-    name: str = MATRICES
     cheap: bool = True
     _modes: MatrixModes | None = field(default=None, init=False)
+
+    @property
+    def name(self) -> str:
+        on_disk = self._modes is not None and self._modes.on_disk
+        return f"{MATRICES}, factors on disk" if on_disk else MATRICES
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         if self._modes is not None:

@@ -23,6 +23,7 @@ from modetune.flows.jobs.engine import JobEngine, Ledger, Policy
 from modetune.flows.jobs.job import Plans
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.prefect_server import server_home
+from modetune.flows.jobs.scratch import remove_abandoned
 from modetune.flows.jobs.slurm import on_slurm
 from modetune.flows.jobs.work import Executes, Execution, ThreadExecution
 from modetune.flows.report.drawing import draw_report
@@ -41,6 +42,7 @@ logger = logging.getLogger(__name__)
 def job_engine(campaign: Campaign) -> JobEngine:
     """The engine that solves the jobs of a campaign's first case."""
     run, solver = campaign.run, campaign.cases[0].solver
+    remove_abandoned(campaign.store)
     limits = [Limit(CORES, max(cores(), 0 if run.here else campaign.threads), campaign.threads)]
     if solver.program.name in run.licences:
         limits.append(Limit(solver.program.name, run.licences[solver.program.name], 1))
@@ -56,6 +58,7 @@ def job_engine(campaign: Campaign) -> JobEngine:
             licence_wait_s=run.licence_wait_s,
             disk_bytes=round(1e9 * run.disk_gb),
             licence_messages=run.licence_messages,
+            memory_bytes=round(1e9 * (run.memory_gb or 0.0)),
         ),
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,

@@ -122,6 +122,11 @@ class _Solutions:
         self._first: tuple[_Set, _Solved] | None = None
         self._basis: _Basis | None = None
 
+    @property
+    def on_disk(self) -> bool:
+        """Whether the factors did not fit in memory."""
+        return self._solver.on_disk
+
     def modes(self, item: _Set) -> _Solved:
         """The modes of a set with shapes of all unknowns."""
         if self._newest is not None and self._newest[0] is item:
@@ -297,6 +302,11 @@ class MatrixModes:
         return self.engine.derived(
             asked, lambda: self._solutions.basis(around).reduced, ReducedModel
         )
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether the factors did not fit in memory."""
+        return self._solutions.on_disk
 
     @property
     def _newest(self) -> _Around | None:

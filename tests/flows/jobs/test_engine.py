@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from modetune.adapters.calculix import solver as calculix
 from modetune.adapters.calculix.job import job_text
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Rendered
 from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.core.algebra import factor_room
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import SolverRejected
 from modetune.core.parameters import Values
 from modetune.core.storage.keys import content_key
@@ -20,11 +26,13 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs import job as jobs
+from modetune.flows.jobs.engine import JobMemory
 from modetune.flows.jobs.job import NOMINAL, Job
 from modetune.flows.updating.dry_run import dry_run
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.adapters.ccx_decks import bar
+from tests.core.algebra.test_factor_room import block
 from tests.flows.conftest import ScriptedProgram
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
@@ -185,3 +193,51 @@ def test_a_campaign_by_calculix_edits_the_deck_once_a_job(
     first, again = len(texts), load_campaign(tmp_path / "bar.yaml")
     assert update_campaign(again, tmp_path / "run", watcher).record.runs.modal == 0
     assert len(texts) == 2 * first
+
+
+def test_what_is_computed_from_results_takes_the_memory_that_the_campaign_names(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A solid whose factors do not fit: they go to the store's disk, with the same modes."""
+    stiffness, mass = (upper_triangle(a) for a in block())
+    expected = ModeSolver().solve(stiffness, mass, 3).eigenvalues
+    monkeypatch.setattr(factor_room, "_resident", lambda: 0)
+    # The least with which factors on disk can be used is a few percent less than in memory.
+    limit = 0.9e-9 * Pardiso(stiffness).memory.peak
+    limit += 8e-9 * stiffness.shape[0] * (8 * 3 + 80)
+    campaign = bench.campaign(TRUTH)
+    engine = job_engine(replace(campaign, run=campaign.run.model_copy(update={"memory_gb": limit})))
+    seen: list[Path] = []
+
+    def compute() -> ModalResult:
+        solver = ModeSolver()
+        found = solver.solve(stiffness, mass, 3)
+        seen.extend(engine.store.folder.glob("jobs/factors-*.part"))
+        node, energies = np.array([1]), 0.5 * found.eigenvalues
+        return ModalResult.of_shapes(found.eigenvalues, found.shapes[:1], node, node, energies, 0)
+
+    found = engine.derived({"modes": 3}, compute, ModalResult)
+    assert seen
+    np.testing.assert_allclose(found.eigenvalues, expected, rtol=1e-11)
+
+
+def test_jobs_take_shares_of_the_memory_by_what_their_like_took() -> None:
+    memory, modal = JobMemory(), ("calculix", "wing", "modal")
+    assert memory.limit(modal, 1000, named=True).taken == memory.limit(modal, 1000, True).slots
+    assert memory.limit(modal, 1000, named=False).taken == 1
+    memory.add(modal, 500, 1000)
+    memory.add(modal, 300, 1000)  # the largest counts
+    shares = memory.limit(modal, 1000, named=False)
+    assert shares.taken == shares.slots / 2
+    assert memory.limit(("calculix", "wing", "matrices"), 1000, named=False).taken == 1
+
+
+def test_a_job_larger_than_the_memory_runs_alone_and_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    memory, modal = JobMemory(), ("calculix", "wing", "modal")
+    for _ in range(2):
+        memory.add(modal, 3 * 10**9, 10**9)
+    assert memory.limit(modal, 10**9, named=True).taken == memory.limit(modal, 10**9, True).slots
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert "took 3 GB of memory, more than the 1 GB" in said

@@ -18,7 +18,7 @@ from modetune.adapters.calculix.solver import JOB, CalculixProgram, EditedCalcul
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Rendered
 from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, SolverExhausted
 from modetune.core.parameters import Parameter, Quantity, Values
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.store import Store
@@ -490,3 +490,19 @@ def test_each_configuration_has_matrices_of_its_own(tmp_path: Path, watcher: Any
     assert apart(stored) < 1e-6
     # The solver's way runs both models at every set, and takes moduli from their energies.
     assert (own.runs.sensitivity, own.runs.modal) == (0, 2 * len(own.iterations))
+
+
+@pytest.mark.parametrize("eigensolver", [STORED, OWN])
+def test_a_limit_of_memory_holds_whoever_finds_the_modes(
+    tmp_path: Path, watcher: Any, caplog: pytest.LogCaptureFixture, eigensolver: str
+) -> None:
+    """A megabyte: no factors, and solver runs that are told to be larger."""
+    file = written(replace(BAR, deck=row_of_materials(60)), tmp_path / "long")
+    limit = ["run.memory_gb=0.001", eigensolver, "update.max_iterations=1"]
+    if eigensolver == STORED:
+        with pytest.raises(SolverExhausted, match=r"1263 equations.* raise `run\.memory_gb`"):
+            update(file, tmp_path, watcher, *limit)
+    else:
+        assert update(file, tmp_path, watcher, *limit).iterations
+    assert "more than the 0.001 GB that may be taken (`run.memory_gb`" in caplog.text
+    assert not list((tmp_path / "store").glob("jobs/factors-*"))

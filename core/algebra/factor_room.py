@@ -1,0 +1,172 @@
+"""Where the factors of a matrix have room: in memory, or in files where they do not fit.
+
+PARDISO tells after its symbolic phase what the factors will take. With that, what this process
+holds already and what its vectors will take, memory suffices or does not; where it does not the
+unknowns are ordered once more for factors in files (what PARDISO does in two levels of parallel
+work goes in memory alone). Files are written once a factorisation and read twice a solution, and
+all the memory that is left buffers them: with a third of what the factors take a solution was seen
+to take two times, and a factorisation two to six times, as long as in memory.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import disk_usage
+
+from scipy import sparse
+
+from modetune.core.algebra.pardiso import FactorFiles, Pardiso
+from modetune.core.errors import SolverExhausted
+
+logger = logging.getLogger(__name__)
+
+#: Share of a machine's or container's memory that is planned with: the rest is the system's, and
+#: of processes that nobody counted.
+PLANNED = 0.9
+#: Names the memory that a program started by a campaign may take, bytes.
+MEMORY_VARIABLE = "MODETUNE_MEMORY_BYTES"
+#: Limits of the container that this process is in (control groups, versions 2 and 1), bytes.
+CONTAINER = ("memory.max", "memory.limit_in_bytes")
+
+
+@dataclass(frozen=True, slots=True)
+class FactorRoom:
+    """What factors may take.
+
+    memory_bytes: of this process, all that it holds; disk_bytes: of files; files: makes an empty
+    folder for the files of one matrix, with what removes it.
+    """
+
+    memory_bytes: int
+    disk_bytes: int
+    files: Callable[[], FactorFiles]
+
+
+_room: ContextVar[FactorRoom | None] = ContextVar("factor_room", default=None)
+
+
+@contextmanager
+def factor_room(room: FactorRoom) -> Iterator[None]:
+    """Within this context, and in this thread only, factors take no more than this room."""
+    token = _room.set(room)
+    try:
+        yield
+    finally:
+        _room.reset(token)
+
+
+def roomy_factors(upper: sparse.csr_array, *, matching: bool = False, columns: int = 0) -> Pardiso:
+    """A matrix with its unknowns ordered, for factors in memory or in files.
+
+    upper, matching: as `Pardiso` has them; columns: vectors (n,) that will be in memory beside the
+    factors. Raises as `Pardiso` does, SolverExhausted where neither memory nor disk suffices.
+    """
+    room = _room.get()
+    held = 0 if room is None else _resident()
+    factors = Pardiso(upper, matching=matching)
+    beside = held + 8 * columns * factors.n
+    peak = factors.memory.peak
+    if room is None or beside + peak <= room.memory_bytes:
+        return factors
+    factors.close()
+    files = room.files()
+    try:
+        return _in_files(upper, matching, room, files, beside, peak)
+    except BaseException:
+        files.remove()
+        raise
+
+
+def _in_files(
+    upper: sparse.csr_array,
+    matching: bool,
+    room: FactorRoom,
+    files: FactorFiles,
+    beside: int,
+    peak: int,
+) -> Pardiso:
+    factors = Pardiso(upper, matching=matching, files=files)
+    least, disk = beside + factors.memory_on_disk, factors.memory.factors
+    text = (
+        f"the factors of {factors.n} equations take {_gb(peak)}, beside {_gb(beside)} of what else "
+        f"is in memory, and {_gb(room.memory_bytes)} may be taken (`run.memory_gb`, or else what "
+        "machine or container have)"
+    )
+    free = disk_usage(files.folder).free
+    if least > room.memory_bytes:
+        raise SolverExhausted(
+            f"{text}; with factors on disk too it is {_gb(least)}; raise `run.memory_gb`, take a "
+            "machine with more memory, a smaller model, or fewer modes"
+        )
+    if disk > room.disk_bytes:
+        raise SolverExhausted(
+            f"{text}; on disk they take up to {_gb(disk)}, more than the {_gb(room.disk_bytes)} of "
+            "`run.disk_gb`; raise one of both"
+        )
+    if disk > free:
+        raise SolverExhausted(
+            f"{text}; on disk they take up to {_gb(disk)}, and the disk of {files.folder} has "
+            f"{_gb(free)}; free some space, or raise `run.memory_gb`"
+        )
+    files.memory_mb = (room.memory_bytes - beside) // 10**6
+    logger.info(
+        "%s: they go to disk, up to %s below %s, written once a factorisation and read twice a "
+        "solution: expect solutions to take some two times, and factorisations two to six times, "
+        "as long as in memory",
+        text,
+        _gb(disk),
+        files.folder,
+    )
+    return factors
+
+
+def machine_memory() -> int:
+    """Memory that this machine or container lets processes have together, bytes, with some left
+    for the system; or what a campaign gave to a program that it started."""
+    if given := os.environ.get(MEMORY_VARIABLE):
+        return int(given)
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    for folder in _control_groups(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")):
+        limits += [limit for name in CONTAINER if (limit := _number(folder / name))]
+    return int(PLANNED * min(limits))
+
+
+def _control_groups(told: Path, root: Path) -> Iterator[Path]:
+    """Folders of the groups that a process is in and of those above: each limits it."""
+    try:
+        lines = told.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, kinds, path = line.split(":", 2)
+        if kinds in ("", "memory"):
+            group = Path(path.lstrip("/"))
+            for part in (group, *group.parents):
+                yield root / kinds / part
+
+
+def _number(path: Path) -> int | None:
+    """The number in a file; None where there is none (`max`)."""
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def _resident() -> int:
+    """Memory that this process holds, bytes."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _gb(size: int) -> str:
+    return f"{size / 1e9:.3g} GB"
