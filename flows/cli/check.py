@@ -14,10 +14,12 @@ from modetune.flows.report.tables import json_object
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
     from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.report.ci_files import CheckOutcome
     from modetune.flows.report.tables import Table
+    from modetune.flows.studies.check.findings import Finding
     from modetune.flows.studies.check.judging import PreCheckReport
     from modetune.flows.studies.check.model import ModelFacts
-    from modetune.flows.updating.baseline import Band, BaselineCheck
+    from modetune.flows.updating.baseline import BaselineCheck
 
 MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
 
@@ -46,6 +48,12 @@ def check(
     state: BaselineState = "updated",
     frequency_band: FrequencyBand = 0.01,
     mac_band: MacBand = 0.05,
+    summary: Annotated[
+        Path | None, typer.Option(help="Add what was found to this file, in Markdown.")
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option(help="Write what was found as a JUnit report (XML).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Judge campaign, test and model before updating, at the cost of its first modal run.
@@ -59,14 +67,20 @@ def check(
             raise CampaignError("--against needs a solver run; with --record nothing is run")
         bands = frequency_band, mac_band
         with stoppable():
-            show_check(campaign_file, settings or [], against, record, state, bands, as_json)
-        return
+            campaign, found = compared(campaign_file, settings or [], against, record, state, bands)
+        outcome_of_comparison(campaign.name, found).write(summary, junit)
+        if as_json:
+            typer.echo(json.dumps(_told_check(found, state, bands)))
+        else:
+            _show_check(found)
+        raise typer.Exit(0 if found.within else 3)
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.studies.check.judging import check_campaign
 
     campaign = load_campaign(campaign_file, settings or [])
     with stoppable():
         report = check_campaign(campaign, run=not no_run)
+    _outcome(campaign.name, report).write(summary, junit)
     if as_json:
         typer.echo(json.dumps(told(campaign, report)))
     else:
@@ -129,10 +143,8 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
     show_table(console, table_of("Modes before updating", report.modes, ModePreview))
     show_table(console, _energy_table(report))
     for item in sorted(report.findings, key=lambda item: item.level == "good"):
-        where = f"{item.where}: " if item.where else ""
-        remedy = f"; {item.remedy}" if item.remedy else ""
         head = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
-        said = Text(f"{where}{item.what}{remedy}")
+        said = Text(_finding(item))
         if not console.is_terminal:  # there a finding stays one line
             console.print(head + said, soft_wrap=True)
             continue
@@ -161,16 +173,15 @@ def _energy_table(report: PreCheckReport) -> Table:
     return Table("Strain energy by parameter, % of each test mode", tuple(columns), rows)
 
 
-def show_check(
+def compared(
     campaign_file: Path,
     settings: list[str],
     baseline: Path | None,
     record: Path | None,
     state: str,
     bands: tuple[float, float],
-    as_json: bool,
-) -> None:
-    """Compare a campaign's model with a baseline; ends with exit code 3 outside its band."""
+) -> tuple[Campaign, BaselineCheck]:
+    """A campaign, and its model beside a baseline's, or that of a record."""
     from modetune.core.errors import CampaignError
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.updating.baseline import Band, State, check_deck, check_record
@@ -182,37 +193,72 @@ def show_check(
     model: State = "initial" if state == "initial" else "updated"
     campaign, band = load_campaign(campaign_file, settings), Band(*bands)
     if record is None:
-        found = check_deck(campaign, baseline, model, band)
-    else:
-        found = check_record(campaign, record, baseline, model, band)
-    if as_json:
-        typer.echo(json.dumps(_told_check(found, state, band)))
-    else:
-        _show_check(found)
-    if not found.within:
-        raise typer.Exit(3)
+        return campaign, check_deck(campaign, baseline, model, band)
+    return campaign, check_record(campaign, record, baseline, model, band)
 
 
 def _show_check(found: BaselineCheck) -> None:
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table, table_of
-    from modetune.flows.updating.baseline import ModeCheck
+    from modetune.flows.report.tables import show_table
 
-    outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
-    title = "Modes beside the baseline's"
-    show_table(terminal(), table_of(title, found.modes, ModeCheck, outside=outside))
-    end = "within the band" if found.within else f"worse than the baseline: {found.reason}"
-    for line in (*found.remarks, end):
+    show_table(terminal(), _comparison_table(found))
+    for line in (*found.remarks, _comparison_end(found)):
         typer.echo(line)
 
 
-def _told_check(found: BaselineCheck, state: str, band: Band) -> dict[str, Json]:
+def _comparison_table(found: BaselineCheck) -> Table:
+    from modetune.flows.report.tables import table_of
+    from modetune.flows.updating.baseline import ModeCheck
+
+    outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
+    return table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
+
+
+def _comparison_end(found: BaselineCheck) -> str:
+    return "within the band" if found.within else f"worse than the baseline: {found.reason}"
+
+
+def outcome_of_comparison(name: str, found: BaselineCheck) -> CheckOutcome:
+    """What a comparison with a baseline found, for CI."""
+    from modetune.flows.report.ci_files import CheckOutcome, Judged
+
+    judged = [Judged(f"mode {mode.label}", ", ".join(mode.reasons)) for mode in found.modes]
+    if not judged:  # a mode was lost
+        judged = [Judged("modes", found.reason)]
+    table = _comparison_table(found)
+    return CheckOutcome(name, _comparison_end(found), (table,), found.remarks, tuple(judged))
+
+
+def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
+    """What the pre-check found, for CI: only what is wrong fails."""
+    from modetune.flows.report.ci_files import CheckOutcome, Judged
+    from modetune.flows.report.tables import table_of
+    from modetune.flows.studies.check.pairing import ModePreview
+
+    said = [(item.subject, item.level, _finding(item)) for item in report.findings]
+    remarks = tuple(
+        f"{level}: {subject}: {text}" for subject, level, text in said if level != "good"
+    )
+    judged = tuple(
+        Judged(f"{subject}: {text}", text if level == "wrong" else "")
+        for subject, level, text in said
+    )
+    table = table_of("Modes before updating", report.modes, ModePreview)
+    return CheckOutcome(name, _end(report), (table,) if table.rows else (), remarks, judged)
+
+
+def _finding(item: Finding) -> str:
+    where = f"{item.where}: " if item.where else ""
+    return f"{where}{item.what}{f'; {item.remedy}' if item.remedy else ''}"
+
+
+def _told_check(found: BaselineCheck, state: str, bands: tuple[float, float]) -> dict[str, Json]:
     return json_object(
         found,
         "reason modes remarks",
         status="within" if found.within else "worse",
         state=state,
-        frequency_band=band.frequency,
-        mac_band=band.mac,
+        frequency_band=bands[0],
+        mac_band=bands[1],
         solver_runs=found.runs,
     )

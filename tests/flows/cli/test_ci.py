@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -11,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -55,6 +57,7 @@ def run(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
         "MODETUNE_STORE": str(folder / ".modetune" / "store"),
         "CAMPAIGN": "campaign.yaml",
         "BASELINE": "baseline.h5",
+        "GITHUB_STEP_SUMMARY": str(folder / "summary.md"),
     }
     return subprocess.run(
         ["bash", "-e", "-o", "pipefail", "-c", *command],
@@ -165,6 +168,13 @@ def test_a_change_that_no_parameter_makes_good_fails_both_jobs(repository: Path)
     failed = run(repository, deck)
     assert failed.returncode == 3
     assert "worse than the baseline: mode" in failed.stdout
+    summary = (repository / "summary.md").read_text()
+    assert summary.startswith("### six-mass: worse than the baseline: mode")
+    assert re.search(r"^\| \*\*2\*\* \|.*\| \*\*no\*\* \|$", summary, re.MULTILINE)
+    (suite,) = ElementTree.parse(repository / "modes.xml").getroot()
+    failures = [case.get("name") for case in suite if case.find("failure") is not None]
+    assert failures
+    assert (suite.get("tests"), suite.get("failures")) == ("3", str(len(failures)))
     update, judge = workflow_scripts("updated")[2:]
     assert run(repository, update).returncode == 0  # it ends without e1, which is not the question
     failed = run(repository, judge)
@@ -180,6 +190,18 @@ def test_a_dry_run_says_that_the_deck_changed(repository: Path) -> None:
     told = run(repository, f"modetune explain {key} --store campaign.yaml")
     assert told.returncode == 0, told.stderr
     assert "not run" in told.stdout
+
+
+def test_what_the_pre_check_found_is_a_summary_and_tests(repository: Path) -> None:
+    for _ in range(2):  # a step adds to what others wrote
+        said = run(repository, "modetune check campaign.yaml --summary s.md --junit j.xml --json")
+        assert said.returncode == 0, said.stderr
+    assert (repository / "s.md").read_text().count("### six-mass: ") == 2
+    (suite,) = ElementTree.parse(repository / "j.xml").getroot()
+    assert len(suite) == len(json.loads(said.stdout)["findings"]) > 3
+    assert all(case.find("failure") is None for case in suite)
+    said = run(repository, "modetune check campaign.yaml --summary no/s.md")
+    assert (said.returncode, said.stderr) == (2, "modetune: no/s.md: No such file or directory\n")
 
 
 def test_a_record_without_a_baseline_is_refused(repository: Path) -> None:

@@ -13,7 +13,7 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Values
-from modetune.flows.cli.check import show_check
+from modetune.flows.cli.check import check
 from modetune.flows.updating.baseline import Band, check_deck, check_record, read_agreement
 from modetune.flows.updating.running import update_campaign
 from tests.flows.conftest import ChainDeck, recased
@@ -144,10 +144,12 @@ def test_the_command_ends_with_three_and_tells_each_mode(
     campaign = campaign_of_deck(bench, {"k1": 1.2, "k2": 0.8, "m3": 1.4})
     monkeypatch.setattr("modetune.flows.campaign.campaign.load_campaign", lambda *_: campaign)
     with pytest.raises(typer.Exit) as ended:
-        show_check(Path("c.yaml"), [], baseline, None, "updated", (0.01, 0.05), as_json=True)
+        check(Path("c.yaml"), against=baseline, as_json=True)
     assert ended.value.exit_code == 3
     told = json.loads(capsys.readouterr().out)
     assert told["status"] == "worse"
     assert not all(mode["within"] for mode in told["modes"])
-    show_check(Path("c.yaml"), [], baseline, None, "updated", (1.0, 1.0), as_json=False)
+    with pytest.raises(typer.Exit) as ended:
+        check(Path("c.yaml"), against=baseline, frequency_band=1.0, mac_band=1.0)
+    assert ended.value.exit_code == 0
     assert capsys.readouterr().out.splitlines()[-1] == "within the band"
