@@ -64,7 +64,7 @@ Analysis = ModalAnalysis | MatrixAnalysis | SensitivityAnalysis
 
 
 #: Masses at the nodes alone, or spread as the displacements are; empty where nothing says so.
-MassKind = Literal["", "lumped", "consistent"]
+MassKind = Literal["", "lumped", "consistent", "consistent where elements have midside nodes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +73,8 @@ class Capabilities:
 
     tell_rigid: whether its strain energies of rigid modes are far below the rounding of their
     eigenvalues (stress times strain is, displacements times stiffness is not). matrix_modes:
-    whether modes of its stored matrices may stand for its own. masses: those of its jobs whatever
-    the deck asks for. to_confirm: names of those above
+    whether modes of its stored matrices may stand for its own. masses: those of its jobs where
+    they are not what the deck asks for. to_confirm: names of those above
     that count only where the self-test of this installation has passed them (`Solver.offers`).
     """
 
@@ -437,8 +437,8 @@ class Solver:
         if not (asked and has) or asked == has:
             return ""
         return (
-            f"the deck asks for {asked} masses (PARAM,COUPMASS), {self.program.name} has {has} "
-            "ones: frequencies differ where the mesh is coarse for the shape of a mode"
+            f"the deck asks for {asked} masses (PARAM,COUPMASS), those of {self.program.name} are "
+            f"{has}: frequencies differ where the mesh is coarse for the shape of a mode"
         )
 
     def render(self, values: Values, analysis: Analysis) -> Rendered:

@@ -5,8 +5,8 @@
 
 prints a row a deck (Markdown): whether it is read, whether it is written back byte for byte, how
 many modes each solver gives or the first reason why it gives none, and the largest difference of
-the reference's first four elastic frequencies from the nearest that is computed (bars whose mass is
-lumped have no torsion of their own, so that modes in order are not the same): the reference is the
+the reference's first four elastic frequencies from the nearest that is computed (some have torsion of
+bars that others do not, so that modes in order are not the same): the reference is the
 OP2 or F06 file beside the deck where there is one with modes, else MYSTRAN. `--json FILE` keeps the
 rows, `--counts` prints the sums alone. What is outside linear structural dynamics is told from the
 cards (outside.py), and counted apart.
@@ -47,7 +47,7 @@ from modetune.core.updating.results import ModalResult
 MODES = (10, 6, 4, 2, 1)
 #: Elastic modes that are compared.
 COMPARED = 4
-#: Of the largest frequency of a file: what is below is a rigid mode.
+#: Of the largest frequency: what is below is a rigid mode, of a solver that does not tell them too.
 RIGID = 1e-4
 #: Nodes whose shapes are asked for, to see that they are read.
 NODES = 3
@@ -160,15 +160,15 @@ def reference(path: Path) -> Floats:
 def compared(found: dict[str, Floats], reference: Floats) -> str:
     """Largest relative difference of elastic frequencies, and of what it is."""
     if reference.size:
-        known = np.where(reference < RIGID * reference.max(), 0.0, reference)
-        pairs = [(f"{name} / reference", values, known) for name, values in found.items()]
+        pairs = [(f"{name} / reference", values, reference) for name, values in found.items()]
     elif len(found) == 2:
         pairs = [("calculix / mystran", found["calculix"], found["mystran"])]
     else:
         return ""
     said = []
-    for name, values, other in pairs:
-        mine, wanted = values[values > 0.0], other[other > 0.0][:COMPARED]
+    for name, *both in pairs:
+        mine, wanted = (values[values > RIGID * values.max(initial=0.0)] for values in both)
+        wanted = wanted[:COMPARED]
         if not (mine.size and wanted.size):
             said.append(f"{name}: rigid modes alone")
             continue

@@ -18,7 +18,7 @@ import numpy as np
 
 from modetune.adapters.calculix.constants import constant_places
 from modetune.adapters.calculix.constraints import read_constraints
-from modetune.adapters.calculix.deck import KeywordCard
+from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck
 from modetune.adapters.calculix.incidence import EXPANDED, Incidence, roles_of
 from modetune.adapters.calculix.model import DEPENDENT, CalculixModel, read_number
 from modetune.adapters.solver import AffectedElements
@@ -165,16 +165,16 @@ def changed_places(
     return Changed(frozenset(changed), tuple(sorted(powers)), proportional)
 
 
-def changed_numbers(nominal: CalculixModel, text: str) -> dict[int, str] | None:
-    """The lines in which a text differs from a deck; None where more than numbers of cards do.
+def changed_numbers(nominal: CalculixModel, deck: KeywordDeck) -> dict[int, str] | None:
+    """The lines in which a deck differs from another; None where more than numbers of cards do.
 
     Of ties the factors may differ, and not what is tied.
     """
-    lines, now = nominal.deck.lines, text.split("\n")
-    if len(now) != len(lines):
+    lines = nominal.deck.lines
+    if len(deck.lines) != len(lines):
         return None
-    pairs = enumerate(zip(lines, now, strict=True))
-    changed = {place: new for place, (line, new) in pairs if line.text != new}
+    pairs = enumerate(zip(lines, deck.lines, strict=True))
+    changed = {place: new.text for place, (line, new) in pairs if line.text != new.text}
     cards = nominal.deck.cards
     starts = [card.lines.start for card in cards]
     for place, new in changed.items():

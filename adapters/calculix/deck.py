@@ -10,11 +10,12 @@ kept.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from itertools import count, repeat
+from itertools import count, pairwise, repeat
 from pathlib import Path
+from typing import overload
 
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
@@ -48,12 +49,36 @@ class KeywordCard:
         return any(self.keyword == canonical_name(keyword) for keyword in keywords)
 
 
+class OwnLines(Sequence[Line]):
+    """Lines of a text, each made when it is looked at: a translated deck has a million."""
+
+    def __init__(self, texts: Sequence[str], file: Path) -> None:
+        self._texts = texts
+        self._file = file
+
+    def __len__(self) -> int:
+        return len(self._texts)
+
+    @overload
+    def __getitem__(self, place: int) -> Line: ...
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[Line]: ...
+    def __getitem__(self, place: int | slice) -> Line | Sequence[Line]:
+        if isinstance(place, slice):
+            return list(self)[place]
+        return Line(self._texts[place], self._file, range(1, len(self._texts) + 1)[place])
+
+    def __iter__(self) -> Iterator[Line]:
+        fields = zip(self._texts, repeat(self._file), count(1), repeat(False))
+        return map(partial(tuple.__new__, Line), fields)  # without a call of Python each
+
+
 @dataclass(frozen=True, slots=True)
 class KeywordDeck:
     """A deck with its includes in place: lines as they stand, and the cards they form."""
 
     file: Path
-    lines: tuple[Line, ...]
+    lines: Sequence[Line]
     cards: tuple[KeywordCard, ...]
     includes: tuple[Include, ...]
 
@@ -86,11 +111,17 @@ def read_deck(path: Path) -> KeywordDeck:
 
 
 def parse_deck(file: Path, text: str) -> KeywordDeck:
-    """A deck from its text, which includes nothing; `file` is what messages call it."""
-    # A translated deck has a million lines: they are made without a call of Python each.
-    fields = zip(text.split("\n"), repeat(file), count(1), repeat(False))
-    lines = tuple(map(partial(tuple.__new__, Line), fields))
-    return KeywordDeck(file, lines, tuple(_cards(lines)), ())
+    """A deck from text of our own; `file` is what messages call it.
+
+    It has no includes, comments, blank lines and keywords of more than a line.
+    """
+    texts = text.split("\n")
+    starts = [place for place, line in enumerate(texts) if line[:1] == "*"]
+    cards = tuple(
+        _card(texts[start], range(start, stop), range(start + 1, stop))
+        for start, stop in pairwise([*starts, len(texts) - 1])
+    )
+    return KeywordDeck(file, OwnLines(texts, file), cards, ())
 
 
 def with_added(
@@ -162,7 +193,7 @@ def _cards(lines: Sequence[Line]) -> Iterable[KeywordCard]:
         yield _card(header, range(start, len(lines)), data)
 
 
-def _card(header: str, lines: range, data: list[int]) -> KeywordCard:
+def _card(header: str, lines: range, data: Iterable[int]) -> KeywordCard:
     keyword, *options = header.split(",")
     pairs = (option.partition("=") for option in options)
     settings = {canonical_name(name): canonical_name(value) for name, _, value in pairs}

@@ -15,7 +15,8 @@ from modetune.core.modes import Floats
 class PointMass:
     """A rigid body at a grid point, in basic coordinates and the deck's own unit (no WTMASS).
 
-    centre: (3,), of gravity; inertia: (3, 3), about the centre, as a tensor.
+    centre: (3,), of gravity; inertia: (3, 3), about the centre, as a tensor. eid: of its element,
+    0 where it is of several. group: of masses that are always alike.
     """
 
     eid: int
@@ -23,11 +24,12 @@ class PointMass:
     mass: float
     centre: Floats
     inertia: Floats
+    group: str = ""
 
     @property
     def name(self) -> str:
-        """Of its set and material in CalculiX."""
-        return f"CONM2_{self.eid}_{self.node}"
+        """Of its set and material in CalculiX: that of its group, or its own."""
+        return self.group or f"CONM2_{self.eid}_{self.node}"
 
 
 def point_mass(element: Any) -> PointMass:

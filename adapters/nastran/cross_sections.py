@@ -107,6 +107,20 @@ class CrossSection:
         centre = station.neutral + share * apart
         return total, centre, second + own * share * np.outer(apart, apart)
 
+    @property
+    def end_masses(self) -> tuple[float, float]:
+        """What each end has of the mass where it is lumped, per length of the beam.
+
+        Each place shares its mass as the lever does: integrals of m (1 - x) and m x.
+        """
+        whole = first = 0.0
+        for start, stop in self.stretches:
+            a, b = self.mass(start)[0], self.mass(stop)[0]
+            own = 0.5 * (stop - start) * (a + b)
+            whole += own
+            first += start * own + (stop - start) ** 2 * (a + 2.0 * b) / 6.0
+        return whole - first, first
+
 
 def cross_section(card: Any) -> CrossSection:
     """The cross-section of a property card, or of a CONROD. Raises ValueError with the reason."""

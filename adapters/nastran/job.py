@@ -155,7 +155,7 @@ def _bulk(
     if dialect.name == "mystran":
         deck = with_lines(model.deck, changed) if changed else model.deck
         bulk = partial(model.bulk_at, dict(changed))
-        return mystran_cards(deck, bulk, left_out, n_modes)
+        return mystran_cards(deck, bulk, left_out, n_modes, model.masses() == "lumped")
     kept = {line for card in model.deck.cards if not left_out(card) for line in card.lines}
     return [_text(model.deck, changed, position) for position in sorted(kept)]
 

@@ -35,6 +35,7 @@ from modetune.adapters.nastran.harmless import (
     changing_model_parameter,
     changing_parameter,
 )
+from modetune.adapters.nastran.lumped_masses import lumped_properties
 from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.places import ValuePlace as ValuePlace
 from modetune.adapters.nastran.places import find_places
@@ -183,6 +184,13 @@ class NastranModel(Deck):
             asked.setdefault(card.text(1), card.text(2))
         said = asked.get("COUPMASS", "").upper()
         return "consistent" if said == "YES" or (said.isdigit() and int(said) > 0) else "lumped"
+
+    def other_masses(self) -> MassKind:
+        """Which masses jobs on other solvers have where the deck asks for lumped ones."""
+        whole = lumped_properties(self.bulk) == frozenset(self.bulk.properties)
+        if whole or self.masses() != "lumped":
+            return ""
+        return "consistent where elements have midside nodes"
 
     @property
     def wtmass(self) -> float:

@@ -18,6 +18,8 @@ from modetune.adapters.nastran.mystran_beams import BeamCards
 from modetune.adapters.nastran.mystran_scalars import ALL, ELEMENTS, PROPERTIES, Card, Scalars
 from modetune.adapters.nastran.mystran_shells import CARDS as SHELL_CARDS
 from modetune.adapters.nastran.mystran_shells import ShellCards
+from modetune.adapters.nastran.mystran_solids import CARDS as SOLID_CARDS
+from modetune.adapters.nastran.mystran_solids import SolidCards
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
@@ -32,10 +34,6 @@ COMPARED = frozenset({
 })  # fmt: skip
 #: Field of shells that says whether their thicknesses are relative.
 TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
-#: Field of a PSOLID that says how many points a solid is integrated with.
-INTEGRATION = 4
-#: Its field for full integration of shear, and the last corner of a CTETRA without midside nodes.
-ISOP, CORNERS_OF_FOUR = 6, 6
 #: Fields of two lines in large field, as many as one in small field has.
 PAIR_OF_LINES = 8
 #: Cards of which MYSTRAN reads the last odd line past the places that it has for it.
@@ -63,25 +61,27 @@ def mystran_cards(
     bulk: Callable[[], Bulk],
     left_out: Callable[[NastranCard], bool],
     n_modes: int = 0,
+    lumped: bool = False,
 ) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
-    bulk: pyNastran's model of the same deck, for cards of beams, shells and bodies.
-    n_modes: how many it must be able to find. Blank fields that a GRDSET or BAROR fills are filled.
-    MYSTRAN's solids have no default for the integration, so a blank IN of PSOLID becomes 2 (two
-    points a direction), or what CTETRA of ten nodes require. Raises ModelError for all cards it
-    cannot take, with the lines they stand in.
+    bulk: pyNastran's model of the same deck, for cards of beams, shells, solids and bodies.
+    n_modes: how many it must be able to find. lumped: whether the deck asks for lumped masses.
+    Blank fields that a GRDSET or BAROR fills are filled. Raises ModelError for all cards it cannot
+    take, with the lines they stand in.
     """
     scalars, unused = Scalars(deck), unused_properties(deck)
-    solids: dict[str, set[bool]] = {}  # properties, and whether their solids are CTETRA of ten
-    for card in deck.named("CHEXA", "CPENTA", "CTETRA"):
-        ten = card.name == "CTETRA" and bool(card.text(CORNERS_OF_FOUR + 1))
-        solids.setdefault(card.text(2), set()).add(ten)
     cards: list[Card] = list(scalars.grids())
     problems: dict[str, list[str]] = {}
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
     beams = BeamCards(bulk, scalars.new_number)
     shells = ShellCards(bulk, scalars.new_number)
+    solids = SolidCards(deck, bulk, scalars.new_number, lumped)
+    writers: dict[str, BeamCards | ShellCards | SolidCards] = {
+        **dict.fromkeys(BEAM_CARDS, beams),
+        **dict.fromkeys(SHELL_CARDS, shells),
+        **dict.fromkeys(SOLID_CARDS, solids),
+    }
     frames = cache(lambda: output_frames(bulk()))
     for card in deck.cards:
         if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
@@ -91,9 +91,9 @@ def mystran_cards(
             reason = scalars.obstacle(card)
         if not reason and card.name == "RBE3":
             reason = _unlike_frames(bulk().rigid_elements[int(card.text(1))], frames())
-        if card.name in (*BEAM_CARDS, *SHELL_CARDS):
+        if card.name in writers:
             try:
-                written = (beams if card.name in BEAM_CARDS else shells).cards(card)
+                written = writers[card.name].cards(card)
             except ValueError as error:
                 reason = f"{card.name} in MYSTRAN: {error}"
             else:
@@ -104,10 +104,8 @@ def mystran_cards(
             problems.setdefault(reason, []).append(deck.where(card))
             continue
         fields = filled(card, defaults.get(card.name))
-        if card.name == "PSOLID":
-            fields = _solid_property(fields, solids.get(card.text(1), set()))
         cards += _written(card, fields, scalars)
-    cards += beams.rest()
+    cards += (*beams.rest(), *solids.rest())
     if problems:
         raise ModelError(
             "\n".join(
@@ -125,22 +123,6 @@ def _paired(name: str, fields: list[str]) -> list[str]:
     """The fields of a card, blank ones added where MYSTRAN counts in whole pairs of lines."""
     more = -len(fields) % PAIR_OF_LINES if name in COUNTED else 0
     return [*fields, *[""] * more]
-
-
-def _solid_property(fields: list[str], ten: set[bool]) -> list[str]:
-    """A PSOLID of mid, frame and integration alone, which MYSTRAN has no default for.
-
-    ten: whether it belongs to CTETRA with ten nodes, to other solids, or to both.
-    """
-    fields += [""] * (ISOP - len(fields))
-    given = fields[INTEGRATION - 1]
-    points = (
-        given if given in ("3", "THREE") or (given in ("2", "TWO") and True not in ten) else "2"
-    )
-    if points == "2" and True in ten:
-        points = "3" if False in ten else ""
-    full = "FULL" if fields[ISOP - 1] in ("1", "FULL") and True not in ten else ""
-    return [*fields[: INTEGRATION - 1], points, *(["", full] if full else [])]
 
 
 def _written(card: NastranCard, fields: list[str], scalars: Scalars) -> list[Card]:

@@ -220,6 +220,8 @@ def _solver(deck: Path, parameters: tuple[Parameter, ...], dialect: Dialect) -> 
     model = understand(read_deck(deck), parameters)
     if dialect.name == "mystran":
         model.check()
+        has = replace(dialect.capabilities, masses=model.other_masses() or "lumped")
+        dialect = replace(dialect, capabilities=has)
     elif model.objections:
         logger.warning(
             "%s: %d of its cards are left to Nastran alone, such as %s",

@@ -42,8 +42,8 @@ class Beam:
 
     ends: (2, 3), basic coordinates of the line of shear centres; axes: (3, 3), x, y, z as rows.
     motion: (12, 12), from the grid points' basic displacements and rotations (of A, of B) to those
-    of the beam's ends in its axes, released ends included. torsional_share: how much of its radius
-    of gyration counts when it twists.
+    of the beam's ends in its axes, released ends included; carried: where nothing is released.
+    torsional_share: how much of its radius of gyration counts when it twists.
     """
 
     eid: int
@@ -52,6 +52,7 @@ class Beam:
     ends: Floats
     axes: Floats
     motion: Floats
+    carried: Floats
     torsional_share: float = 1.0
 
     @property

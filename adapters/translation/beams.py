@@ -7,23 +7,26 @@ points' freedoms (`beam_theory`); offsets and released ends are part of the form
 The mass between two stations is one C3D8 of no stiffness. Its eight integration points are two
 Gauss stations along the beam times the radii of gyration across it, and they move as the beam's own
 shape does: the corners are tied to the straight line through the two stations. Mass, centre and
-inertia are exact, rotary inertia included; the width varies as the mass along the beam does.
+inertia are exact, rotary inertia included; the width varies as the mass along the beam does. Where
+the deck lumps masses one C3D8, whose Gauss stations are the ends, has each end's share there: with
+the torsional inertia of a CBEAM and none about the other axes, as Nastran lumps it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from modetune.adapters.nastran.beam_axes import beam_axes
 from modetune.adapters.nastran.cross_sections import check_warping, cross_section
+from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.beam_theory import Beam, cross_matrix
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
 from modetune.adapters.translation.freedoms import Form, Freedoms, difference, trimmed
-from modetune.adapters.translation.shells import SetsOf
 from modetune.adapters.translation.springs import GroundedSprings
 from modetune.core.modes import Floats
 
@@ -47,28 +50,20 @@ GAUSS = math.sqrt(1.0 / 3.0)
 SLOPE = 0.999
 
 
-def translate_beams(
-    bulk: Any,
-    builder: CalculixText,
-    freedoms: Freedoms,
-    problems: list[str],
-    wtmass: float,
-    sets_of: SetsOf,
-) -> None:
+def translate_beams(model: Assembly) -> None:
     """Add all bars, beams and rods; after the constraints, which say what is fixed."""
-    springs = GroundedSprings(builder, freedoms)
-    for element in bulk.elements.values():
-        if element.type not in KINDS:
-            continue
+    freedoms = model.freedoms
+    springs = GroundedSprings(freedoms)
+    for element in model.elements(*KINDS):
         try:
             beam = beam_of(element, freedoms)
             forms, stiffnesses = beam.springs
         except (ValueError, np.linalg.LinAlgError) as error:
             impossible = isinstance(error, np.linalg.LinAlgError)
             reason = "I12 is more than I1 and I2 allow" if impossible else error
-            problems.append(f"{element.type} {element.eid}: {reason}")
+            model.refuse(element, reason)
             continue
-        sets = sets_of(element)
+        sets = model.sets_of(element)
         springs.add(
             [
                 (_form(row, beam, freedoms), stiffness)
@@ -76,8 +71,8 @@ def translate_beams(
             ],
             sets,
         )
-        for stretch in beam.section.stretches:
-            _add_mass(beam, stretch, builder, freedoms, wtmass, sets)
+        for carrier in _carriers(beam, model.lumped):
+            _add_mass(model, beam, carrier, sets)
 
 
 def beam_of(element: Any, freedoms: Freedoms) -> Beam:
@@ -90,7 +85,7 @@ def beam_of(element: Any, freedoms: Freedoms) -> Beam:
     turn[6:9, 9:12] = where.axes @ cross_matrix(where.offsets[1])
     share = BAR_TORSION if element.type == "CBAR" else 1.0
     first, second = element.node_ids
-    beam = Beam(element.eid, (first, second), section, where.ends, where.axes, turn, share)
+    beam = Beam(element.eid, (first, second), section, where.ends, where.axes, turn, turn, share)
     return beam if is_rod else _released(beam, element)
 
 
@@ -129,62 +124,103 @@ def _form(row: Floats, beam: Beam, freedoms: Freedoms) -> Form:
     return trimmed(form)
 
 
-def _add_mass(
-    beam: Beam,
-    stretch: tuple[float, float],
-    builder: CalculixText,
-    freedoms: Freedoms,
-    wtmass: float,
-    sets: Any,
-) -> None:
-    """Of the beam between two places 0..1 of its length, where its mass changes linearly."""
-    ends = [beam.section.mass(place) for place in stretch]
-    mass = 0.5 * (ends[0][0] + ends[1][0])
-    if not mass:
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """A box whose mass moves as two stations of a beam do, where its Gauss points are.
+
+    stretch: where it begins and ends, 0..1 of the beam's length; mass: mean, per length; slope: its
+    change to an end, as a share; centres: (2,) at both ends. Of each station its shape (6, 12) and
+    its mass, centre and second moments; turning: (3,), share of the levers that turns with it.
+    """
+
+    stretch: tuple[float, float]
+    mass: float
+    slope: float
+    centres: tuple[Floats, Floats]
+    shapes: tuple[Floats, Floats]
+    stations: tuple[tuple[float, Floats, Floats], ...]
+    turning: Floats
+
+
+def _carriers(beam: Beam, lumped: bool) -> Iterator[Carrier]:
+    """Of the whole beam, or between two places where its mass changes linearly.
+
+    Lumped masses are those of the ends, which twist and do not turn otherwise.
+    """
+    section, turning = beam.section, np.array([beam.torsional_share, 1.0, 1.0])
+    for start, stop in [(0.0, 1.0)] if lumped else section.stretches:
+        ends = [section.mass(place) for place in (start, stop)]
+        mean, slope = 0.5 * (ends[0][0] + ends[1][0]), 0.0
+        gauss = [0.5 * (start + stop) + 0.5 * sign * GAUSS * (stop - start) for sign in (-1.0, 1.0)]
+        stations = tuple(section.mass(place) for place in gauss)
+        centres = ends[0][1], ends[1][1]
+        if lumped:
+            near, far = section.end_masses
+            if near + far:
+                slope = (far - near) / (near + far) / GAUSS
+            beyond = (1.0 - GAUSS) / (2.0 * GAUSS)  # the Gauss points are at the ends then
+            apart = beyond * (centres[1] - centres[0])
+            yield Carrier(
+                (-beyond, 1.0 + beyond),
+                GAUSS * (near + far),
+                slope,
+                (centres[0] - apart, centres[1] + apart),
+                (beam.carried[:6], beam.carried[6:]),
+                stations,
+                turning * [1.0, 0.0, 0.0],
+            )
+            continue
+        if mean:
+            slope = 0.5 * (ends[1][0] - ends[0][0]) / mean
+        near_shape, far_shape = (beam.station(place) @ beam.motion for place in gauss)
+        shapes = near_shape, far_shape
+        yield Carrier((start, stop), mean, slope, centres, shapes, stations, turning)
+
+
+def _add_mass(model: Assembly, beam: Beam, carrier: Carrier, sets: Sequence[str]) -> None:
+    """Add a carrier, if there is anything to carry."""
+    if not carrier.mass:
         return
-    start, stop = stretch
-    length = (stop - start) * beam.length
-    gauss = [0.5 * (start + stop) + 0.5 * sign * GAUSS * (stop - start) for sign in (-1.0, 1.0)]
-    stations = [beam.section.mass(place) for place in gauss]
+    start, stop = carrier.stretch
     # Roots of the second moments: levers at which four masses have these.
-    levers = [_root(second / own) for own, _, second in stations]
+    levers = [_root(second / own) for own, _, second in carrier.stations]
     radii = np.sqrt(np.mean([(lever @ lever).diagonal() for lever in levers], axis=0))
     # Sides of a uniform box with these radii of gyration; a box needs some extent all the same.
-    sides = np.maximum(math.sqrt(12.0) * radii, 1e-3 * length)
-    slope = np.clip(0.5 * (ends[1][0] - ends[0][0]) / mass, -SLOPE, SLOPE)
-    shapes = [beam.station(place) @ beam.motion for place in gauss]
+    sides = np.maximum(math.sqrt(12.0) * radii, 1e-3 * (stop - start) * beam.length)
+    slope = np.clip(carrier.slope, -SLOPE, SLOPE)
     nodes = []
     for along, *across in CORNERS:
         arm = 0.5 * np.array(across) * sides * [1.0, 1.0 + along * slope]
         end = int(along > 0.0)
-        node = builder.new_node(beam.place(stretch[end], ends[end][1] + arm))
+        place = beam.place(carrier.stretch[end], carrier.centres[end] + arm)
+        node = model.builder.new_node(place)
         near, far = (
-            _moved(shape, centre, lever @ across, beam.torsional_share)
-            for shape, (_, centre, _), lever in zip(shapes, stations, levers, strict=True)
+            _moved(shape, centre, lever @ across, carrier.turning)
+            for shape, (_, centre, _), lever in zip(
+                carrier.shapes, carrier.stations, levers, strict=True
+            )
         )
         moved = 0.5 * (near + far) + 0.5 * along / GAUSS * (far - near)
         for component, row in enumerate(beam.axes.T @ moved, start=1):
             own = (node, component)
-            form = difference({own: 1.0}, _form(row, beam, freedoms))
-            freedoms.tie([form], [own], f"node {node}")
+            form = difference({own: 1.0}, _form(row, beam, model.freedoms))
+            model.freedoms.tie([form], [own], f"node {node}")
         nodes.append(node)
-    density = mass * wtmass / float(np.prod(sides))
-    name = _mass_material(builder, density, beam.section.youngs_modulus)
-    builder.new_element("C3D8", nodes, (name, *sets))
+    density = carrier.mass * model.wtmass / float(np.prod(sides))
+    name = _mass_material(model.builder, density, beam.section.youngs_modulus)
+    model.builder.new_element("C3D8", nodes, (name, *sets))
 
 
-def _moved(station: Floats, centre: Floats, lever: Floats, torsional_share: float) -> Floats:
+def _moved(station: Floats, centre: Floats, lever: Floats, turning: Floats) -> Floats:
     """(3, n), displacement of a place beside the shear centre; centre, lever: (2,), y and z.
 
-    The lever is a radius of gyration at the integration points, which twists by its share alone.
+    The lever is a radius of gyration at the integration points, which turns by shares (3,) alone.
     """
-    turning = station[3:].copy()
-    turning[0] *= torsional_share
     corner = lever / GAUSS
     return np.asarray(
         station[:3]
         + cross_matrix(np.array([0.0, *centre])) @ station[3:]
-        + cross_matrix(np.array([0.0, *corner])) @ turning
+        + cross_matrix(np.array([0.0, *corner])) @ (turning[:, None] * station[3:])
     )
 
 

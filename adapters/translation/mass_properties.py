@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.calculix.deck import KeywordDeck, parse_deck
+from modetune.adapters.calculix.deck import KeywordDeck
+from modetune.adapters.nastran.element_geometry import SHAPES, Points, integration_points
 from modetune.adapters.translation.calculix_text import CalculixText
-from modetune.adapters.translation.element_geometry import SHAPES, Points, integration_points
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
@@ -119,12 +118,11 @@ def check_masses(expected: MassProperties, found: MassProperties, size: float) -
     return f"{expected}; CalculiX differs by: {said}"
 
 
-def calculix_mass_properties(builder: CalculixText, text: str) -> MassProperties:
-    """Mass properties of the model; text: of the deck, whose sections and densities count.
+def calculix_mass_properties(builder: CalculixText, deck: KeywordDeck) -> MassProperties:
+    """Mass properties of the model by the sections and densities of its deck.
 
     Springs have no mass; scalar masses are left out, as they are on the other side.
     """
-    deck = parse_deck(Path("translation"), text.partition("*EQUATION")[0])
     densities = _densities(deck)
     groups: dict[tuple[str, bool], list[tuple[float, tuple[int, ...]]]] = {}
     parts: list[Moments] = []
@@ -133,6 +131,8 @@ def calculix_mass_properties(builder: CalculixText, text: str) -> MassProperties
         if name.startswith(SCALAR_MASS):
             continue
         density = densities.get(card.option("MATERIAL"), 0.0)
+        if not (density or card.is_one_of("*MASS")):
+            continue
         for number in builder.sets.get(name, []):
             kind, _, nodes = builder.elements[number - 1]
             if card.is_one_of("*MASS"):

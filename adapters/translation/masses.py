@@ -12,16 +12,18 @@ negative mass.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from modetune.adapters.nastran.bodies import PointMass, point_mass
+from modetune.adapters.nastran.element_geometry import SHAPES, nodal_measures
 from modetune.adapters.nastran.geometry import local_axes
-from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.element_geometry import SHAPES, nodal_measures
+from modetune.adapters.nastran.lumped_masses import Lump, mass_of
+from modetune.adapters.translation.assembly import Assembly
+from modetune.adapters.translation.calculix_text import number_list
 from modetune.adapters.translation.freedoms import (
     NOTHING,
     Form,
@@ -30,10 +32,11 @@ from modetune.adapters.translation.freedoms import (
     total,
 )
 from modetune.adapters.translation.mass_properties import POINT, SCALAR_MASS
-from modetune.adapters.translation.shells import SetsOf
 from modetune.adapters.translation.springs import scalar_form
 from modetune.core.modes import Floats
 
+#: Sources of densities, and volume or area of each.
+Shares = tuple[tuple[Hashable, float], ...]
 #: Corners of a C3D8 in ccx's order, as signs of the half sides; the axes are right-handed.
 CORNER_SIGNS = np.array(
     [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1),
@@ -115,21 +118,15 @@ def _symmetric(element: Any) -> Floats:
     return np.asarray(lower + np.tril(lower, -1).T)
 
 
-def translate_scalar_masses(
-    bulk: Any,
-    builder: CalculixText,
-    freedoms: Freedoms,
-    problems: list[str],
-    wtmass: float,
-    sets_of: SetsOf,
-) -> None:
+def translate_scalar_masses(model: Assembly) -> None:
     """Add all masses that are not a body's; after all equations."""
+    builder, freedoms = model.builder, model.freedoms
     side, origin = 1e-3 * builder.size, next(iter(builder.coordinates.values()))
-    for element in bulk.masses.values():
+    for element in model.bulk.masses.values():
         try:
             parts = list(_scalar_masses(element, freedoms))
         except ValueError as reason:
-            problems.append(f"{element.type} {element.eid}: {reason}")
+            model.refuse(element, reason)
             continue
         for count, (form, mass) in enumerate(parts):
             nodes = [builder.new_node(origin + 0.5 * side * signs) for signs in CORNER_SIGNS]
@@ -139,7 +136,7 @@ def translate_scalar_masses(
                 for component in (2, 3):
                     builder.fixed(node, component)
             name = f"{SCALAR_MASS}{element.eid}_{count}"
-            _add_brick(builder, nodes, name, mass * wtmass / side**3, sets_of(element))
+            _add_brick(model, nodes, name, mass * model.wtmass / side**3, model.sets_of(element))
 
 
 def _scalar_masses(element: Any, freedoms: Freedoms) -> Iterator[tuple[Form, float]]:
@@ -162,18 +159,31 @@ def _scalar_masses(element: Any, freedoms: Freedoms) -> Iterator[tuple[Form, flo
                 yield form, mass
 
 
-def translate_masses(
-    bulk: Any,
-    masses: list[PointMass],
-    builder: CalculixText,
-    freedoms: Freedoms,
-    wtmass: float,
-    sets_of: SetsOf,
-) -> None:
+def grouped_masses(
+    lumped: Sequence[Lump], densities: Mapping[Hashable, float]
+) -> tuple[list[PointMass], dict[str, Shares]]:
+    """Lumped masses, and what those of each group have of each density's source.
+
+    Groups are of equal shares, so that they stay alike whatever the densities are.
+    """
+    names: dict[Shares, str] = {}
+    found, zero = [], np.zeros((3, 3))
+    for lump in lumped:
+        alike = tuple((source, float(f"{measure:.9e}")) for source, measure in lump.shares)
+        mass = mass_of(alike, densities)
+        if mass:
+            name = names.setdefault(alike, f"LUMP_{len(names) + 1}")
+            found.append(PointMass(0, lump.node, mass, lump.place, zero, name))
+    return found, {name: shares for shares, name in names.items()}
+
+
+def translate_masses(model: Assembly, masses: list[PointMass]) -> None:
     """Add all concentrated masses; after all equations, which say what depends on what."""
+    builder, freedoms, bulk = model.builder, model.freedoms, model.bulk
     size = builder.size
     for body in masses:
-        sets = sets_of(bulk.masses.get(body.eid) or bulk.elements[body.eid])
+        element = bulk.masses.get(body.eid) or bulk.elements.get(body.eid)
+        sets = model.sets_of(element) if element else ()
         near = 1e-9 * size
         offset = float(np.abs(body.centre - builder.coordinates[body.node]).max()) > near
         # A grid point without rotations (of solids) carries its masses along, not round.
@@ -186,11 +196,13 @@ def translate_masses(
             and not any(freedoms.is_dependent(f) for f in freedoms.translations(body.node))
         ):
             if body.mass:
+                if body.name not in builder.sets:
+                    line = number_list((body.mass * model.wtmass,))
+                    builder.section([f"*MASS, ELSET={body.name}", line])
                 builder.new_element("MASS", (body.node,), (body.name, *sets))
-                builder.section([f"*MASS, ELSET={body.name}", number_list((body.mass * wtmass,))])
             continue
         for box in _boxes(body) if turns else [Box(body.mass, np.zeros(3), np.eye(3))]:
-            _add_box(builder, freedoms, body, box, turns, 1e-3 * size, wtmass, sets)
+            _add_box(model, body, box, turns, sets)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,34 +234,36 @@ def _box(mass: float, second: Floats, axes: Floats) -> Box:
     return Box(mass, np.sqrt(12.0 * second / mass), axes)
 
 
-def _add_box(
-    builder: CalculixText,
-    freedoms: Freedoms,
-    body: PointMass,
-    box: Box,
-    turns: bool,
-    small: float,
-    wtmass: float,
-    sets: Sequence[str],
-) -> None:
+def _add_box(model: Assembly, body: PointMass, box: Box, turns: bool, sets: Sequence[str]) -> None:
     """A C3D8 of the box's mass; one without extent moves as its centre does."""
-    least = 1e-3 * float(box.sides.max()) or small
-    sides = np.maximum(box.sides, least)
+    sides = np.maximum(box.sides, 1e-3 * float(box.sides.max()) or 1e-3 * model.builder.size)
     nodes = []
     for signs in CORNER_SIGNS:
         place = body.centre + box.axes @ (0.5 * sides * signs)
-        node = builder.new_node(place)
+        node = model.builder.new_node(place)
         seen = place if box.sides.any() else body.centre
-        freedoms.follow(node, body.node, seen, turns)
+        model.freedoms.follow(node, body.node, seen, turns)
         nodes.append(node)
     name = body.name + ("" if box.mass > 0.0 else "_LESS") + ("" if box.sides.any() else POINT)
-    _add_brick(builder, nodes, name, box.mass * wtmass / float(np.prod(sides)), sets)
+    _add_brick(model, nodes, name, box.mass * model.wtmass / float(np.prod(sides)), sets)
 
 
 def _add_brick(
-    builder: CalculixText, nodes: Sequence[int], name: str, density: float, sets: Sequence[str]
+    model: Assembly, nodes: Sequence[int], name: str, density: float, sets: Sequence[str]
 ) -> None:
     """A C3D8 that is never strained, in a set and of a material of its own."""
-    builder.new_element("C3D8", nodes, (name, *sets))
-    builder.material(name, ["*ELASTIC", "1., 0.", "*DENSITY", number_list((density,))])
-    builder.section([f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"])
+    if name not in model.builder.sets:
+        model.builder.material(name, brick_lines(density))
+        model.builder.section([f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"])
+    model.builder.new_element("C3D8", nodes, (name, *sets))
+
+
+def brick_lines(density: float) -> tuple[str, ...]:
+    """The cards of the material of a mass's brick."""
+    return ("*ELASTIC", "1., 0.", "*DENSITY", number_list((density,)))
+
+
+def group_lines(name: str, mass: float, size: float) -> dict[str, tuple[str, ...]]:
+    """The numbers of a group of masses (WTMASS in them): its *MASS, and its brick's material."""
+    volume = float(np.prod(np.full(3, 1e-3 * size)))
+    return {name: (number_list((mass,)),), name + POINT: brick_lines(mass / volume)}

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.nastran.bodies import PointMass
+from modetune.adapters.nastran.element_geometry import SHAPES, Points, integration_points
+from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.beams import KINDS as BARS
 from modetune.adapters.translation.beams import beam_of
-from modetune.adapters.translation.element_geometry import SHAPES, Points, integration_points
 from modetune.adapters.translation.freedoms import Freedoms
 from modetune.adapters.translation.mass_properties import (
     MassProperties,
@@ -29,18 +30,15 @@ from modetune.core.modes import Floats
 
 
 def nastran_mass_properties(
-    bulk: Any,
-    plates: Sequence[Shell],
-    masses: list[PointMass],
-    freedoms: Freedoms,
-    wtmass: float,
+    model: Assembly, plates: Sequence[Shell], masses: list[PointMass]
 ) -> MassProperties:
     """Mass properties of a model that can be translated; WTMASS is in them."""
+    freedoms, wtmass = model.freedoms, model.wtmass
     solids: dict[str, list[tuple[Floats, float]]] = {}
     shells: dict[str, list[tuple[Floats, float, float]]] = {}
     parts = [_point(body, freedoms, wtmass) for body in masses]
-    for element in bulk.elements.values():
-        if element.type in SOLIDS:
+    for element in model.bulk.elements.values():
+        if element.type in SOLIDS and element.pid not in model.lumped_properties:
             corners = _places(element, freedoms)
             density = element.pid_ref.mid_ref.rho * wtmass
             kind = f"{element.type}{len(corners)}"
@@ -49,8 +47,10 @@ def nastran_mass_properties(
                 kind = f"C3D{len(corners)}"
             solids.setdefault(kind, []).append((corners, density))
         elif element.type in BARS:
-            parts += _bar(element, freedoms, wtmass)
+            parts += _bar(model, element)
     for plate in plates:
+        if plate.element.pid in model.lumped_properties:
+            continue
         corners = np.array([freedoms.builder.coordinates[node] for node in plate.nodes])
         row = (corners, plate.law.mass * wtmass, plate.law.offset)
         shells.setdefault("S8R" if len(corners) == 8 else "S6", []).append(row)
@@ -81,13 +81,19 @@ def _point(body: PointMass, freedoms: Freedoms, wtmass: float) -> Moments:
     return of_point(body.mass * wtmass, body.centre, own)
 
 
-def _bar(element: Any, freedoms: Freedoms, wtmass: float) -> Iterator[Moments]:
+def _bar(model: Assembly, element: Any) -> Iterator[Moments]:
     """Simpson's rule between stations: exact for linear mass and centre; slack: rotary inertia."""
-    beam = beam_of(element, freedoms)
+    beam = beam_of(element, model.freedoms)
     for start, stop in beam.section.stretches:
-        length = (stop - start) * beam.length * wtmass
+        length = (stop - start) * beam.length * model.wtmass
         for place, weight in ((start, 1.0), (0.5 * (start + stop), 4.0), (stop, 1.0)):
             mass, centre, second = beam.section.mass(place)
             share = weight / 6.0 * length
-            body = of_point(mass * share, beam.place(place, centre))
-            yield replace(body, slack=float(np.trace(second)) * share)
+            slack = float(np.trace(second)) * share
+            if not model.lumped:
+                body = of_point(mass * share, beam.place(place, centre))
+                yield replace(body, slack=slack)
+                continue
+            for end, part in ((0.0, 1.0 - place), (1.0, place)):
+                body = of_point(mass * share * part, beam.place(end, beam.section.mass(end)[1]))
+                yield replace(body, slack=part * slack)

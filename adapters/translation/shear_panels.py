@@ -20,11 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.translation.calculix_text import CalculixText
-from modetune.adapters.translation.element_geometry import SHAPES, integration_points
-from modetune.adapters.translation.freedoms import Form, Freedoms, total
-from modetune.adapters.translation.shells import SetsOf
-from modetune.adapters.translation.springs import GroundedSprings
+from modetune.adapters.nastran.element_geometry import SHAPES, integration_points
+from modetune.adapters.translation.assembly import Assembly
+from modetune.adapters.translation.freedoms import Freedoms, total
+from modetune.adapters.translation.springs import Deformations, add_springs
 from modetune.core.modes import Floats
 
 #: Above it F1 and F2 are areas of rods in squares of the thickness, as Nastran has it.
@@ -32,33 +31,22 @@ FULLY_EFFECTIVE = 1.01
 SIDES = ((0, 1), (1, 2), (2, 3), (3, 0))
 
 
-def translate_shear_panels(
-    bulk: Any,
-    builder: CalculixText,
-    freedoms: Freedoms,
-    problems: list[str],
-    sets_of: SetsOf,
-) -> None:
+def translate_shear_panels(model: Assembly) -> None:
     """Add the stiffness of all shear panels; their masses are among the concentrated ones."""
-    springs = GroundedSprings(builder, freedoms)
-    for element in bulk.elements.values():
-        if element.type != "CSHEAR":
-            continue
-        material = element.pid_ref.mid_ref
-        places = np.array([builder.coordinates[node] for node in element.node_ids])
-        try:
-            if material.type != "MAT1" or not (material.e and material.g):
-                raise ValueError("its material is no MAT1 with E and G above zero")
-            rows = panel_springs(element.pid_ref, places)
-        except ValueError as reason:
-            problems.append(f"CSHEAR {element.eid}: {reason}")
-            continue
-        forms: list[tuple[Form, float]] = []
-        for directions, stiffness in rows:
-            pairs = zip(element.node_ids, directions, strict=True)
-            parts = [freedoms.along(freedoms.translations(node), axis) for node, axis in pairs]
-            forms.append((total(parts), stiffness))
-        springs.add(forms, sets_of(element))
+    add_springs(model, {"CSHEAR": _panel})
+
+
+def _panel(element: Any, freedoms: Freedoms) -> Deformations:
+    material = element.pid_ref.mid_ref
+    places = np.array([freedoms.builder.coordinates[node] for node in element.node_ids])
+    if material.type != "MAT1" or not (material.e and material.g):
+        raise ValueError("its material is no MAT1 with E and G above zero")
+    forms = []
+    for directions, stiffness in panel_springs(element.pid_ref, places):
+        pairs = zip(element.node_ids, directions, strict=True)
+        parts = [freedoms.along(freedoms.translations(node), axis) for node, axis in pairs]
+        forms.append((total(parts), stiffness))
+    return forms
 
 
 def panel_springs(card: Any, places: Floats) -> list[tuple[Floats, float]]:

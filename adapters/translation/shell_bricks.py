@@ -16,118 +16,69 @@ C3D20R and C3D15, as ccx takes them for S8R and S6.
 Each brick stands on the mean plane of its element, and nodes beside that plane carry it on arms:
 rigid motion is exact for warped elements too. The mass moves with a membrane brick: as Nastran's
 shells it has no inertia against rotation.
-
-A shell has no stiffness against rotation about its normal; Nastran gives it a little (K6ROT) or
-takes it out (AUTOSPC). A mass, a beam or a rigid element on a shell node would turn freely. Here
-that rotation is that of the shell's surroundings: theta n = sum (J^-1 n x r_i) u_i with J = sum
-(r_i^2 I - r_i r_i) over the nodes of the adjacent elements, the rotation that fits their
-displacements best, which is exact for rigid motion and stiffens nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.adapters.nastran.shell_laws import law_of
+from modetune.adapters.translation.assembly import Assembly
+from modetune.adapters.translation.bricks import (
+    Brick,
+    WrittenShells,
+    bricks_of,
+    law_key,
+    material_lines,
+    shape_of,
+)
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total, trimmed
-from modetune.adapters.translation.shells import Edges, SetsOf, Shell, own_thickness
+from modetune.adapters.translation.freedoms import Freedoms
+from modetune.adapters.translation.masses import Shares
+from modetune.adapters.translation.shell_rotations import hold_rest
+from modetune.adapters.translation.shells import Edges, Shell
 from modetune.core.modes import Floats, Integers
 
 #: Height of the bricks as a share of the usual edge: what the comparison of masses sees of it, in
 #: the inertia of a single element, is its square.
 HEIGHT = 0.01
-#: Shells whose normals are nearer than this (cosine, 5 degrees) hold no rotation about them.
-FLAT = 0.9962
-#: Normals nearer than this are those of one plane.
-SAME_PLANE = 1.0 - 1e-10
-#: Lever arms below this share of the model's size hold nothing.
-HELD = 1e-5
 #: Digits that tell normals, levers and directions apart.
 DIGITS = 9
 
 
-@dataclass(frozen=True, slots=True)
-class Brick:
-    """One brick of a shell. lever: c, or None of a bending brick, whose levers are z.
-
-    plane: (3, 3), shear: (2, 2), laws of the material; density: of volume, without WTMASS.
-    """
-
-    lever: float | None
-    plane: Floats
-    shear: Floats
-    density: float
-
-
-def bricks_of(shell: Shell, height: float, lumped: bool) -> list[Brick]:
-    """The bricks that together have the stiffness and the mass of a shell."""
-    law, none = shell.law, np.zeros((2, 2))
-    density = 0.0 if lumped else law.mass / height
-    middle, bending = law.offset, law.bending
-    found = []
-    if law.coupling.any():
-        arm = law.thickness / 4.0
-        half, more = law.membrane / 2.0, law.coupling / (2.0 * arm)
-        found.append(Brick(middle + arm, (half + more) / height, none, density / 2.0))
-        found.append(Brick(middle - arm, (half - more) / height, none, density / 2.0))
-        bending = bending - arm**2 * law.membrane
-    elif law.membrane.any() or density:
-        found.append(Brick(middle, law.membrane / height, none, density))
-    if law.bends or law.coupling.any():
-        found.append(Brick(None, bending * 12.0 / height**3, law.shear / height, 0.0))
-    return found
-
-
-@dataclass(frozen=True, slots=True)
-class WrittenShells:
-    """What the laws of a model's shells became.
-
-    laws: of each law that shells have a shell, the names of its bricks' materials, and what of it
-    decides on more than their numbers.
-    """
-
-    height: float
-    wtmass: float
-    lumped: bool
-    laws: dict[tuple[object, ...], tuple[Shell, tuple[str, ...], tuple[object, ...]]]
-
-
 def write_shells(
+    model: Assembly,
     shells: Sequence[Shell],
     edges: Edges,
-    builder: CalculixText,
-    freedoms: Freedoms,
-    wtmass: float,
-    lumped: bool,
-    sets_of: SetsOf,
     held: set[int],
+    groups: dict[str, Shares],
+    densities: dict[Hashable, float],
 ) -> WrittenShells:
     """Add all shells of the model; after all else that is tied to their nodes.
 
-    held: grid points that something besides shells holds.
+    held: grid points that something besides shells holds. groups: of lumped masses, with densities
+    of their sources.
     """
+    height = HEIGHT * _usual_edge(shells, model.builder) if shells else 0.0
+    size, lumped = model.builder.size, model.lumped_properties
+    written = WrittenShells(height, size, model.wtmass, lumped, {}, groups, densities)
     if not shells:
-        return WrittenShells(0.0, wtmass, lumped, {})
-    turned = frozenset(freedoms.turn_nodes)
-    writer = BrickWriter(builder, HEIGHT * _usual_edge(shells, builder), wtmass)
-    written = WrittenShells(writer.height, wtmass, lumped, {})
-    bricks: dict[tuple[object, ...], list[Brick]] = {}
+        return written
+    turned = frozenset(model.freedoms.turn_nodes)
+    writer = BrickWriter(model.builder, height, model.wtmass)
+    bricks: dict[Hashable, list[Brick]] = {}
     for shell in shells:
-        element = shell.element
-        key = (element.pid, own_thickness(element, []), element.tflag, element.zoffset)
+        key, pid = law_key(shell.element), shell.element.pid
         if key not in bricks:
-            parts = bricks[key] = bricks_of(shell, writer.height, lumped)
-            names = tuple(writer.material(element.pid, brick) for brick in parts)
-            written.laws[key] = (shell, names, _shape(shell, parts))
+            parts = bricks[key] = bricks_of(shell, height, pid in lumped)
+            names = tuple(writer.material(pid, brick) for brick in parts)
+            written.laws[key] = (shell, names, shape_of(shell, parts))
         for brick, name in zip(bricks[key], written.laws[key][1], strict=True):
-            writer.add(shell, brick, name, sets_of(element))
-    writer.write(freedoms)
-    _hold_rest(shells, edges, freedoms, turned, held)
+            writer.add(shell, brick, name, model.sets_of(shell.element))
+    writer.write(model.freedoms)
+    hold_rest(shells, edges, model.freedoms, turned, held)
     return written
 
 
@@ -158,7 +109,8 @@ class BrickWriter:
 
     def add(self, shell: Shell, brick: Brick, material: str, sets: Sequence[str]) -> None:
         """Note one brick of a shell, of these sets."""
-        self._bricks.append((shell, _lever(brick), material, sets))
+        lever = np.nan if brick.lever is None else brick.lever
+        self._bricks.append((shell, lever, material, sets))
 
     def write(self, freedoms: Freedoms) -> None:
         """Write all bricks, and the equations of their nodes."""
@@ -287,162 +239,3 @@ class BrickPoints:
 def _joined(parts: Sequence[BrickPoints]) -> BrickPoints:
     columns = zip(*(part.columns() for part in parts), strict=True)
     return BrickPoints(*map(np.concatenate, columns))
-
-
-def _lever(brick: Brick) -> float:
-    return np.nan if brick.lever is None else brick.lever
-
-
-def material_lines(brick: Brick, wtmass: float) -> tuple[str, ...]:
-    """The cards of a brick's material."""
-    plane, shear = brick.plane, brick.shear
-    numbers = np.zeros(21)
-    numbers[[0, 1, 2, 6, 7, 9]] = plane[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    numbers[[14, 19, 20]] = shear[[0, 0, 1], [0, 1, 1]]
-    lines = ["*ELASTIC, TYPE=ANISO"]
-    lines += [number_list(numbers[start : start + 8]) for start in (0, 8, 16)]
-    if brick.density:
-        lines += ["*DENSITY", number_list((brick.density * wtmass,))]
-    return tuple(lines)
-
-
-def edited_materials(written: WrittenShells, bulk: Any) -> dict[str, tuple[str, ...]] | None:
-    """The cards of all materials of the shells, whose properties have other numbers now.
-
-    None where more than these follow from the numbers: other bricks, or a law for some of those
-    elements alone that had one in common.
-    """
-    found: dict[str, tuple[str, ...]] = {}
-    owners: set[tuple[int, str]] = set()
-    for shell, names, shape in written.laws.values():
-        element = bulk.elements[shell.element.eid]
-        try:
-            law = law_of(element.pid_ref, own_thickness(element, []))
-        except ValueError:
-            return None
-        now = replace(shell, law=replace(law, offset=shell.law.offset) if element.zoffset else law)
-        bricks = bricks_of(now, written.height, written.lumped)
-        if _shape(now, bricks) != shape:
-            return None
-        for name, brick in zip(names, bricks, strict=True):
-            owners.add((element.pid, name))
-            lines = material_lines(brick, written.wtmass)
-            if found.setdefault(name, lines) != lines:
-                return None
-    # Two materials of a property that are one now would have one name.
-    return found if len({(pid, found[name]) for pid, name in owners}) == len(owners) else None
-
-
-def _shape(shell: Shell, bricks: Sequence[Brick]) -> tuple[object, ...]:
-    """What of a shell's law decides on more than the numbers of materials."""
-    levers = [(brick.lever, bool(brick.density)) for brick in bricks]
-    return (shell.law.bends, shell.law.stretches, *levers)
-
-
-def _hold_rest(
-    shells: Sequence[Shell],
-    edges: Edges,
-    freedoms: Freedoms,
-    turned: frozenset[int],
-    held: set[int],
-) -> None:
-    """Hold what the shells leave free; turned: nodes where anything but shells has rotations."""
-    around: dict[int, list[int]] = {}
-    for place, shell in enumerate(shells):
-        for node in shell.nodes:
-            around.setdefault(node, []).append(place)
-    middles = {middle: edge for edge, middle in edges.middles.items() if middle in edges.made}
-    normals = np.array([shell.normal for shell in shells])
-    near = np.concatenate([np.array(places) for places in around.values()])
-    starts = np.cumsum([0, *(len(places) for places in around.values())])[:-1]
-    firsts = np.repeat(near[starts], np.diff([*starts, len(near)]))
-    cosines = np.abs(np.einsum("ni,ni->n", normals[near], normals[firsts]))
-    least = dict(zip(around, np.minimum.reduceat(cosines, starts).tolist(), strict=True))
-    axes: dict[int, Floats] = {}
-    for node, places in around.items():
-        if least[node] > FLAT and any(shells[place].law.bends for place in places):
-            axis = shells[places[0]].normal
-            own = freedoms.along(freedoms.rotations(node), axis)
-            if _is_loose(freedoms, own) and not _is_held(freedoms, node, axis):
-                axes[node] = axis
-    mean = [node for node in axes if node in turned or least[node] <= SAME_PLANE]
-    others = {node: {n for p in around[node] for n in shells[p].nodes} - {node} for node in mean}
-    forms = _mean_rotations(freedoms, others, axes)
-    for node, places in around.items():
-        if node in axes:
-            rotations = freedoms.rotations(node)
-            row = difference(freedoms.along(rotations, axes[node]), forms.get(node, {}))
-            freedoms.tie([row], rotations, f"rotation of {node} in its plane")
-        if node not in held and least[node] > FLAT:
-            _hold_loose(freedoms, node, [shells[p] for p in places], middles.get(node, ()))
-
-
-def _hold_loose(
-    freedoms: Freedoms, node: int, near: Sequence[Shell], ends: tuple[int, ...]
-) -> None:
-    """Hold the directions in which shells of one plane have no stiffness, as AUTOSPC does.
-
-    ends: the corners beside a midside node, which moves as their mean does there.
-    """
-    axes = []
-    if not any(shell.law.stretches for shell in near):
-        axes += [near[0].axis, np.cross(near[0].normal, near[0].axis)]
-    if not any(shell.law.bends for shell in near):
-        axes += [near[0].normal]
-    for axis in axes:
-        own = freedoms.along(freedoms.translations(node), axis)
-        if _is_loose(freedoms, own):
-            mean = [freedoms.along(freedoms.translations(end), 0.5 * axis) for end in ends]
-            form = difference(own, total(mean))
-            freedoms.tie([form], list(own), f"displacement of {node} across its shells")
-
-
-def _is_loose(freedoms: Freedoms, form: Form) -> bool:
-    """Whether some freedom of the form is neither fixed nor dependent."""
-    return any(not freedoms.is_dependent(f) and not freedoms.builder.is_fixed(*f) for f in form)
-
-
-def _is_held(freedoms: Freedoms, node: int, axis: Floats) -> bool:
-    found = np.abs(freedoms.holds(node) @ axis)
-    return bool((found > HELD * freedoms.builder.size).any())
-
-
-def _mean_rotations(
-    freedoms: Freedoms, near: dict[int, set[int]], axes: dict[int, Floats]
-) -> dict[int, Form]:
-    """Of nodes, the rotations about axes that fit the displacements of the nodes near best."""
-    if not near:
-        return {}
-    coordinates = freedoms.builder.coordinates
-    others = [sorted(nodes) for nodes in near.values()]
-    counts = np.array([len(nodes) for nodes in others])
-    starts = np.cumsum(counts) - counts
-    arms = np.array([coordinates[node] for nodes in others for node in nodes])
-    arms -= np.repeat([coordinates[node] for node in near], counts, axis=0)
-    outer = np.add.reduceat(np.einsum("ni,nj->nij", arms, arms), starts)
-    spread = np.trace(outer, axis1=1, axis2=2)[:, None, None] * np.eye(3) - outer
-    turning = np.linalg.solve(spread, np.array([axes[node] for node in near])[:, :, None])
-    factors = np.cross(np.repeat(turning[:, :, 0], counts, axis=0), arms)
-    own = -np.add.reduceat(factors, starts)
-    forms = {}
-    for node, nodes, start, last in zip(near, others, starts.tolist(), own.tolist(), strict=True):
-        rows = factors[start : start + len(nodes)].ravel().tolist()
-        freedoms_near = [(other, c) for other in (*nodes, node) for c in (1, 2, 3)]
-        forms[node] = trimmed(dict(zip(freedoms_near, (*rows, *last), strict=True)))
-    return forms
-
-
-def hold_leaders(freedoms: Freedoms, leaders: set[int]) -> None:
-    """Fix what no element hinders of the rotations of rigid elements' independent points.
-
-    As AUTOSPC does; leaders: those without shells and without beams or springs on rotations.
-    """
-    for node in leaders:
-        rotations = freedoms.rotations(node)
-        if all(freedoms.is_dependent(f) or freedoms.builder.is_fixed(*f) for f in rotations):
-            continue
-        holds = freedoms.holds(node)
-        _, sizes, axes = np.linalg.svd(np.vstack([holds, np.zeros((3, 3))]))
-        free = axes[sizes < HELD * freedoms.builder.size]
-        rows = [freedoms.along(rotations, axis) for axis in free]
-        freedoms.tie(rows, rotations, f"rotation of {node}")

@@ -9,7 +9,6 @@ system (MCID).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +22,6 @@ LINEAR = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}
 QUADRATIC = {"CQUAD8": 4, "CTRIA6": 3}
 KINDS = (*LINEAR, *QUADRATIC)
 
-SetsOf = Callable[[Any], Sequence[str]]
 Corners = tuple[int, int]
 
 

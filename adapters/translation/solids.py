@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.calculix_text import CalculixText
 from modetune.adapters.translation.materials import solid_material
-from modetune.adapters.translation.shells import SetsOf
 
 #: ccx kind by Nastran's kind and number of nodes.
 KIND = {
@@ -32,28 +32,26 @@ PYRAMIDS = {
 }
 
 
-def translate_solids(
-    bulk: Any, builder: CalculixText, problems: list[str], wtmass: float, sets_of: SetsOf
-) -> None:
-    """Add all solids of the model."""
+def translate_solids(model: Assembly) -> None:
+    """Add all solids of the model; those whose masses are lumped have no density."""
+    builder = model.builder
     names: dict[int, str] = {}
-    for element in bulk.elements.values():
-        if element.type not in KINDS:
-            continue
+    for element in model.elements(*KINDS):
         if element.pid not in names:
-            names[element.pid] = _material(element.pid_ref, builder, problems, wtmass)
+            factor = 0.0 if element.pid in model.lumped_properties else model.wtmass
+            names[element.pid] = _material(element.pid_ref, builder, model.problems, factor)
         nodes = list(element.node_ids)
         while nodes and nodes[-1] is None:
             nodes.pop()
         kind = KIND.get((element.type, len(nodes)))
         if kind is None or None in nodes:
-            problems.append(f"{element.type} {element.eid}: some of its midside nodes are missing")
+            model.refuse(element, "some of its midside nodes are missing")
             continue
         if names[element.pid]:
             order = ORDER.get(kind, tuple(range(len(nodes))))
             if element.type == "CPYRAM":
                 order = PYRAMIDS[len(nodes)]
-            sets = (*sets_of(element), f"V{element.pid}")
+            sets = (*model.sets_of(element), f"V{element.pid}")
             builder.new_element(kind, [nodes[place] for place in order], sets)
     for pid, material in names.items():
         if material and f"V{pid}" in builder.sets:

@@ -18,7 +18,6 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.calculix.affected_elements import changed_numbers, changed_places
-from modetune.adapters.calculix.deck import parse_deck
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, understand
 from modetune.adapters.calculix.solver import CalculixDeck, EditedCalculix, calculix_program
 from modetune.adapters.nastran import model as nastran_model
@@ -35,7 +34,7 @@ from modetune.adapters.solver import (
     Number,
     Solver,
 )
-from modetune.adapters.translation.shell_bricks import WrittenShells, edited_materials
+from modetune.adapters.translation.bricks import WrittenShells
 from modetune.adapters.translation.shells import KINDS
 from modetune.adapters.translation.translate import Translation, translate
 from modetune.core.errors import ModelError
@@ -197,14 +196,10 @@ class TranslatedDeck(Deck):
         translation = self._translation(changed)
         if nominal is None:
             self._shells.append(translation.shells)
-        lines = changed_numbers(nominal.model, translation.text) if nominal else None
+        lines = changed_numbers(nominal.model, translation.deck) if nominal else None
         if nominal is not None and lines is not None:
             return EditedCalculix(nominal.model, lines, translation.frames)
-        # The text is not a file: messages name it as what it is.
-        place = Path(f"{self.model.deck.file.stem} (translated to CalculiX)")
-        return EditedCalculix(
-            understand(parse_deck(place, translation.text)), {}, translation.frames
-        )
+        return EditedCalculix(understand(translation.deck), {}, translation.frames)
 
     def _edited_shells(
         self, nominal: EditedCalculix, changed: dict[int, str]
@@ -213,13 +208,13 @@ class TranslatedDeck(Deck):
         if not self._of_shells(changed):
             return None
         with self._own, edited_bulk(self.model.deck, self._bulk, changed) as bulk:
-            materials = edited_materials(self._shells[0], bulk)
-        if materials is None:
+            numbers = self._shells[0].edited(bulk)
+        if numbers is None:
             return None
         deck, lines = nominal.model.deck, dict[int, str]()
-        for card in deck.named("*MATERIAL"):
-            texts = materials.get(card.option("NAME"), ())
-            for place, text in enumerate(texts, card.lines.stop):
+        for card in deck.named("*MATERIAL", "*MASS"):
+            texts = numbers.get(card.option("NAME") or card.option("ELSET"), ())
+            for place, text in enumerate(texts, card.lines.start + 1):
                 if deck.lines[place].text != text:
                     lines[place] = text
         return EditedCalculix(nominal.model, lines, nominal.frames)
@@ -262,6 +257,7 @@ class TranslatedDeck(Deck):
                 single=self._single,
                 wtmass=self.model.wtmass,
                 weighed=not changed,  # other numbers are translated in the same way
+                lumped=self.masses() == "lumped",
             )
         logger.info("%s translated: %s", stem, translation.mass_check or "numbers alone")
         return translation
@@ -290,5 +286,5 @@ def translated_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     translated = TranslatedDeck(model)
     translated.edited({})  # so that what cannot be translated is refused here
     program = calculix_program()
-    has = replace(program.capabilities, masses="consistent")
+    has = replace(program.capabilities, masses=model.other_masses())
     return Solver(translated, replace(program, capabilities=has))

@@ -15,15 +15,15 @@ beside composite shells; it is left for stiffnesses below zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from modetune.adapters.nastran.geometry import local_axes
-from modetune.adapters.translation.calculix_text import CalculixText, number_list
+from modetune.adapters.translation.assembly import Assembly
+from modetune.adapters.translation.calculix_text import number_list
 from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total, trimmed
-from modetune.adapters.translation.shells import SetsOf
 from modetune.core.modes import Floats
 
 SCALAR = ("CELAS1", "CELAS2", "CELAS3", "CELAS4")
@@ -33,29 +33,24 @@ KINDS = (*SCALAR, "CBUSH", "CBUSH1D")
 Deformations = list[tuple[Form, float]]
 
 
-def translate_springs(
-    bulk: Any,
-    builder: CalculixText,
-    freedoms: Freedoms,
-    problems: list[str],
-    wtmass: float,
-    sets_of: SetsOf,
-) -> None:
+def translate_springs(model: Assembly) -> None:
     """Add all springs; after the constraints, which say what is fixed. They have no mass."""
-    springs = GroundedSprings(builder, freedoms)
-    readers: dict[str, Callable[[Any, Freedoms], Deformations]] = {
-        **dict.fromkeys(SCALAR, _scalar_spring),
-        "CBUSH": _bush,
-        "CBUSH1D": _line_bush,
-    }
-    for element in bulk.elements.values():
-        if element.type not in readers:
-            continue
+    readers = {**dict.fromkeys(SCALAR, _scalar_spring), "CBUSH": _bush, "CBUSH1D": _line_bush}
+    add_springs(model, readers)
+
+
+def add_springs(
+    model: Assembly, readers: Mapping[str, Callable[[Any, Freedoms], Deformations]]
+) -> GroundedSprings:
+    """Add the springs that elements are, by kind; a ValueError of a reader refuses the element."""
+    springs = GroundedSprings(model.freedoms)
+    for element in model.elements(*readers):
         try:
-            deformations = readers[element.type](element, freedoms)
-            springs.add(deformations, sets_of(element))
+            deformations = readers[element.type](element, model.freedoms)
+            springs.add(deformations, model.sets_of(element))
         except ValueError as reason:
-            problems.append(f"{element.type} {element.eid}: {reason}")
+            model.refuse(element, reason)
+    return springs
 
 
 def _scalar_spring(element: Any, freedoms: Freedoms) -> Deformations:
@@ -181,8 +176,8 @@ EDGE = 1e-2
 class GroundedSprings:
     """Collects springs; those of the same three stiffnesses share a section."""
 
-    def __init__(self, builder: CalculixText, freedoms: Freedoms) -> None:
-        self._builder = builder
+    def __init__(self, freedoms: Freedoms) -> None:
+        builder = self._builder = freedoms.builder
         self._freedoms = freedoms
         self._names: dict[tuple[float, ...], str] = {}
         self._ground: tuple[int, ...] = ()

@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.translation.calculix_text import CalculixText
+from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total
 from modetune.adapters.translation.rigid import Component, rigid_motions
-from modetune.adapters.translation.shells import SetsOf
-from modetune.adapters.translation.springs import Deformations, GroundedSprings
+from modetune.adapters.translation.springs import Deformations, add_springs
 from modetune.core.modes import Floats
 
 #: A symmetric square matrix, by its DMIG header.
@@ -26,27 +25,14 @@ SYMMETRIC = 6
 ROUNDING = 1e-13
 
 
-def translate_matrices(
-    bulk: Any,
-    builder: CalculixText,
-    freedoms: Freedoms,
-    problems: list[str],
-    k2gg: str,
-    sets_of: SetsOf,
-) -> None:
+def translate_matrices(model: Assembly, k2gg: str) -> None:
     """Add all GENEL and the matrix k2gg, a name or nothing; after the constraints."""
-    springs = GroundedSprings(builder, freedoms)
-    for element in bulk.elements.values():
-        if element.type == "GENEL":
-            try:
-                springs.add(_general(element, freedoms), sets_of(element))
-            except ValueError as reason:
-                problems.append(f"GENEL {element.eid}: {reason}")
+    springs = add_springs(model, {"GENEL": _general})
     if k2gg:
         try:
-            springs.add(_direct(bulk, k2gg, freedoms), ())
+            springs.add(_direct(model.bulk, k2gg, model.freedoms), ())
         except ValueError as reason:
-            problems.append(f"K2GG = {k2gg}: {reason}")
+            model.problems.append(f"K2GG = {k2gg}: {reason}")
 
 
 def matrix_components(element: Any) -> list[Component]:

@@ -7,13 +7,22 @@ of a rigid mass) gets nodes beyond them. Every property has an element set `P<pi
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from modetune.adapters.calculix.deck import KeywordDeck, parse_deck
+from modetune.adapters.nastran.lumped_masses import (
+    lumped_properties,
+    lumped_solids,
+    lumps,
+    solid_densities,
+)
+from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.beams import translate_beams
+from modetune.adapters.translation.bricks import WrittenShells, lumped_shells, shell_densities
 from modetune.adapters.translation.calculix_text import CalculixText
 from modetune.adapters.translation.cards import refused_cards, summarised
 from modetune.adapters.translation.freedoms import Freedoms
@@ -23,6 +32,7 @@ from modetune.adapters.translation.mass_properties import (
     check_masses,
 )
 from modetune.adapters.translation.masses import (
+    grouped_masses,
     point_masses,
     translate_masses,
     translate_scalar_masses,
@@ -35,7 +45,8 @@ from modetune.adapters.translation.rigid import (
     translate_spcs,
 )
 from modetune.adapters.translation.shear_panels import translate_shear_panels
-from modetune.adapters.translation.shell_bricks import WrittenShells, hold_leaders, write_shells
+from modetune.adapters.translation.shell_bricks import write_shells
+from modetune.adapters.translation.shell_rotations import hold_leaders
 from modetune.adapters.translation.shells import KINDS as SHELLS
 from modetune.adapters.translation.shells import understand_shells
 from modetune.adapters.translation.solids import KINDS as SOLIDS
@@ -50,20 +61,25 @@ from modetune.core.modes import Floats
 class Translation:
     """A CalculiX model part and what is needed to read its results as the Nastran model's.
 
-    text: *NODE to *BOUNDARY, no step. frames: grid point to (3, 3), basic-to-CD rotation, of those
+    deck: *NODE to *BOUNDARY, no step. frames: grid point to (3, 3), basic-to-CD rotation, of those
     whose output frame is not the basic one. sets: names of all element sets of structural
     elements. grids: the bulk data's grid points, ascending. mass: mass properties that the cards
     say, WTMASS in them; mass_check: a sentence on how the translated ones agree, empty where
     nobody looked. shells: what becomes of their laws.
     """
 
-    text: str
+    deck: KeywordDeck
     frames: dict[int, Floats]
     sets: tuple[str, ...]
     grids: tuple[int, ...]
     mass: MassProperties
     mass_check: str
     shells: WrittenShells
+
+    @property
+    def text(self) -> str:
+        """Of the deck."""
+        return "\n".join(line.text for line in self.deck.lines)
 
 
 def translate(
@@ -75,12 +91,14 @@ def translate(
     k2gg: str = "",
     wtmass: float = 1.0,
     weighed: bool = True,
+    lumped: bool = False,
 ) -> Translation:
     """Translate a cross-referenced pyNastran BDF.
 
     name: of the deck, for messages. single: elements that get a set `E<eid>` of their own. spc,
     mpc: constraint sets, 0 for none. k2gg: the DMIG added to the stiffness, if any. wtmass:
     the factor on all masses, PARAM,WTMASS. weighed: whether the masses are held against the cards'.
+    lumped: whether elements' masses are at their grid points alone, where they can be.
     Raises ModelError with every card and feature that cannot be translated.
     """
     if not bulk.nodes and not bulk.spoints:
@@ -88,38 +106,41 @@ def translate(
     problems = refused_cards(bulk)
     builder = _builder(bulk)
 
-    def sets_of(element: Any) -> Sequence[str]:
-        names = [f"P{element.pid}"] if getattr(element, "pid", None) else []
-        return (*names, f"E{element.eid}") if element.eid in single else names
-
     shells, edges = understand_shells(bulk, builder, problems)
-    translate_solids(bulk, builder, problems, wtmass, sets_of)
     held = _held_rotations(bulk)
     bending = {node for shell in shells if shell.law.bends for node in shell.nodes}
     freedoms = _freedoms(bulk, builder, bending, held, problems)
+    at_nodes = lumped_properties(bulk) if lumped else frozenset[int]()
+    model = Assembly(bulk, freedoms, single, wtmass, lumped, at_nodes)
+    translate_solids(model)
     translate_spcs(bulk, freedoms, edges, spc, problems)
     translate_mpcs(bulk, freedoms, mpc, problems)
     translate_rigid_elements(bulk, freedoms, edges, problems)
-    translate_beams(bulk, builder, freedoms, problems, wtmass, sets_of)
-    translate_springs(bulk, builder, freedoms, problems, wtmass, sets_of)
-    translate_matrices(bulk, builder, freedoms, problems, k2gg, sets_of)
-    translate_shear_panels(bulk, builder, freedoms, problems, sets_of)
-    masses = point_masses(bulk, problems)
-    translate_masses(bulk, masses, builder, freedoms, wtmass, sets_of)
-    translate_scalar_masses(bulk, builder, freedoms, problems, wtmass, sets_of)
-    written = write_shells(shells, edges, builder, freedoms, wtmass, False, sets_of, _held(bulk))
+    translate_beams(model)
+    translate_springs(model)
+    translate_matrices(model, k2gg)
+    translate_shear_panels(model)
+    densities = solid_densities(bulk, at_nodes)
+    parts = lumped_solids(bulk, densities) + lumped_shells(shells, builder, at_nodes)
+    densities |= shell_densities(shells)
+    masses, groups = grouped_masses(lumps(parts), densities)
+    masses = point_masses(bulk, problems) + masses
+    translate_masses(model, masses)
+    translate_scalar_masses(model)
+    written = write_shells(model, shells, edges, _held(bulk), groups, densities)
     hold_leaders(freedoms, leaders(bulk) - held - freedoms.turning)
     if problems:
         found = "\n".join(f"- {problem}" for problem in summarised(problems))
         raise ModelError(f"{name} cannot be translated to CalculiX:\n{found}")
-    text = builder.text()
-    expected, check = nastran_mass_properties(bulk, shells, masses, freedoms, wtmass), ""
+    # It is not a file: messages name it as what it is.
+    deck = parse_deck(Path(f"{name} (translated to CalculiX)"), builder.text())
+    expected, check = nastran_mass_properties(model, shells, masses), ""
     if weighed:
-        check = check_masses(expected, calculix_mass_properties(builder, text), builder.size)
+        check = check_masses(expected, calculix_mass_properties(builder, deck), builder.size)
     frames = {number: frame for number, frame in freedoms.frames.items() if number in bulk.nodes}
     sets = tuple(name for name in builder.sets if re.fullmatch(r"[PE]\d+", name))
     grids = tuple(sorted(bulk.nodes))
-    return Translation(text, frames, sets, grids, expected, check, written)
+    return Translation(deck, frames, sets, grids, expected, check, written)
 
 
 def _builder(bulk: Any) -> CalculixText:

@@ -285,20 +285,17 @@ def test_a_twin_pairs_modes_by_more_than_the_tests_few_sensors(tmp_path: Path) -
 def test_masses_that_are_not_those_the_deck_asks_for_are_named_as_the_reason(
     tmp_path: Path,
 ) -> None:
-    for extra, solver, said in (
-        ("", "calculix", "the deck asks for lumped masses (PARAM,COUPMASS), calculix has consist"),
-        ("PARAM,COUPMASS,1", "mystran", "the deck asks for consistent masses"),
-    ):
-        folder = tmp_path / solver
+    for extra, said in (("", ""), ("PARAM,COUPMASS,1", "the deck asks for consistent masses")):
+        folder = tmp_path / (extra or "lumped")
         folder.mkdir()
         path = sheet_campaign(folder, sheet(".008", "", extra))
         twin = run_twin(path, ["mystran", "calculix"], [], ["test.pairs={1: 1, 2: 2}"])
         reasons = {item.solver: item.masses for item in twin.solvers}
-        assert reasons.pop(solver).startswith(said)
-        assert list(reasons.values()) == [""]
-        campaign = load_campaign(path, [f"model.solver={solver}", "test.pairs={1: 1, 2: 2}"])
-        (found,) = [item for item in size_findings(campaign) if "COUPMASS" in item.what]
-        assert (found.level, found.where) == (
-            "doubtful" if solver == "mystran" else "good",
-            "model.solver",
+        assert reasons["calculix"] == ""
+        assert reasons["mystran"].startswith(said)
+        assert bool(reasons["mystran"]) == bool(said)
+        campaign = load_campaign(path, ["model.solver=mystran", "test.pairs={1: 1, 2: 2}"])
+        found = [item for item in size_findings(campaign) if "COUPMASS" in item.what]
+        assert [(item.level, item.where) for item in found] == (
+            [("doubtful", "model.solver")] if said else []
         )

@@ -82,6 +82,7 @@ SHAPES = {
     "C3D10": _shape(_with_middles(TETRAHEDRON, _TETRA), _TETRA10, 3),
     "S8R": _shape(_with_middles(SQUARE, _RING4), _SQUARE8, 0),
     "S4": _shape(SQUARE, _BILINEAR, 0),
+    "S3": _shape(TRIANGLE, _LINEAR2, 2),
     "S6": _shape(_with_middles(TRIANGLE, _RING3), _QUADRATIC2, 2),
     "CHEXA8": _shape(CUBE, _TRILINEAR, 0),
     "CHEXA20": _shape(_with_middles(CUBE, [*_RING4, *_CUBE_UP, *_CUBE_TOP]), _CUBE20, 0),
