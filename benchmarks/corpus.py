@@ -6,9 +6,10 @@
 prints a row a deck (Markdown): whether it is read, whether it is written back byte for byte, how
 many modes each solver gives or the first reason why it gives none, and the largest difference of
 the reference's first four elastic frequencies from the nearest that is computed (some have torsion
-of bars that others do not, so that modes in order are not the same): the reference is the OP2 or F06 file beside the deck where there is one with modes, else MYSTRAN. `--json FILE` keeps the
-rows, `--counts` prints the sums alone. What is outside linear structural dynamics is told from the
-cards (outside.py), and counted apart.
+of bars that others do not, so that modes in order are not the same): the reference is the OP2 or
+F06 file beside the deck where there is one with modes, else MYSTRAN. `--json FILE` keeps the rows,
+`--counts` prints the sums alone. What is outside linear structural dynamics is told from the cards
+(outside.py), and counted apart.
 """
 
 from __future__ import annotations
