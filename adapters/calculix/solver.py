@@ -11,7 +11,7 @@ import threading
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -231,8 +231,8 @@ class CalculixProgram:
     def render(self, deck: EditedCalculix, analysis: Analysis) -> Rendered:
         text = job_text(deck.model, deck.changed, analysis)
         modal = isinstance(analysis, ModalAnalysis)
-        if not modal:
-            import_module("polars")  # reads the matrices: if it is missing, told before the run
+        if not modal and find_spec("polars") is None:  # reads them: told before the run
+            raise ModuleNotFoundError("No module named 'polars'", name="polars")
         if self.with_frd and modal:
             text = with_frd(text)
         data = text.encode("utf-8", "surrogateescape")

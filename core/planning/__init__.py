@@ -1,1 +1,1 @@
-"""Sensor and exciter places."""
+"""Sensor and exciter places, and points in the space of parameters."""

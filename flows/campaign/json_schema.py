@@ -8,11 +8,15 @@ keys and shows mistakes while they are typed; `modetune check` stays the judge.
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
+from itertools import pairwise
 from typing import Any
 
 from modetune.core.parameters import TARGETS
 from modetune.flows.campaign.schema import TARGET_KEYS, CampaignFile
+from modetune.flows.campaign.section import Section
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 #: A name, not an address: the file is wherever it was put.
@@ -23,10 +27,13 @@ def campaign_schema() -> dict[str, Any]:
     """The JSON schema of a campaign file, draft 2020-12."""
     schema = CampaignFile.model_json_schema()
     sections = schema["$defs"]
-    for section in (schema, *sections.values()):
+    meanings = {kind.__name__: _meanings(kind) for kind in Section.__subclasses__()}
+    for name, section in ((CampaignFile.__name__, schema), *sections.items()):
         section.pop("title", None)
-        for key in section.get("properties", {}).values():
-            key.pop("title", None)  # only the key's name again
+        for key, told in section.get("properties", {}).items():
+            told.pop("title", None)  # only the key's name again
+            told["description"] = meanings[name][key]
+            section["properties"][key] = dict(sorted(told.items()))
     _add_rules(sections)
     for key in ("model", "test"):
         del schema["properties"][key]["default"]
@@ -38,6 +45,22 @@ def campaign_schema() -> dict[str, Any]:
 def schema_text() -> str:
     """The schema as it is published, with an end of line."""
     return json.dumps(campaign_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def _meanings(section: type[Section]) -> dict[str, str]:
+    """What the docstrings below a section's fields say of its keys.
+
+    Pydantic would read them whenever a campaign is loaded, for a third of the time of its imports.
+    """
+    (body,) = ast.parse(inspect.getsource(section)).body
+    assert isinstance(body, ast.ClassDef)
+    return {
+        field.target.id: inspect.cleandoc(text.value.value)
+        for field, text in pairwise(body.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+        if isinstance(text.value.value, str)
+    }
 
 
 def _add_rules(sections: dict[str, Any]) -> None:

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign.section import Section
@@ -79,4 +78,6 @@ class SensorSection(Section):
         given = np.array(self.rotation)
         if given.shape == (3, 3):
             return given
+        from scipy.spatial.transform import Rotation  # few campaigns turn their sensors
+
         return np.asarray(Rotation.from_euler("xyz", given, degrees=True).as_matrix())

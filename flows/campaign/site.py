@@ -21,6 +21,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError
+from modetune.core.storage.files import machine_user
 from modetune.flows.campaign.section import Name, Positive, Section, section_problems
 
 #: Names a site file in another place.
@@ -195,6 +196,16 @@ def user_home() -> Path:
         return Path(named)
     base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
     return Path(base) / "modetune"
+
+
+def machine_home(base: Path) -> Path:
+    """The folder of this machine and user below one that several may share."""
+    return base / machine_user()
+
+
+def server_home() -> Path:
+    """The folder of what is this machine's and this user's own."""
+    return machine_home(user_home())
 
 
 def site_path() -> Path:

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from modetune.core.errors import CampaignError
-from modetune.flows.campaign.site import DaskSection
-from modetune.flows.jobs.prefect_server import server_home
+from modetune.flows.campaign.site import DaskSection, server_home
 
 #: How long a scheduler may take to answer, and workers to end their solvers, seconds.
 CONNECT_S, END_S = 20.0, 10.0

@@ -34,10 +34,11 @@ from urllib.parse import urlsplit
 
 from modetune.adapters import supervisor
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.files import machine_user, storage_errors
+from modetune.core.storage.files import storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.flows.campaign.site import HOME_VARIABLE as HOME_VARIABLE
-from modetune.flows.campaign.site import user_home
+from modetune.flows.campaign.site import machine_home as machine_home
+from modetune.flows.campaign.site import server_home as server_home
 from modetune.flows.jobs.heartbeats import BEAT_S, SilentRuns
 from modetune.flows.jobs.prefect_api import PATIENCE_S, PROBE_S, Answer, PrefectApi, ServerRefused
 
@@ -66,16 +67,6 @@ SETTINGS: Mapping[str, str] = {
     "PREFECT_LOGGING_LEVEL": "CRITICAL",
     "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
 }  # fmt: skip
-
-
-def server_home() -> Path:
-    """The folder of what is this machine's and this user's own."""
-    return machine_home(user_home())
-
-
-def machine_home(base: Path) -> Path:
-    """The folder of this machine and user below one that several may share."""
-    return base / machine_user()
 
 
 @dataclass(frozen=True, slots=True)

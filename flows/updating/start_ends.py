@@ -18,6 +18,7 @@ from scipy.special import chdtri
 
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats, Integers
+from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.trust import StartSpread
 from modetune.flows.campaign.campaign import Campaign
@@ -91,10 +92,8 @@ def end_of(start: Floats, record: CampaignRecord) -> StartEnd:
 def drawn_starts(campaign: Campaign, n: int) -> Floats:
     """The campaign's own start and others, (n, n_parameters): a Latin hypercube within the bounds,
     so that each has a stratum of its own in every parameter."""
-    from scipy.stats import qmc  # takes a third of a second, which one start need not wait for
-
     parameters, seed = campaign.parameters, campaign.update.seed
-    draws = qmc.LatinHypercube(len(parameters), rng=seed).random(n - 1)
+    draws = latin_hypercube(n - 1, len(parameters), np.random.default_rng(seed))
     others = parameters.lower + draws * (parameters.upper - parameters.lower)
     return np.vstack([campaign.start, others])
 

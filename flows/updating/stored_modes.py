@@ -19,6 +19,7 @@ import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
@@ -69,12 +70,13 @@ class _Set:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Around:
-    """A reduced model of the modes at a set; modes: those whose derivatives it holds."""
+    """A reduced model of the modes at a set; modes: those whose derivatives it holds; observer:
+    makes what takes shapes to its rows. Raises UnlikeMatrices."""
 
     key: str
     of: _Set
     modes: Integers
-    observer: sparse.csr_array
+    observer: Callable[[], sparse.csr_array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +111,15 @@ class _Solutions:
     """Solutions in memory, and found again where they have left it: the newest of each kind."""
 
     def __init__(
-        self, matrices: ParameterMatrices, engine: JobEngine, shift: float, rounding: float
+        self,
+        matrices: Callable[[], ParameterMatrices],
+        engine: JobEngine,
+        shift: float,
+        rounding: float,
     ) -> None:
-        """shift: where none is known, (rad/s)^2; rounding: of the matrices' entries, relative."""
-        self.matrices = matrices
+        """matrices: reads them, where the store does not have what is made of them; shift: where
+        none is known, (rad/s)^2; rounding: of the matrices' entries, relative."""
+        self._matrices = matrices
         self.rounding = rounding
         self.engine = engine
         self.shift = shift
@@ -134,7 +141,7 @@ class _Solutions:
         shift, start = self._beginning(item)
         self._newest = None
         with self.engine.all_cores():
-            here = self.matrices.at(item.values)
+            here = self._matrices().at(item.values)
             solved = self._solver.solve(
                 here.upper_stiffness, here.upper_mass, item.n_modes, shift, start
             )
@@ -147,17 +154,17 @@ class _Solutions:
     def basis(self, around: _Around) -> _Basis:
         """A reduced model with its basis."""
         if self._basis is None or self._basis.of is not around:
-            solved = self.modes(around.of)
+            solved, observer = self.modes(around.of), around.observer()
             with self.engine.all_cores():
                 made = reduce(
-                    self.matrices,
+                    self._matrices(),
                     around.of.values,
                     solved.eigenvalues,
                     solved.shapes,
                     self._solver.inverse,
                     around.modes,
                     solved.n_rigid,
-                    around.observer,
+                    observer,
                 )
             self._basis = _Basis(around, solved.n_rigid, *made)
         return self._basis
@@ -195,18 +202,24 @@ class MatrixModes:
         self.campaign = campaign
         self.engine = engine
         self.source = source
-        columns = range(len(source.parameters))
-        self.affine = source.last_matrices(campaign.start, columns)
-        self._matrices_key = source.key(campaign.start, columns)
+        self._columns = range(len(source.parameters))
+        self._matrices_key = source.key(campaign.start, self._columns)
+        if source.jobs(campaign.start, self._columns):
+            _ = self.affine  # what jobs left is made into the matrices at once
         first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
         self._shift = shift_below(first**2)
         given = campaign.case.solver.deck.summary.matrices is not None
         rounding = GIVEN if given else PRINTED
-        self._solutions = _Solutions(self.affine, engine, self._shift, rounding)
+        self._solutions = _Solutions(lambda: self.affine, engine, self._shift, rounding)
         self._sets: dict[tuple[float, ...], _Set] = {}
         self._first: dict[int, _Set] = {}
         self._reduced: dict[str, _Around] = {}
         self._around: _Around | None = None
+
+    @cached_property
+    def affine(self) -> ParameterMatrices:
+        """The matrices for all values, from the store: where it has the modes too, nobody reads them."""
+        return self.source.last_matrices(self.campaign.start, self._columns)
 
     def modal(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """The key and the modes of a set at the analysis' nodes. Raises UnlikeMatrices where
@@ -269,7 +282,7 @@ class MatrixModes:
         }
 
         def compute() -> ReducedRange:
-            begin = self._solutions.basis(around)
+            begin, observer = self._solutions.basis(around), around.observer()
             with self.engine.all_cores(), one_thread():
                 return reduce_over(
                     self.affine,
@@ -277,7 +290,7 @@ class MatrixModes:
                     (begin.reduced, begin.vectors),
                     analysis.n_modes,
                     begin.n_rigid,
-                    around.observer,
+                    observer,
                     accuracy,
                     tell,
                 )
@@ -297,7 +310,8 @@ class MatrixModes:
         }
         key = content_key(canonical_json(asked))
         if key not in self._reduced:
-            self._reduced[key] = _Around(key, item, modes, self._observer(*_named(nodes)))
+            observer = partial(self._observer, *_named(nodes))
+            self._reduced[key] = _Around(key, item, modes, observer)
         around = self._around = self._reduced[key]
         return self.engine.derived(
             asked, lambda: self._solutions.basis(around).reduced, ReducedModel

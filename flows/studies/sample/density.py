@@ -20,9 +20,9 @@ from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import qmc
 
 from modetune.core.modes import Floats, Integers
+from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.updating.estimation import parameter_covariance
 
 #: Ends are peaks of their own where the log density sinks by as much between them.
@@ -131,7 +131,7 @@ class Peaks:
 def find_peaks(posterior: Posterior, rng: np.random.Generator, also: Floats | None = None) -> Peaks:
     """The peaks of a density. also: (n, n_parameters), starts beside those that are drawn."""
     n_parameters = posterior.lower.size
-    unit = qmc.LatinHypercube(n_parameters, rng=rng).random(DRAWN)
+    unit = latin_hypercube(DRAWN, n_parameters, rng)
     starts = posterior.lower + unit * (posterior.upper - posterior.lower)
     order = np.argsort(-posterior.log_density(starts))
     # The best draws crowd on one peak, so half of the starts are taken as they come.

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import qmc
 
 from modetune import __version__
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
+from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
@@ -94,7 +94,7 @@ def sample_campaign(
     limits = learning_range(campaign, None if earlier is None else centre)
     at_points, at_search, at_chains, at_checks = np.random.default_rng(request.seed).spawn(4)
     asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
-    unit = qmc.LatinHypercube(len(parameters), rng=at_points).random(asked)
+    unit = latin_hypercube(asked, len(parameters), at_points)
     spread = limits[0] + unit * (limits[1] - limits[0])
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)

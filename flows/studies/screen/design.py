@@ -12,10 +12,10 @@ from itertools import product
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.stats import qmc
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
+from modetune.core.planning.latin_hypercube import latin_hypercube
 
 Method = Literal["local", "morris", "sobol", "lhs", "factorial"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -77,7 +77,7 @@ def make_design(
     if method == "lhs":
         n = POINTS_EACH * count if points is None else points
         _enough(method, n, count + 2)
-        unit = qmc.LatinHypercube(count, rng=rng).random(n)
+        unit = latin_hypercube(n, count, rng)
         return _placed(empty, lower + unit * (upper - lower), np.arange(n))
     if method == "factorial":
         return _factorial(empty, points)
