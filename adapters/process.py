@@ -8,11 +8,14 @@ descendants. Time-out and cancelling close the pipe on purpose. No shell is invo
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import json
+import marshal
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
@@ -20,6 +23,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Command
@@ -74,8 +78,6 @@ def run_process(
     command = command.started_in(folder)
     where = f"`{' '.join(command.arguments)}` in {folder}"
     supervisor = _supervisor(command, folder, disk_bytes, where)
-    assert supervisor.stdin is not None
-    assert supervisor.stdout is not None
     outcome, group = None, 0
     try:
         ended = select.poll()
@@ -141,35 +143,99 @@ def as_block(text: str) -> str:
     return textwrap.indent(text.strip("\n"), "  | ")
 
 
-def _supervisor(
-    command: Command, folder: Path, disk_bytes: int, where: str
-) -> subprocess.Popen[bytes]:
+@dataclass(frozen=True, slots=True)
+class _Supervisor:
+    """This process's ends of a supervisor's standard input and output."""
+
+    stdin: IO[bytes]
+    stdout: IO[bytes]
+
+
+class _Supervisors:
+    """The process that forks supervisors for this one; started when the first job needs it, and
+    again where it was killed. It ends with this process, however that ends."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._requests: socket.socket | None = None
+
+    def start(self, what: bytes) -> _Supervisor:
+        """A supervisor of what is told in `marshal`. Raises OSError."""
+        wanted, stdin = os.pipe()
+        stdout, said = os.pipe()
+        made = _Supervisor(os.fdopen(stdin, "wb", 0), os.fdopen(stdout, "rb"))
+        try:
+            self._send([wanted, said])
+        except BaseException:
+            made.stdin.close()
+            made.stdout.close()
+            raise
+        finally:
+            os.close(wanted)
+            os.close(said)
+        with contextlib.suppress(BrokenPipeError):  # it was killed: its output tells
+            rest = memoryview(len(what).to_bytes(8, "big") + what)
+            while rest:
+                rest = rest[made.stdin.write(rest) :]
+        return made
+
+    def _send(self, ends: list[int]) -> None:
+        with self._lock:
+            if self._requests is not None:
+                with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                    socket.send_fds(self._requests, [b"1"], ends)
+                    return
+                self.end()
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            with theirs:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-I", "-S", str(SUPERVISOR)],
+                    cwd="/",
+                    stdin=theirs.fileno(),
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+            self._requests = ours
+            socket.send_fds(ours, [b"1"], ends)
+
+    def end(self) -> None:
+        """End it; supervisors that are there already are on their own."""
+        if self._requests is not None:
+            self._requests.close()
+            self._requests = None
+        if self._process is not None:
+            self._process.wait()
+            self._process = None
+
+
+_supervisors = _Supervisors()
+atexit.register(_supervisors.end)
+
+
+def _supervisor(command: Command, folder: Path, disk_bytes: int, where: str) -> _Supervisor:
+    environment = {**os.environ, **dict(command.environment)}
+    what = (
+        LOG,
+        disk_bytes,
+        [os.fsencode(word) for word in command.arguments],
+        {os.fsencode(name): os.fsencode(value) for name, value in environment.items()},
+        os.fsencode(folder.absolute()),
+    )
     try:
-        return subprocess.Popen(
-            [
-                *(sys.executable, "-I", "-S", str(SUPERVISOR), LOG, str(disk_bytes)),
-                *command.arguments,
-            ],
-            cwd=folder,
-            env={**os.environ, **dict(command.environment)},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        return _supervisors.start(marshal.dumps(what))
     except OSError as error:  # no more processes, memory or open files: may pass
         raise SolverCrashed(f"{where} could not be started: {error.strerror}") from error
 
 
-def _report(supervisor: subprocess.Popen[bytes], group: int) -> bytes:
+def _report(supervisor: _Supervisor, group: int) -> bytes:
     """What the supervisor says at its end; nothing where it was killed, and then its group too."""
-    assert supervisor.stdout is not None
     with supervisor.stdout as pipe:
         report = pipe.read()
     if group and not report:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(group, signal.SIGKILL)
-    supervisor.wait()
     return report
 
 

@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -70,13 +69,13 @@ class _Set:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Around:
-    """A reduced model of the modes at a set; modes: those whose derivatives it holds; observer:
-    makes what takes shapes to its rows. Raises UnlikeMatrices."""
+    """A reduced model of the modes at a set; modes: those whose derivatives it holds; seen: nodes
+    and components of its rows."""
 
     key: str
     of: _Set
     modes: Integers
-    observer: Callable[[], sparse.csr_array]
+    seen: tuple[Integers, Integers]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,19 +106,38 @@ class _Basis:
         return eigenvalues, self.vectors @ combined
 
 
+@dataclass(frozen=True)
+class _Model:
+    """A campaign's model as matrices, read when something is found from them."""
+
+    campaign: Campaign
+    source: MatrixSource
+
+    @cached_property
+    def matrices(self) -> ParameterMatrices:
+        """For all values."""
+        return self.source.last_matrices(self.campaign.start, range(len(self.source.parameters)))
+
+    def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
+        """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
+        seen = self.campaign.case.solver.deck.observation(self.matrices.base, nodes, components)
+        unknown = np.unique(nodes[seen.unknown])
+        if unknown.size:
+            named = ", ".join(map(str, unknown[:NAMED].tolist()))
+            more = f" and {unknown.size - NAMED} more" if unknown.size > NAMED else ""
+            raise UnlikeMatrices(
+                f"the motion of node {named}{more} does not follow from the stored matrices' "
+                "unknowns"
+            )
+        return seen.matrix
+
+
 class _Solutions:
     """Solutions in memory, and found again where they have left it: the newest of each kind."""
 
-    def __init__(
-        self,
-        matrices: Callable[[], ParameterMatrices],
-        engine: JobEngine,
-        shift: float,
-        rounding: float,
-    ) -> None:
-        """matrices: reads them, where the store does not have what is made of them; shift: where
-        none is known, (rad/s)^2; rounding: of the matrices' entries, relative."""
-        self._matrices = matrices
+    def __init__(self, model: _Model, engine: JobEngine, shift: float, rounding: float) -> None:
+        """shift: where none is known, (rad/s)^2; rounding: of the matrices' entries, relative."""
+        self.model = model
         self.rounding = rounding
         self.engine = engine
         self.shift = shift
@@ -141,7 +159,7 @@ class _Solutions:
         shift, start = self._beginning(item)
         self._newest = None
         with self.engine.all_cores():
-            here = self._matrices().at(item.values)
+            here = self.model.matrices.at(item.values)
             solved = self._solver.solve(
                 here.upper_stiffness, here.upper_mass, item.n_modes, shift, start
             )
@@ -154,10 +172,10 @@ class _Solutions:
     def basis(self, around: _Around) -> _Basis:
         """A reduced model with its basis."""
         if self._basis is None or self._basis.of is not around:
-            solved, observer = self.modes(around.of), around.observer()
+            solved, observer = self.modes(around.of), self.model.observer(*around.seen)
             with self.engine.all_cores():
                 made = reduce(
-                    self._matrices(),
+                    self.model.matrices,
                     around.of.values,
                     solved.eigenvalues,
                     solved.shapes,
@@ -202,24 +220,20 @@ class MatrixModes:
         self.campaign = campaign
         self.engine = engine
         self.source = source
-        self._columns = range(len(source.parameters))
-        self._matrices_key = source.key(campaign.start, self._columns)
-        if source.jobs(campaign.start, self._columns):
-            _ = self.affine  # what jobs left is made into the matrices at once
+        columns = range(len(source.parameters))
+        self._model = _Model(campaign, source)
+        self._matrices_key = source.key(campaign.start, columns)
+        if source.jobs(campaign.start, columns):
+            _ = self._model.matrices  # what jobs left is made into the matrices at once
         first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
         self._shift = shift_below(first**2)
         given = campaign.case.solver.deck.summary.matrices is not None
         rounding = GIVEN if given else PRINTED
-        self._solutions = _Solutions(lambda: self.affine, engine, self._shift, rounding)
+        self._solutions = _Solutions(self._model, engine, self._shift, rounding)
         self._sets: dict[tuple[float, ...], _Set] = {}
         self._first: dict[int, _Set] = {}
         self._reduced: dict[str, _Around] = {}
         self._around: _Around | None = None
-
-    @cached_property
-    def affine(self) -> ParameterMatrices:
-        """The matrices for all values, from the store: where it has the modes too, nobody reads them."""
-        return self.source.last_matrices(self.campaign.start, self._columns)
 
     def modal(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """The key and the modes of a set at the analysis' nodes. Raises UnlikeMatrices where
@@ -282,10 +296,10 @@ class MatrixModes:
         }
 
         def compute() -> ReducedRange:
-            begin, observer = self._solutions.basis(around), around.observer()
+            begin, observer = self._solutions.basis(around), self._model.observer(*around.seen)
             with self.engine.all_cores(), one_thread():
                 return reduce_over(
-                    self.affine,
+                    self._model.matrices,
                     values,
                     (begin.reduced, begin.vectors),
                     analysis.n_modes,
@@ -310,8 +324,7 @@ class MatrixModes:
         }
         key = content_key(canonical_json(asked))
         if key not in self._reduced:
-            observer = partial(self._observer, *_named(nodes))
-            self._reduced[key] = _Around(key, item, modes, observer)
+            self._reduced[key] = _Around(key, item, modes, _named(nodes))
         around = self._around = self._reduced[key]
         return self.engine.derived(
             asked, lambda: self._solutions.basis(around).reduced, ReducedModel
@@ -356,23 +369,10 @@ class MatrixModes:
         """The modes at an analysis' nodes, of shapes of all unknowns."""
         eigenvalues = eigenvalues[: analysis.n_modes]
         nodes, components = _named(analysis.nodes)
-        shapes = self._observer(nodes, components) @ shapes[:, : analysis.n_modes]
+        shapes = self._model.observer(nodes, components) @ shapes[:, : analysis.n_modes]
         rigid = min(n_rigid, eigenvalues.size)
         energies = energies[: eigenvalues.size]
         return ModalResult.of_shapes(eigenvalues, shapes, nodes, components, energies, rigid)
-
-    def _observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
-        """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
-        seen = self.campaign.case.solver.deck.observation(self.affine.base, nodes, components)
-        unknown = np.unique(nodes[seen.unknown])
-        if unknown.size:
-            named = ", ".join(map(str, unknown[:NAMED].tolist()))
-            more = f" and {unknown.size - NAMED} more" if unknown.size > NAMED else ""
-            raise UnlikeMatrices(
-                f"the motion of node {named}{more} does not follow from the stored matrices' "
-                "unknowns"
-            )
-        return seen.matrix
 
 
 def one_thread() -> AbstractContextManager[object]:

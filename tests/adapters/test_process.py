@@ -359,3 +359,39 @@ def test_a_folder_or_log_that_is_removed_meanwhile_is_told(tmp_path: Path) -> No
     os.mkfifo(tmp_path / LOG)
     with pytest.raises(NoResult, match="it is a pipe or a device"):
         read_log(tmp_path)
+
+
+MAKER = """
+import os, threading
+from pathlib import Path
+from modetune.adapters.process import run_process
+from modetune.adapters.solver import Command
+
+run_process(Command(("true",)), Path("."), 60.0, threading.Event())
+below = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+print(*below, flush=True)
+"""
+
+
+def test_what_forks_supervisors_ends_with_the_process_that_uses_it(tmp_path: Path) -> None:
+    told = subprocess.run(
+        [sys.executable, "-W", "error", "-c", MAKER],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60.0,
+    )  # fmt: skip
+    assert (told.returncode, told.stderr) == (0, "")
+    (maker,) = map(int, told.stdout.split())
+    assert_gone(maker)
+
+
+def test_it_is_started_again_where_it_was_killed(tmp_path: Path) -> None:
+    for _ in range(2):
+        assert run_process(python("pass"), tmp_path, 60.0, threading.Event()).return_code == 0
+        children = Path(f"/proc/self/task/{threading.main_thread().native_id}/children").read_text()
+        makers = [
+            pid
+            for pid in map(int, children.split())
+            if Path(f"/proc/{pid}/cmdline").read_bytes().endswith(b"supervisor.py\0")
+        ]
+        assert len(makers) == 1
+        os.kill(makers[0], signal.SIGKILL)
+        os.waitid(os.P_PID, makers[0], os.WEXITED | os.WNOWAIT)

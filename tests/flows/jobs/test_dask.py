@@ -194,7 +194,7 @@ def test_a_worker_killed_in_mid_campaign_costs_one_run_and_no_result(
             for pid in programs_below(jobs)
             if b"supervisor.py" in Path(f"/proc/{pid}/cmdline").read_bytes()
         ]
-        worker = parent_of(supervisor)
+        worker = parent_of(parent_of(supervisor))  # between them stands what forks supervisors
         os.kill(worker, signal.SIGKILL)
         killed.append(worker)
 
@@ -254,8 +254,8 @@ def test_a_killed_campaign_leaves_no_worker_and_no_solver(scripted: Any, bench: 
     )
     try:
         assert eventually(lambda: bench.runs() == 4)  # the initial model's jobs, one hangs
-        # The campaign itself, two workers, a supervisor, its program.
-        assert eventually(lambda: len(everything_below(campaign.pid)) >= 5)
+        # The campaign itself, two workers, what forks their supervisors, a supervisor, its program.
+        assert eventually(lambda: len(everything_below(campaign.pid)) >= 6)
         family = [pid for pid in everything_below(campaign.pid) if pid != campaign.pid]
     finally:
         campaign.kill()
