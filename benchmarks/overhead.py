@@ -41,6 +41,8 @@ from modetune.flows.jobs.work import Execution, ThreadExecution, Work
 from modetune.flows.updating.prefect import shown
 
 PROGRAM = "/bin/true"
+#: Milliseconds a job, by what ran them.
+Figures = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,27 @@ def with_pages(count: int, parallel: int, folder: Path) -> None:
         pages.end("COMPLETED", "Completed", "")
 
 
+def overheads_ms(count: int, folder: Path, parallel: int = 2, prefect: bool = True) -> Figures:
+    """Milliseconds a job of each way, in its order; prefect: a server is started for the last."""
+    os.environ["MODETUNE_HOME"] = str(folder / "home")
+    for part in ("supervised", "threads", "prefect"):
+        (folder / part).mkdir()
+    found = {
+        "bare pool": timed(lambda: bare(count, parallel)),
+        "supervised": timed(lambda: supervised(count, parallel, folder / "supervised")),
+        "engine, threads": timed(lambda: with_threads(count, parallel, folder / "threads")),
+    }
+    if prefect:
+        server = use_server()
+        try:
+            assert server.wait() == "ready"
+            found["engine, pages"] = timed(lambda: with_pages(count, parallel, folder / "prefect"))
+        finally:
+            server.close()
+            subprocess.run([sys.executable, "-m", "modetune", "server", "stop"], check=True)
+    return {name: 1e3 * wall_s / count for name, wall_s in found.items()}
+
+
 def timed(work: Callable[[], object]) -> float:
     started = time.monotonic()
     work()
@@ -138,7 +161,6 @@ def main() -> None:
     count, parallel = chosen.jobs, chosen.parallel
     with tempfile.TemporaryDirectory(prefix="modetune-overhead-") as name:
         folder = Path(name)
-        os.environ["MODETUNE_HOME"] = str(folder / "home")
         if chosen.profile:
             profile = cProfile.Profile()
             one, jobs = engine(folder / "profile"), works(count)
@@ -146,40 +168,13 @@ def main() -> None:
             profile.runcall(lambda: [one.solve(work.jobs[0]) for work in jobs])
             pstats.Stats(profile).sort_stats("tottime").print_stats(30)
             return
-        for part in ("supervised", "threads", "prefect"):
-            (folder / part).mkdir()
-        reference = timed(lambda: bare(count, parallel))
-        tell("bare pool", reference, reference, count)
-        tell(
-            "supervised",
-            timed(lambda: supervised(count, parallel, folder / "supervised")),
-            reference,
-            count,
+        found = overheads_ms(count, folder, parallel, not chosen.no_prefect)
+    reference = found["bare pool"]
+    for name, each in found.items():
+        sys.stdout.write(
+            f"{name:18} {each:7.2f} ms a job, {each - reference:+7.2f} ms, "
+            f"{each / reference:6.2f} times\n"
         )
-        tell(
-            "engine, threads",
-            timed(lambda: with_threads(count, parallel, folder / "threads")),
-            reference,
-            count,
-        )
-        if chosen.no_prefect:
-            return
-        server = use_server()
-        try:
-            assert server.wait() == "ready"
-            wall_s = timed(lambda: with_pages(count, parallel, folder / "prefect"))
-            tell("engine, pages", wall_s, reference, count)
-        finally:
-            server.close()
-            subprocess.run([sys.executable, "-m", "modetune", "server", "stop"], check=True)
-
-
-def tell(name: str, wall_s: float, reference_s: float, count: int) -> None:
-    """One line of the table."""
-    each, above = 1e3 * wall_s / count, 1e3 * (wall_s - reference_s) / count
-    line = f"{name:18} {each:7.2f} ms a job, {above:+7.2f} ms, {wall_s / reference_s:6.2f} times\n"
-    sys.stdout.write(line)
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -17,8 +17,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from benchmarks.agreement import Agreement
-from benchmarks.problem import Problem
+from benchmarks.problem import Agreement, Problem
 
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.process import LOG, run_process

@@ -1,11 +1,16 @@
-"""Updating as published scripts do it: a loop around the solver, one run after another.
+"""Updating without modetune: a least-squares method around the solver.
 
 `gauss_newton`: forward differences of 1 %, one parameter after another, and numpy's least squares.
-`least_squares`: SciPy's trust-region method with the same differences. Both minimise the residual
-of agreement.py. Each run of CalculiX has as many threads as are the quickest; nothing is kept from
-one run for another; both end as soon as the target is met.
+`least_squares`: SciPy's trust-region method with the same differences.
+`nl2sol`: that of Dakota (Dennis, Gay and Welsch 1981) with the same differences, as many side by
+side as there are cores. Dakota is linked into this process, which reads the deck once, and hands
+over all differences of a Jacobian together (`batch`).
 
-    python -m benchmarks.published gauss_newton|least_squares FOLDER
+All minimise the residual of problem.py. A run of CalculiX by itself has as many threads as are the
+quickest, runs side by side have one; nothing is kept from one run for another; all end as soon as
+the target is met.
+
+    python -m benchmarks.published gauss_newton|least_squares|nl2sol FOLDER
 
 prints one JSON object: converged, parameters.
 """
@@ -13,15 +18,16 @@ prints one JSON object: converged, parameters.
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from benchmarks.agreement import Agreement
-from benchmarks.plain import PlainModel
-from benchmarks.problem import Problem, read_problem
+from benchmarks.plain import PlainModel, cores
+from benchmarks.problem import Agreement, Problem, read_problem
 from scipy import optimize
 
 from modetune.core.modes import Floats
@@ -32,6 +38,8 @@ MAX_ITERATIONS = 20
 
 #: How the model at parameter values agrees with the test.
 Compare = Callable[[Floats], Agreement]
+#: What Dakota tells of a set, by name: `cv` are its continuous variables.
+Variables = Mapping[str, Floats]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +51,7 @@ class Updated:
 
 
 class TargetMet(Exception):
-    """Ends SciPy's method at the first run that meets the target."""
+    """Ends a method of others at the first run that meets the target."""
 
     def __init__(self, theta: Floats) -> None:
         super().__init__("the target is met")
@@ -97,15 +105,105 @@ def least_squares(problem: Problem, compare: Compare) -> Updated:
     return Updated(False, tuple(np.asarray(ended.x).tolist()))
 
 
-METHODS = {"gauss_newton": gauss_newton, "least_squares": least_squares}
+#: A study of Dakota. What NL2SOL takes for convergence is put below what the target needs.
+STUDY = """\
+environment
+method
+  nl2sol
+    convergence_tolerance 1e-12
+    x_conv_tol 1e-10
+    max_iterations {iterations}
+    max_function_evaluations 100000
+  output silent
+variables
+  continuous_design {n_parameters}
+    initial_point {initial}
+    lower_bounds {lower}
+    upper_bounds {upper}
+interface
+  python
+    analysis_drivers 'evaluate'
+  batch
+  deactivate restart_file
+responses
+  calibration_terms {n_residuals}
+  numerical_gradients
+    method_source dakota
+    interval_type forward
+    fd_step_size {step}
+  no_hessians
+"""
+
+
+def nl2sol(problem: Problem, compare: Compare, beside: Compare | None = None) -> Updated:
+    """Dakota's NL2SOL.
+
+    beside: as `compare`, where it is called by several threads at once. Raises SystemExit where
+    Dakota is not installed.
+    """
+    try:
+        from dakota import environment
+    except ImportError:
+        sys.exit("Dakota is not installed: pip install 'modetune[bench]'")
+    parameters = problem.parameter_set
+    n_residuals = problem.agreement(problem.measured).residual.size
+    study = STUDY.format(
+        iterations=MAX_ITERATIONS,
+        n_parameters=len(problem.parameters),
+        initial=_row(parameters.initial),
+        lower=_row(parameters.lower),
+        upper=_row(parameters.upper),
+        n_residuals=n_residuals,
+        step=STEP,
+    )
+    last = parameters.initial
+    met: list[Floats] = []
+
+    def evaluate(sets: Variables | list[Variables]) -> object:
+        """Dakota's answer to a set or several: their residuals."""
+        nonlocal last
+        single = not isinstance(sets, list)
+        thetas = [np.array(each["cv"]) for each in (sets if isinstance(sets, list) else [sets])]
+        last = thetas[0]
+        called = compare if single or beside is None else beside
+        waiting = {pool.submit(called, theta): theta for theta in thetas}
+        for done in as_completed(waiting):
+            if done.result().holds(problem.target):
+                met.append(waiting[done])
+                raise TargetMet(waiting[done])
+        found = [{"fns": each.result().residual} for each in waiting]
+        return found[0] if single else found
+
+    pool = ThreadPoolExecutor(cores())
+    try:
+        environment.study(callbacks={"evaluate": evaluate}, input_string=study).execute()
+    except (TargetMet, RuntimeError):  # the latter: Dakota's word for any error of a callback
+        if not met:
+            raise
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+    return Updated(bool(met), tuple((met[0] if met else last).tolist()))
+
+
+def _row(values: Floats) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+METHODS = {"gauss_newton": gauss_newton, "least_squares": least_squares, "nl2sol": nl2sol}
 
 
 def main() -> None:
     """Update the problem in the folder that the command line names."""
     method, folder = sys.argv[1:]
     problem = read_problem(Path(folder))
-    updated = METHODS[method](problem, PlainModel(problem).agreement)
+    alone, beside = PlainModel(problem).agreement, PlainModel(replace(problem, threads=1)).agreement
+    if method == "nl2sol":
+        updated = nl2sol(problem, alone, beside)
+    else:
+        updated = METHODS[method](problem, alone)
     sys.stdout.write(json.dumps(asdict(updated)) + "\n")
+    sys.stdout.flush()
+    os._exit(0)  # a run that goes on side by side ends with its process
 
 
 if __name__ == "__main__":

@@ -1,30 +1,42 @@
-"""The ways of updating that are compared: each a command in a fresh folder with a fresh store.
+"""Ways of updating a model with CalculiX, each a command in a fresh folder with a fresh store.
 
-a  one after another: finite differences one by one, numpy's least squares (published.py)
-b  SciPy's least_squares around the solver (published.py)
-c  the thesis's Case II: modetune, finite differences in each iteration
-d  the thesis's Case I: the same, skipped where e2 allows, with Broyden's update
-e  modetune as it comes
+    a  one finite difference after another with least squares, as published scripts do
+    b  SciPy's least_squares around the solver
+    c  the thesis's Case II: modetune with finite differences in each iteration
+    d  the thesis's Case I: the same, skipped where e2 allows, with Broyden's update
+    e  modetune as it comes
+    f  Dakota's NL2SOL around the solver, differences side by side
+
+All start at the deck's values and end when every frequency is within the target; the truth is
+known (problem.py). a, b and f (published.py) give CalculiX one thread or all cores, whichever is
+quicker. Errors are those of one more plain run at the values each ended with.
+
+    python -m benchmarks.ways [--case garteur] [--sizes coarse medium fine:bef] [--target 1e-4]
+
+A size may name the ways that run at it; the last line of the output is one JSON object.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from benchmarks.cost import Cost, Ended, calculix, run_counted
-from benchmarks.plain import PlainModel
-from benchmarks.problem import Problem
+from benchmarks.plain import JobCost, PlainModel, cores, quickest
+from benchmarks.problem import CASES, TARGET, Problem, set_up, write_problem
+from benchmarks.time_spent import profiled
 
-from modetune.core.modes import Floats
+from modetune.core.errors import ModetuneError
 from modetune.flows.campaign.schema import STORE_VARIABLE
 from modetune.flows.jobs.prefect_server import (
     HOME_VARIABLE,
@@ -53,14 +65,18 @@ class Way:
     settings: tuple[str, ...] = ()
 
 
-WAYS = (
-    Way("a", "differences one by one, numpy", method="gauss_newton"),
-    Way("b", "SciPy least_squares", method="least_squares"),
-    Way("c", "thesis's Case II", settings=(*THESIS, "update.e2=0")),
-    Way("d", "thesis's Case I", settings=THESIS),
-    Way("e", "modetune as it comes"),
-)
-LETTERS = "".join(way.letter for way in WAYS)
+WAYS = {
+    way.letter: way
+    for way in (
+        Way("a", "differences one by one, numpy", method="gauss_newton"),
+        Way("b", "SciPy least_squares", method="least_squares"),
+        Way("c", "thesis's Case II", settings=(*THESIS, "update.e2=0")),
+        Way("d", "thesis's Case I", settings=THESIS),
+        Way("e", "modetune as it comes"),
+        Way("f", "Dakota NL2SOL", method="nl2sol"),
+    )
+}
+LETTERS = "".join(WAYS)
 #: The way that the others are compared with.
 REFERENCE = "e"
 
@@ -71,7 +87,8 @@ class Trial:
 
     parameters: where it ended, relative values. largest_error, mean_error: of the frequencies
     there, by one plain run; least_mac: of the shapes there, None without. largest_distance,
-    mean_distance: of the parameters to the truth.
+    mean_distance: of the parameters to the truth. seconds: where modetune's wall went, by what was
+    done; empty where nobody asked.
     """
 
     cost: Cost
@@ -82,6 +99,15 @@ class Trial:
     least_mac: float | None
     largest_distance: float
     mean_distance: float
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+def prepare(case: str, size: str, target: float, folder: Path) -> Problem:
+    """A problem with its test, by runs of the twin that do not count."""
+    problem, twin = quickest(set_up(case, size, target, folder))
+    problem = replace(problem, measured=twin.select(range(problem.n_modes)))
+    write_problem(problem)
+    return problem
 
 
 @contextmanager
@@ -108,7 +134,12 @@ def prefect_server(use: ServerUse, home: Path) -> Iterator[None]:
 
 
 def run_way(
-    way: Way, problem: Problem, model: PlainModel, folder: Path, server: ServerUse
+    way: Way,
+    problem: Problem,
+    model: PlainModel,
+    folder: Path,
+    server: ServerUse,
+    profile: bool = False,
 ) -> Trial:
     """Run a way in a new folder, which is deleted when it went well.
 
@@ -116,15 +147,25 @@ def run_way(
     """
     folder.mkdir(parents=True)
     if way.method:
-        converged, theta, cost = _script(way, problem, folder)
+        command = [sys.executable, "-m", "benchmarks.published", way.method, str(problem.folder)]
+        ended = run_counted(command, folder, importing(), calculix())
+        found = told(ended, way.name)
+        converged, theta = found["converged"], np.array(found["parameters"])
     else:
-        converged, theta, cost = _modetune(way, problem, folder, server)
+        words = [word for text in way.settings for word in ("--set", text)]
+        home = problem.folder.parent / "home"  # of the server that is kept up
+        words = ["update", *campaign(problem, folder), *words]
+        ended = modetune(words, folder, home, server, profile)
+        found = told(ended, way.name)
+        converged = found["status"] == "converged"
+        theta = np.array([item["updated"] for item in found["parameters"]])
     final = model.agreement(theta)
     errors = np.abs(final.errors)
     distance = problem.distance(theta)
+    seconds = profiled(folder) if profile and not way.method else {}
     shutil.rmtree(folder)
     return Trial(
-        cost,
+        ended.cost,
         converged,
         tuple(theta.tolist()),
         float(errors.max()),
@@ -132,54 +173,119 @@ def run_way(
         float(final.macs.min()) if final.macs.size else None,
         float(distance.max()),
         float(distance.mean()),
+        seconds,
     )
 
 
-def _script(way: Way, problem: Problem, folder: Path) -> tuple[bool, Floats, Cost]:
-    command = [sys.executable, "-m", "benchmarks.published", way.method, str(problem.folder)]
+def importing() -> dict[str, str]:
+    """The environment, in which Python finds this folder, and modetune keeps no store."""
     root = str(Path(__file__).resolve().parents[1])
     path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
-    ended = run_counted(command, folder, {**os.environ, "PYTHONPATH": path}, calculix())
-    told = _told(ended, way)
-    return told["converged"], np.array(told["parameters"]), ended.cost
+    found = {**os.environ, "PYTHONPATH": path}
+    found.pop(STORE_VARIABLE, None)
+    return found
 
 
-def _modetune(
-    way: Way, problem: Problem, folder: Path, server: ServerUse
-) -> tuple[bool, Floats, Cost]:
-    command = [
-        sys.executable,
-        "-m",
-        "modetune",
-        "update",
-        str(problem.campaign),
-        "--json",
-        "--runs",
-        str(folder / "runs"),
-    ]
-    for setting in (*way.settings, f"store={folder / 'store'}"):
-        command += ["--set", setting]
-    if server == "none":
-        command.append("--no-prefect")
-    home = problem.folder.parent / "home"  # of the server that is kept up
-    environment = {**os.environ, HOME_VARIABLE: str(home)}
-    environment.pop(STORE_VARIABLE, None)
+def campaign(problem: Problem, folder: Path) -> list[str]:
+    """The words of a command by which it runs a problem's campaign in a folder of its own."""
+    runs, store = folder / "runs", folder / "store"
+    return [str(problem.campaign), "--runs", str(runs), "--set", f"store={store}"]
+
+
+def modetune(
+    words: Sequence[str], folder: Path, home: Path, server: ServerUse, profile: bool = False
+) -> Ended:
+    """A command of modetune by itself in a folder.
+
+    home: of the server. profile: it notes in the folder where its time goes (time_spent.py).
+    """
+    program = [sys.executable, "-m", "benchmarks.time_spent" if profile else "modetune"]
+    without = ["--no-prefect"] if server == "none" and words[0] != "demo" else []
+    environment = {**importing(), HOME_VARIABLE: str(home)}
     try:
-        ended = run_counted(command, folder, environment, calculix())
+        return run_counted([*program, *words, "--json", *without], folder, environment, calculix())
     finally:
         if server == "cold":
             stop_server(machine_home(home))
-    told = _told(ended, way)
-    theta = np.array([item["updated"] for item in told["parameters"]])
-    return told["status"] == "converged", theta, ended.cost
 
 
-def _told(ended: Ended, way: Way) -> Mapping[str, Any]:
-    """The JSON object of a way. Raises SystemExit where it did not come to its end."""
+def told(ended: Ended, name: str) -> Mapping[str, Any]:
+    """The JSON object of a command, its last line. Raises SystemExit where it has failed."""
     if ended.return_code not in (0, 3):  # 3: finished, the target not met
-        sys.exit(
-            f"way {way.letter} ({way.name}) failed with code {ended.return_code}:\n"
-            f"{ended.errors[-2000:]}"
+        sys.exit(f"{name} failed with code {ended.return_code}:\n{ended.errors[-2000:]}")
+    found: Mapping[str, Any] = json.loads(ended.output.splitlines()[-1])
+    return found
+
+
+def table(problem: Problem, plain: JobCost, trials: Mapping[str, Trial]) -> str:
+    """The ways of one size, a line each."""
+    reference = trials.get(REFERENCE)
+    lines = [
+        f"{problem.case} {problem.size}: {plain.n_equations:,} equations, "
+        f"{len(problem.parameters)} parameters, {problem.n_modes} modes; "
+        f"a plain modal run {plain.wall_s:.2f} s, threads {problem.threads}",
+        f"{'':33}{'wall s':>8}{'/ e':>7}{'/plain':>7}{'modal':>6}{'matr.':>6}{'CPU s':>8}"
+        f"{'GB':>6}{'largest':>9}{'mean':>9}{'distance':>9}  met",
+    ]
+    for letter, trial in trials.items():
+        cost = trial.cost
+        ratio = f"{cost.wall_s / reference.cost.wall_s:.2f}" if reference else "-"
+        lines.append(
+            f"{letter}  {WAYS[letter].name:30}{cost.wall_s:8.1f}"
+            f"{ratio:>7}{cost.wall_s / plain.wall_s:7.1f}"
+            f"{cost.modal_runs:6}{cost.matrix_runs:6}{cost.cpu_s:8.1f}{cost.peak_bytes / 1e9:6.2f}"
+            f"{trial.largest_error:9.1e}{trial.mean_error:9.1e}{trial.mean_distance:9.3f}"
+            f"  {'yes' if trial.converged else 'NO'}"
         )
-    told: Mapping[str, Any] = json.loads(ended.output)
-    return told
+    return "\n".join(lines)
+
+
+def wanted(text: str, case: str) -> tuple[str, str]:
+    """Size and letters of `medium` or `fine:de`. Raises ValueError where there is none such."""
+    size, colon, letters = text.partition(":")
+    if size not in CASES[case][0]:
+        raise ValueError(f"{case} has the sizes {', '.join(CASES[case][0])}, not {size!r}")
+    letters = letters if colon else LETTERS
+    if not letters or set(letters) - set(LETTERS):
+        raise ValueError(f"{text!r}: ways are letters of {LETTERS}")
+    return size, "".join(sorted(set(letters)))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the ways, print a table for each size, and all of it as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--case", choices=sorted(CASES), default="garteur")
+    parser.add_argument("--sizes", nargs="+", default=["coarse"], help="as `medium` or `fine:de`")
+    parser.add_argument("--target", type=float, default=TARGET, help="Largest frequency error.")
+    parser.add_argument("--server", choices=get_args(ServerUse), default="running")
+    chosen = parser.parse_args(arguments)
+    if not 0.0 < chosen.target < 0.1:
+        parser.error("--target must be between 0 and 0.1")
+    try:
+        sizes = [wanted(text, chosen.case) for text in chosen.sizes]
+    except ValueError as error:
+        parser.error(str(error))
+    calculix()
+    results: list[dict[str, object]] = []
+    with tempfile.TemporaryDirectory(prefix="modetune-bench-") as name:
+        folder = Path(name)
+        with prefect_server(chosen.server, folder / "home"):
+            for size, letters in sizes:
+                problem = prepare(chosen.case, size, chosen.target, folder / size)
+                model, trials = PlainModel(problem), {}
+                _, plain = model.modes(problem.parameter_set.initial)
+                for letter in letters:
+                    place = problem.folder / letter
+                    trials[letter] = run_way(WAYS[letter], problem, model, place, chosen.server)
+                sys.stdout.write(f"{table(problem, plain, trials)}\n\n")
+                sys.stdout.flush()
+                ways = {letter: asdict(trial) for letter, trial in trials.items()}
+                results.append({"size": size, "plain": asdict(plain), "ways": ways})
+    sys.stdout.write(json.dumps({"case": chosen.case, "cores": cores(), "sizes": results}) + "\n")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except ModetuneError as error:
+        sys.exit(str(error))

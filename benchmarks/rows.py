@@ -1,0 +1,256 @@
+"""What the table of speeds measures: a function a row, on problems whose truth is known.
+
+Runs that several rows need (a plain modal run, a way of updating) are made once a round.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from benchmarks.cost import Cost
+from benchmarks.eigen import measure as modal_solution
+from benchmarks.overhead import overheads_ms
+from benchmarks.plain import PlainModel
+from benchmarks.problem import CASES, TARGET, Problem
+from benchmarks.table import Figure, Row
+from benchmarks.ways import WAYS, ServerUse, Trial, campaign, modetune, prepare, run_way, told
+
+#: A case of problem.py at a size of it.
+Place = tuple[str, str]
+
+
+@dataclass(slots=True)
+class Bench:
+    """Where the benchmark runs, and the problems that all rounds share.
+
+    quick: the smallest sizes in place of all; large: the largest where a row has one. profile: ways
+    by modetune note where their time goes. seconds: what they noted, by problem, way and round.
+    """
+
+    folder: Path
+    server: ServerUse = "running"
+    quick: bool = False
+    large: bool = False
+    profile: bool = False
+    problems: dict[Place, Problem] = field(default_factory=dict)
+    seconds: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def place(self, case: str, size: str, large: str = "") -> Place:
+        """The case and the size that it is measured at."""
+        if self.quick:
+            return case, CASES[case][0][0]
+        return case, large if large and self.large else size
+
+    def problem(self, place: Place) -> Problem:
+        """Made once, with its test."""
+        if place not in self.problems:
+            target = 1e-2 if self.quick else TARGET
+            self.problems[place] = prepare(*place, target, self.folder / "-".join(place))
+        return self.problems[place]
+
+
+@dataclass(slots=True)
+class Round:
+    """One round of all rows, with what was run in it."""
+
+    bench: Bench
+    number: int
+    plain: dict[Place, float] = field(default_factory=dict)
+    trials: dict[tuple[Place, str], Trial] = field(default_factory=dict)
+
+    def folder(self, name: str) -> Path:
+        """A new one for a command."""
+        folder = self.bench.folder / f"{name}-{self.number}"
+        folder.mkdir(parents=True)
+        return folder
+
+    def plain_s(self, place: Place) -> float:
+        """Wall time of one plain modal run."""
+        if place not in self.plain:
+            problem = self.bench.problem(place)
+            _, cost = PlainModel(problem).modes(problem.parameter_set.initial)
+            self.plain[place] = cost.wall_s
+        return self.plain[place]
+
+    def trial(self, place: Place, letter: str) -> Trial:
+        """A way of updating. Raises SystemExit where it does not meet the target."""
+        if (place, letter) not in self.trials:
+            problem, bench = self.bench.problem(place), self.bench
+            name = f"{'-'.join(place)}-{letter}-{self.number}"
+            found = run_way(
+                WAYS[letter],
+                problem,
+                PlainModel(problem),
+                bench.folder / name,
+                bench.server,
+                profile=bench.profile,
+            )
+            if found.seconds:
+                bench.seconds[name] = dict(found.seconds)
+            self.trials[place, letter] = found
+        found = self.trials[place, letter]
+        if not found.converged:
+            sys.exit(f"{WAYS[letter].name} did not meet the target on {' '.join(place)}")
+        return found
+
+    def command(self, place: Place, command: str, options: Sequence[str]) -> Cost:
+        """A command of modetune on a problem's campaign, with a store of its own."""
+        folder = self.folder(f"{'-'.join(place)}-{command}")
+        return self.words([command, *campaign(self.bench.problem(place), folder), *options], folder)
+
+    def words(self, words: Sequence[str], folder: Path) -> Cost:
+        """Any command of modetune. Raises SystemExit where it fails."""
+        ended = modetune(words, folder, self.bench.folder / "home", self.bench.server)
+        told(ended, f"modetune {words[0]}")
+        return ended.cost
+
+
+def peer(size: str, each: Round) -> Figure:
+    """Dakota's NL2SOL over modetune as it comes, each to its first set within the target."""
+    place = each.bench.place("garteur", size)
+    dakota, ours = each.trial(place, "f").cost, each.trial(place, "e").cost
+    return Figure(
+        dakota.wall_s / ours.wall_s,
+        {
+            "Dakota s": dakota.wall_s,
+            "its runs": dakota.modal_runs,
+            "modetune s": ours.wall_s,
+            "modal runs": ours.modal_runs,
+            "matrix jobs": ours.matrix_runs,
+        },
+    )
+
+
+def whole(case: str, size: str, large: str, each: Round) -> Figure:
+    """A campaign as it comes over one plain modal run."""
+    place = each.bench.place(case, size, large)
+    plain_s, cost = each.plain_s(place), each.trial(place, "e").cost
+    return over_plain(cost, plain_s)
+
+
+def over_plain(cost: Cost, plain_s: float) -> Figure:
+    return Figure(
+        cost.wall_s / plain_s,
+        {
+            "whole s": cost.wall_s,
+            "plain run s": plain_s,
+            "modal runs": cost.modal_runs,
+            "matrix jobs": cost.matrix_runs,
+        },
+    )
+
+
+def study(size: str, command: str, options: Sequence[str], each: Round) -> Figure:
+    """A study over one plain modal run."""
+    place = each.bench.place("garteur", size)
+    return over_plain(each.command(place, command, options), each.plain_s(place))
+
+
+def starts(each: Round) -> Figure:
+    """Updating from eight starts over updating from one."""
+    place = each.bench.place("garteur", "fine")
+    one = each.trial(place, "e").cost.wall_s
+    eight = each.command(place, "update", ["--starts", "8"]).wall_s
+    return Figure(eight / one, {"8 starts s": eight, "one s": one})
+
+
+def later_solution(each: Round) -> Figure:
+    """CalculiX's modal job over the same modes from matrices at other values."""
+    found = modal_solution(each.bench.problem(each.bench.place("garteur", "fine", "large")))
+    return Figure(
+        found.native_s / found.later_s,
+        {
+            "equations": found.n_equations,
+            "native s": found.native_s,
+            "first s": found.first_s,
+            "later s": found.later_s,
+        },
+    )
+
+
+def cached_demo(each: Round) -> Figure:
+    """The demo once more, all of its results in the store."""
+    folder = each.folder("demo")
+    words = ["demo", *(["six-mass"] * each.bench.quick)]
+    first, again = (each.words(words, folder) for _ in range(2))
+    return Figure(again.wall_s, {"first s": first.wall_s, "runs again": again.modal_runs})
+
+
+def job_overhead(each: Round) -> Figure:
+    """What a job costs beside the program that it starts, with Prefect's pages."""
+    found = overheads_ms(100 if each.bench.quick else 1000, each.folder("overhead"))
+    return Figure(found["engine, pages"] - found["bare pool"], found)
+
+
+def skipped(each: Round) -> Figure:
+    """What e2 saves of the wall time where sensitivities cost runs."""
+    place = each.bench.place("launcher", "medium")
+    always, skips = each.trial(place, "c"), each.trial(place, "d")
+    apart = max(abs(a - b) for a, b in zip(always.parameters, skips.parameters, strict=True))
+    return Figure(
+        100.0 * (1.0 - skips.cost.wall_s / always.cost.wall_s),
+        {
+            "always s": always.cost.wall_s,
+            "its runs": always.cost.modal_runs,
+            "with e2 s": skips.cost.wall_s,
+            "modal runs": skips.cost.modal_runs,
+            "ends apart %": 100.0 * apart,
+        },
+    )
+
+
+MORRIS = ["--method", "morris", "--points", "500"]
+POSTERIOR = ["--walkers", "10", "--steps", "2000"]
+ROWS: tuple[Row[Round], ...] = (
+    *(
+        Row(
+            f"peer-{size}",
+            f"Dakota over modetune as it comes, aircraft {size}",
+            aim,
+            True,
+            partial(peer, size),
+        )
+        for size, aim in (("coarse", 2.0), ("medium", 4.0), ("fine", 5.0))
+    ),
+    Row(
+        "whole-fine",
+        "campaign over one plain run, aircraft fine",
+        1.9,
+        False,
+        partial(whole, "garteur", "fine", ""),
+    ),
+    Row(
+        "launcher",
+        "campaign over one plain run, launcher",
+        2.0,
+        False,
+        partial(whole, "launcher", "medium", "large"),
+    ),
+    Row("later", "CalculiX's modal run over a later solution from matrices", 10.0, True,
+        later_solution),
+    *(
+        Row(
+            f"morris-{size}",
+            f"500 Morris points over one plain run, aircraft {size}",
+            aim,
+            False,
+            partial(study, size, "screen", MORRIS),
+        )
+        for size, aim in (("coarse", 6.0), ("fine", 3.0))
+    ),
+    Row(
+        "posterior-fine",
+        "20,000 posterior samples over one plain run, aircraft fine",
+        4.0,
+        False,
+        partial(study, "fine", "sample", POSTERIOR),
+    ),
+    Row("starts-fine", "8 starts over one start, aircraft fine", 1.2, False, starts),
+    Row("demo", "cached rerun of the demo, whole process", 2.5, False, cached_demo, "s"),
+    Row("job", "a job's overhead with Prefect", 10.0, False, job_overhead, "ms"),
+    Row("e2", "wall saved by e2, launcher, 10 moduli", 40.0, True, skipped, "%"),
+)  # fmt: skip
