@@ -33,7 +33,10 @@ Points = Annotated[
 Walkers = Annotated[int | None, typer.Option(help="Walkers of the sampler.")]
 Steps = Annotated[int, typer.Option(help="Steps of a walker; up to ten times as many if needed.")]
 Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
-Checks = Annotated[int, typer.Option(help="Sets of the posterior that are solved for.")]
+Checks = Annotated[
+    int | None,
+    typer.Option(help="Sets of the posterior that are solved for: 8, 2 with a reduced model."),
+]
 
 
 def sample(
@@ -43,7 +46,7 @@ def sample(
     walkers: Walkers = None,
     steps: Steps = 2000,
     seed: Seed = 1,
-    checks: Checks = 8,
+    checks: Checks = None,
     figures: Figures = None,
     settings: Settings = None,
     runs: Runs = Path("runs"),
@@ -110,13 +113,14 @@ def _show(found: PosteriorRecord, written: list[Path]) -> None:
 
     console = terminal()
     show_table(console, posterior_table(found))
-    left_out, checked = found.left_out.max(), found.check_errors.max()
+    left_out = "" if found.by_reduced_model else f"{found.left_out.max():.2g} with a run left out, "
+    called = "reduced model" if found.by_reduced_model else "surrogate"
     lines = [
         f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}, left out: "
         f"{len(found.failures)}; {found.near.size} learned from, {int(found.near.sum())} of them "
         "near the posterior",
-        f"surrogate, in standard deviations of the test: worst response {left_out:.2g} with a run "
-        f"left out, {checked:.2g} at {len(found.check_keys)} checks",
+        f"{called}, in standard deviations of the test: worst response {left_out}"
+        f"{found.check_errors.max():.2g} at {len(found.check_keys)} checks",
         f"samples: {found.walkers} walkers, {found.steps - found.burned} steps kept, effective "
         f"{found.effective_sizes.min():.0f}, R-hat {found.r_hat.max():.3f}",
     ]

@@ -47,7 +47,8 @@ class ByRange:
     """Modes by a reduced model for a range of values, and by the matrices where it may be off.
 
     key: of the range; around: an evaluated set, whose degrees of freedom the range has. worst:
-    (n_parameters,), the last set of the range that was solved in full.
+    (n_parameters,), the last set of the range that was solved in full. in_full: whether the
+    matrices stand in where the range may be off; else its estimate alone tells so.
     """
 
     key: str
@@ -55,6 +56,7 @@ class ByRange:
     around: CaseEvaluation
     matrices: ByMatrices
     worst: Floats
+    in_full: bool = True
     name: str = REDUCED
     cheap: bool = True
     tally: Tally = field(default_factory=Tally)
@@ -85,6 +87,8 @@ class ByRange:
     def _reduced(self, theta: Floats, n_modes: int) -> tuple[str, ModalResult] | None:
         """By the range; None where it may be off by more than what confirms a set."""
         known = self.around.modal
+        if not self.in_full:
+            n_modes = min(n_modes, known.modes.n_modes)
         if n_modes > known.modes.n_modes:
             return None
         try:
@@ -92,9 +96,11 @@ class ByRange:
                 self.matrices.source.written(theta), n_modes
             )
         except ModesError as error:
+            if not self.in_full:
+                raise
             logger.debug("not by the range: %s", error)
             return None
-        if off > CONFIRMED:
+        if off > CONFIRMED and self.in_full:
             return None
         self.tally.estimate = max(self.tally.estimate, off)
         modes = known.modes
@@ -137,25 +143,28 @@ class ReducedRanges:
             where=self._confirmed[1],
         )
 
-    def within(self, campaign: Campaign, around: Evaluation) -> Evaluator | None:
+    def within(
+        self, campaign: Campaign, around: Evaluation, in_full: bool = True
+    ) -> Evaluator | None:
         """What evaluates sets of a campaign within the bounds, another test of the same models
         among them; None where a case has no such model, or the solver does not confirm it.
 
-        around: an evaluated set of the evaluator's own campaign.
+        around: an evaluated set of the evaluator's own campaign; in_full: whether sets at which
+        the reduced model may be off are solved in full.
         """
         if not self._finders and not self._refused:
             self._finders = self._made(around)
             self._refused = not self._finders or not self._believed(around)
-        return None if self._refused else self._evaluator(campaign)
+        return None if self._refused else self._evaluator(campaign, in_full)
 
-    def _evaluator(self, campaign: Campaign) -> Evaluator:
+    def _evaluator(self, campaign: Campaign, in_full: bool = True) -> Evaluator:
         """The evaluator's cases on the ranges, as this campaign compares them."""
         states = [
             replace(
                 state,
                 case=case,
                 campaign=campaign.alone(case),
-                finder=finder,
+                finder=replace(finder, in_full=in_full),
                 analysis=ModalAnalysis(state.case.n_modes, state.case.nodes),
             )
             for case, state, finder in zip(

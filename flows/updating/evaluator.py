@@ -98,7 +98,9 @@ class Ranges(Protocol):
         """How sets were evaluated so, and what confirmed it; None where none was."""
         ...
 
-    def within(self, campaign: Campaign, around: Evaluation) -> Evaluator | None:
+    def within(
+        self, campaign: Campaign, around: Evaluation, in_full: bool = True
+    ) -> Evaluator | None:
         """What evaluates sets of a campaign within the bounds, another test of the same models
         among them; None where a case has no such model, or the solver does not confirm it."""
         ...

@@ -8,6 +8,7 @@ measurements leave open are one place; another place that fits as well is a riva
 
 Each update's record stays in the run folder as starts/NN.h5. The campaign's own record goes from
 its initial model straight to the best start and on along that update, which the store answers.
+Where sets cost little all of this is a matter of one update (`tried_starts.py`).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.forecast import Forecast
 from modetune.flows.updating.prefect import Pages
 from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.running import solving_engine, update_campaign
+from modetune.flows.updating.running import job_engine, solving_engine, update_campaign
 from modetune.flows.updating.start_ends import (
     StartEnd,
     chosen_end,
@@ -75,12 +76,17 @@ def update_from_starts(
     """Update a campaign's model from as many starts as it asks for.
 
     From one start this is `update_campaign`, whose arguments and errors these are, and which looks
-    at others where sets cost little (`tried_starts.py`). Where updates from some starts fail the
-    others stand; raises where all fail.
+    at the others too where sets cost little. Where updates from some starts fail the others stand;
+    raises where all fail.
     """
     n = campaign.update.starts or 1
     if n == 1:
         return update_campaign(campaign, folder, progress, pages, forecast, executes)
+    if _cost_little(campaign):
+        try:
+            return update_campaign(campaign, folder, progress, pages, forecast, executes)
+        except ModesError as error:  # of the campaign's own start: the others go by themselves
+            logger.warning("the update from the campaign's own start failed: %s", error)
     campaign.solver_version()
     began = time.monotonic()
     with solving_engine(campaign) as engine:
@@ -113,6 +119,12 @@ def update_from_starts(
         progress.working("drawing the report")
         run = replace(run, page=draw_report(record, folder))
     return replace(run, record=record)
+
+
+def _cost_little(campaign: Campaign) -> bool:
+    """Whether sets cost little beside the first of them."""
+    engine = job_engine(campaign)
+    return evaluator_of(campaign, engine, ThreadExecution(engine, 1)).sets_cost_little
 
 
 def _run_starts(

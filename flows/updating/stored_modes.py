@@ -19,7 +19,7 @@ import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy import sparse
@@ -378,9 +378,14 @@ class MatrixModes:
 
 def one_thread() -> AbstractContextManager[object]:
     """Small matrices on one thread, where more would wait for each other; MKL keeps its own."""
-    limited: AbstractContextManager[object]
-    limited = ThreadpoolController().select(internal_api="openblas").limit(limits=1)
+    limited: AbstractContextManager[object] = _small_matrices().limit(limits=1)
     return limited
+
+
+@cache
+def _small_matrices() -> ThreadpoolController:
+    """Who computes with them; to look for it among all libraries takes longer than a few sets."""
+    return ThreadpoolController().select(internal_api="openblas")
 
 
 def _named(nodes: tuple[int, ...]) -> tuple[Integers, Integers]:

@@ -1,9 +1,11 @@
-"""Other starts, tried without being asked where sets cost little.
+"""Other starts where sets cost little: those that were asked for, and some without being asked.
 
 Once an update has ended its parameters are sought from other starts within the bounds too, on the
 model itself where it is small matrices, else on reduced models around the answer: milliseconds a
 set. What they find elsewhere that fits as well, or better, is then updated with the campaign's own
-modes, and only what holds there is told. A better place becomes the answer.
+modes, and only what holds there is told. Of starts that were asked for so is whatever they find
+elsewhere, and where they fail: far from the answer a reduced model may err by more than the test.
+A better place becomes the answer.
 """
 
 from __future__ import annotations
@@ -77,23 +79,29 @@ def try_starts(
     """Seek the parameters from other starts after an update has ended.
 
     record: of the update; last: the evaluation it ended on. None where sets cost too much, the
-    iterations are used up, or the campaign says from how many starts to update.
+    iterations are used up, or the campaign asks for one start alone.
     """
+    asked = campaign.update.starts
     ended = record.status != "max_iterations" and campaign.update.max_iterations > 0
-    if campaign.update.starts is not None or not ended:
+    if asked == 1 or not (ended or asked):
         return None
-    states = reduced_states(evaluator, last) if evaluator.sets_cost_little else []
+    states = reduced_states(evaluator, last, asked) if evaluator.sets_cost_little else []
     if not states:
         return None
     scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
-    starts = drawn_starts(campaign, MANY if scarce else TRIED)
+    starts = drawn_starts(campaign, asked or (MANY if scarce else TRIED))
     ends, allowed = [end_of(starts[0], record)], tolerated(campaign, record)
     inner = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
     for start in starts[1:]:
         ends.append(_updated(campaign, inner, start, start, REDUCED))
-        if len(ends) >= TRIED and _worth_a_look(ends, allowed):
+        if not asked and len(ends) >= TRIED and _worth_a_look(ends, allowed):
             break
-    for place in _worth_a_look(ends, allowed):
+    if asked:
+        ends = [
+            _updated(campaign, evaluator, end.start, end.start, "") if end.updated is None else end
+            for end in ends
+        ]
+    for place in _worth_a_look(ends, allowed, every=asked is not None):
         members = [n for n, at in enumerate(_places(ends, allowed)) if at == place]
         best = min(members, key=lambda n: ends[n].rank)
         found = ends[best].updated
@@ -107,14 +115,22 @@ def try_starts(
     return TriedStarts(campaign, tuple(ends), chosen)
 
 
-def reduced_states(evaluator: Evaluator, last: Evaluation) -> list[CaseState]:
+def reduced_states(
+    evaluator: Evaluator, last: Evaluation, asked: int | None = None
+) -> list[CaseState]:
     """The evaluator's cases on models of a few unknowns; none where one of them has no such model.
 
     Matrices are solved whole where they are few, else reduced around an evaluation; where modes
-    come from stored matrices the newest reduced models are at hand.
+    come from stored matrices the newest reduced models are at hand, once a step was taken. asked:
+    how many starts were asked for, for which they are made where they are not.
     """
     if evaluator.foresight is not None:
-        return evaluator.foresight.states
+        if evaluator.foresight.states or not asked:
+            return evaluator.foresight.states
+        (found,) = evaluator.points("starts", last.theta[None], [last])
+        if not isinstance(found, Evaluation):
+            raise found
+        last = found  # the solver's own, which confirmed it, have no more modes than are compared
     states = []
     for state, part in zip(evaluator.used, last.parts, strict=True):
         try:
@@ -128,6 +144,8 @@ def reduced_states(evaluator: Evaluator, last: Evaluation) -> list[CaseState]:
 
 def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
     """Modes of a model of matrices: of all unknowns where they are few, else reduced."""
+    if isinstance(state.finder, ByMatrices):
+        return ByReduced(state.finder.reduced(part.point, state.analysis), part)
     if not isinstance(state.finder, BySolver):
         return state.finder
     source = MatrixSource(state.engine, state.campaign.parameters, state.campaign.sensitivity.step)
@@ -170,13 +188,13 @@ def _places(ends: Sequence[StartEnd], allowed: Floats) -> list[int]:
     return [int(at) for at in places(updated / allowed, [end.rank for end in ends], 0)]
 
 
-def _worth_a_look(ends: Sequence[StartEnd], allowed: Floats) -> list[int]:
-    """Places beside the update's own that seem to fit as well, or better."""
+def _worth_a_look(ends: Sequence[StartEnd], allowed: Floats, every: bool = False) -> list[int]:
+    """Places beside the update's own that seem to fit as well, or better, or every one."""
     own = ends[0]
     return sorted(
         {
             at
             for end, at in zip(ends, _places(ends, allowed), strict=True)
-            if at > 0 and (end.fits_as_well(own) or end.rank < own.rank)
+            if at > 0 and (every or end.fits_as_well(own) or end.rank < own.rank)
         }
     )

@@ -82,7 +82,9 @@ def corner_figure(record: PosteriorRecord) -> Figure:
 def surrogate_chart(record: PosteriorRecord) -> Chart:
     """What the surrogate misses of each response, in standard deviations of the test."""
     names, at = record.training.names, positions(record.training.names)
-    items: list[Curve | Rule] = [Curve("a run left out", at, record.left_out, BEFORE, "", "o")]
+    items: list[Curve | Rule] = []
+    if not record.by_reduced_model:
+        items.append(Curve("a run left out", at, record.left_out, BEFORE, "", "o"))
     if np.isfinite(record.check_errors).all():
         name = f"at {len(record.check_keys)} checks"
         items.append(Curve(name, at, record.check_errors, AFTER, "", "x"))

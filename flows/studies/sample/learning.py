@@ -5,6 +5,9 @@ range. Runs spread over the range find where; further ones are taken there, draw
 of what the surrogate so far says the posterior is, each as far as can be from those that are
 there. This ends where enough runs lie near the posterior and each of them, left out, is foreseen
 from the others within a share of the test's own deviation.
+
+Where a reduced model gives the residual itself nothing has to be learned: the sets over the range
+only tell where to look for the posterior, and modes are tracked from the nearest of them.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from scipy.stats import chi2
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.flows.studies.sample.density import Peaks, Posterior, find_peaks
-from modetune.flows.studies.sample.points import PointSolver
+from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.sampling import walk
 from modetune.flows.studies.sample.surrogate import Surrogate, Training, fit_surrogate
 
@@ -36,11 +39,12 @@ SEARCH_STEPS, CANDIDATES = 300, 400
 @dataclass(frozen=True, slots=True)
 class Learned:
     """What was learned. near: (n_points,), which runs lie near the posterior; begun: runs before
-    any was added there; errors: (n_responses,), leave-one-out errors near the posterior."""
+    any was added there; errors: (n_responses,), leave-one-out errors near the posterior, NaN where
+    a reduced model stands for the surrogate."""
 
     training: Training
     keys: tuple[str, ...]
-    surrogate: Surrogate
+    surrogate: Surrogate | ReducedFeatures
     posterior: Posterior
     peaks: Peaks
     near: NDArray[np.bool_]
@@ -56,11 +60,12 @@ def learn(
     walkers: int,
     rng: np.random.Generator,
     tell: Callable[[str], None],
+    reduced: ReducedFeatures | None = None,
 ) -> Learned:
     """Runs at points (n, n_parameters), then at most `more` of them near the posterior.
 
-    limits: lower and upper end of the range. Raises CampaignError where the surrogate stays too
-    poor; SolverError, StoreError.
+    limits: lower and upper end of the range; reduced: what gives the residual without
+    learning. Raises CampaignError where the surrogate stays too poor; SolverError, StoreError.
     """
     tell(f"{points.shape[0]} sets over the range")
     solved = solver.solve("training", points)
@@ -68,8 +73,10 @@ def learn(
     begun = len(keys)
     each = 2 * points.shape[1] + 2
     while True:
-        tell(f"learning from {len(keys)} sets")
-        learned = _learned(solver, training, keys, limits, begun, rng)
+        tell("looking for the posterior" if reduced else f"learning from {len(keys)} sets")
+        learned = _learned(solver, training, keys, limits, begun, rng, reduced)
+        if reduced:
+            return learned
         good = learned.near.sum() >= each and learned.errors.max() <= GOOD
         if good or left <= 0:
             break
@@ -140,9 +147,10 @@ def _learned(
     limits: tuple[Floats, Floats],
     begun: int,
     rng: np.random.Generator,
+    reduced: ReducedFeatures | None,
 ) -> Learned:
     parameters = solver.campaign.parameters
-    surrogate = fit_surrogate(training, *limits)
+    surrogate = reduced or fit_surrogate(training, *limits)
     posterior = Posterior(surrogate, parameters.initial, parameters.standard_deviations, *limits)
     near = near_posterior(training, posterior)
     # The best runs so far are starts too: a narrow peak is easily missed by others.

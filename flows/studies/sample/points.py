@@ -1,6 +1,8 @@
-"""Solving parameter sets: ordinary modal jobs of a campaign, and the residuals they leave.
+"""Solving parameter sets: modes of a campaign's model there, and the residuals they leave.
 
-They go through the evaluator, its store, limits and retries, so that what was solved once is never
+Where a reduced model holds between the bounds (`flows/updating/by_range`) it gives the residual
+itself at any set, in a millisecond or two. Else sets are ordinary modal jobs,
+which go through the evaluator, its store, limits and retries, so that what was solved once is never
 solved again. Without measured shapes a set's modes are tracked from the nearest set that has been
 paired already, beginning at the campaign's start.
 """
@@ -12,17 +14,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.residual import measurement_variances
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.sample.surrogate import Training
+from modetune.flows.studies.sample.surrogate import Training, worst_of
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.stored_modes import one_thread
 
 logger = logging.getLogger(__name__)
 
+#: What stands for a residual that cannot be had, in standard deviations of the test: such sets are
+#: as good as impossible.
+IMPOSSIBLE = 1e3
 #: Of the sets asked for, the share that may fail.
 MOST_FAILED = 0.5
 
@@ -36,6 +43,40 @@ class SolvedPoints:
     places: Integers
 
 
+@dataclass(frozen=True, slots=True)
+class ReducedFeatures:
+    """The residual at any set by a reduced model, in standard deviations of the test.
+
+    evaluator: of sets between the bounds; known: evaluated ones, from which modes are tracked;
+    responses, names: as of `Training`.
+    """
+
+    campaign: Campaign
+    evaluator: Evaluator
+    known: Sequence[Evaluation]
+    responses: Integers
+    names: tuple[str, ...]
+
+    def features(self, points: Floats) -> Floats:
+        """(n, n_residuals) at points (n, n_parameters), all alike where one cannot be had."""
+        values = np.full((len(points), self.responses.size), IMPOSSIBLE)
+        with one_thread():
+            found = self.evaluator.points("samples", points, self.known)
+            for row, item in zip(values, found, strict=True):
+                if isinstance(item, Evaluation):
+                    row[:] = standardised(self.campaign, item)
+        return values
+
+    def errors(self, rows: NDArray[np.bool_]) -> Floats:
+        """Of what was learned from other sets: nothing was, (n_responses,)."""
+        return np.full(len(self.names), np.nan)
+
+    def missed(self, truth: Training) -> Floats:
+        """Errors at full solutions, (n_responses,), root mean square over these."""
+        apart = self.features(truth.points) - truth.values
+        return worst_of(apart, self.responses, len(self.names))
+
+
 class PointSolver:
     """Solves parameter sets of one campaign and keeps those that modes are tracked from."""
 
@@ -44,6 +85,16 @@ class PointSolver:
         self.evaluator = evaluator
         self.failures: list[str] = []
         self._known: list[Evaluation] = []
+
+    def reduced(self) -> ReducedFeatures | None:
+        """The residual by a reduced model between the bounds, beginning at the sets solved so far;
+        None where there is none."""
+        ranges = self.evaluator.ranges
+        within = ranges.within(self.campaign, self._known[0], in_full=False) if ranges else None
+        if within is None:
+            return None
+        named = response_names(self.campaign, self._known[0])
+        return ReducedFeatures(self.campaign, within, self._known, *named)
 
     def solve(self, title: str, points: Floats) -> SolvedPoints:
         """Residuals at points (n, n_parameters); sets that fail are left out with a warning.

@@ -20,7 +20,8 @@ its field.
                     posterior
     check_points    (n_checks, n_parameters); check_keys; check_errors, left_out (n_responses,):
                     errors of the surrogate in standard deviations of the test, at the checks and
-                    with each near training point left out
+                    with each near training point left out, NaN where a reduced model gave the
+                    samples themselves
     failures        texts of solver runs that were left out
     reduced_model/  where sets were evaluated by one: attributes sets, vectors, solutions, asked,
                     error, estimate, in_full, solver, apart, where (`core/updating/reduced_range`)
@@ -98,6 +99,11 @@ class PosteriorRecord:
     reduced_model: RangeUse | None
 
     __repr__ = brief
+
+    @property
+    def by_reduced_model(self) -> bool:
+        """Whether samples are those of the reduced model itself, and not of a surrogate."""
+        return bool(np.isnan(self.left_out).all())
 
     @property
     def points_by(self) -> str:

@@ -22,6 +22,7 @@ from modetune.flows.studies.sample.learning import Learned, learn
 from modetune.flows.studies.sample.points import PointSolver
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.sampling import Chains, check_walkers, sample
+from modetune.flows.updating.evaluator import MANY
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import solving_engine
 
@@ -39,14 +40,14 @@ class SamplingRequest:
 
     points: sets over the range; as many again may follow near the posterior. steps: of each
     walker at first. checks: sets of the posterior that are solved for. None: by the number of
-    parameters.
+    parameters, checks by what gives the samples.
     """
 
     points: int | None = None
     walkers: int | None = None
     steps: int = 2000
     seed: int = 1
-    checks: int = 8
+    checks: int | None = None
 
     def problems(self, n_parameters: int) -> list[str]:
         """What is unavailable, a sentence each."""
@@ -107,10 +108,19 @@ def sample_campaign(
             # Where nothing was measured but frequencies, pairs are those that updating begins with.
             solver.solve("start", campaign.start[None])
             points = np.vstack([centre, spread])
-            learned = learn(solver, points, limits, asked, walkers, at_search, progress.working)
+            learned = learn(
+                solver,
+                points,
+                limits,
+                asked,
+                walkers,
+                at_search,
+                progress.working,
+                solver.reduced() if asked >= MANY else None,
+            )
             progress.working("sampling")
             chains = sample(learned.posterior, learned.peaks, walkers, request.steps, at_chains)
-            progress.working(f"{request.checks} sets of the posterior")
+            progress.working("sets of the posterior")
             checks = check_surrogate(solver, learned.surrogate, chains, request.checks, at_checks)
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling

@@ -59,9 +59,9 @@ def _of_checks(record: PosteriorRecord) -> list[PosteriorFinding]:
             PosteriorFinding(
                 True,
                 (
-                    f"at {len(record.check_keys)} points of the posterior the surrogate misses "
+                    f"at {len(record.check_keys)} points of the posterior {_called(record)} misses "
                     f"the solver: {worst} standard deviations of the test; do not rely on this "
-                    "posterior, raise --points"
+                    f"posterior, {_remedy(record)}"
                 ),
             )
         )
@@ -77,6 +77,15 @@ def _of_checks(record: PosteriorRecord) -> list[PosteriorFinding]:
             )
         )
     return found
+
+
+def _called(record: PosteriorRecord) -> str:
+    return "the reduced model" if record.by_reduced_model else "the surrogate"
+
+
+def _remedy(record: PosteriorRecord) -> str:
+    own = "use the solver's own modes (`model.eigensolver: solver`)"
+    return own if record.by_reduced_model else "raise --points"
 
 
 def _of_chains(record: PosteriorRecord) -> list[PosteriorFinding]:

@@ -12,9 +12,12 @@ import pytest
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.studies.sample import density, sampling
+from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.updating import by_range
+from modetune.flows.updating.starts import update_from_starts
 from tests.adapters.ccx_decks import bar
 from tests.flows.updating.test_by_matrices import BAR, OWN, SKEW, THICKNESS, Case, written
 
@@ -63,6 +66,9 @@ class Watched:
         self.ran = 0
 
     def working(self, text: str) -> None:
+        return
+
+    def iteration(self, record: object) -> None:
         return
 
     def points(self, done: int, total: int, ran: int, failed: int) -> None:
@@ -132,3 +138,42 @@ def test_a_reduced_model_that_the_solver_does_not_confirm_gives_way_to_runs(
     assert found.points_by == ""
     # All of them, and the one that did not confirm.
     assert found.runs.modal == 25
+
+
+def test_what_a_screening_ran_neither_sampling_nor_updating_runs_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sampling, "LONGEST", 1)  # how long the chains are does not matter here
+    monkeypatch.setattr(density, "DRAWN", 24)
+    monkeypatch.setattr(density, "STARTS", 2)
+    file = written(BAR, tmp_path / "bar")
+    settings = ["update.e1.frequency=1e-4", "model.eigensolver=pardiso"]
+    campaign = load_campaign(file, settings)
+    screened_first = screen_campaign(campaign, ScreeningRequest("lhs", points=24), Watched())
+    assert (screened_first.runs.modal, screened_first.runs.sensitivity) == (1, 2)
+    asked = SamplingRequest(walkers=8, steps=100)
+    posterior = sample_campaign(load_campaign(file, settings), asked, Watched())
+    assert (posterior.runs.modal, posterior.runs.sensitivity) == (0, 0)
+    used = posterior.reduced_model
+    assert used is not None
+    assert used.solutions == screened_first.reduced_model.solutions  # type: ignore[union-attr]
+    # Each deviation of a frequency is a few thousandths: full solutions are met far within it.
+    assert posterior.check_errors.max() < 0.05
+    updated = update_from_starts(load_campaign(file, settings), tmp_path / "run", Watched())
+    assert updated.converged
+    assert (updated.record.runs.modal, updated.record.runs.sensitivity) == (
+        1,
+        0,
+    )  # confirms its end
+
+
+def test_starts_that_were_asked_for_cost_no_runs_of_their_own(tmp_path: Path) -> None:
+    settings = ["update.e1.frequency=1e-4", "model.eigensolver=pardiso", "update.starts=6"]
+    file = written(BAR, tmp_path / "bar")
+    record = update_from_starts(load_campaign(file, settings), tmp_path / "run", Watched()).record
+    assert record.status == "converged"
+    assert record.trust is not None
+    assert record.trust.spread is not None
+    assert len(record.trust.spread.starts) == 6
+    assert set(record.trust.spread.minima.tolist()) == {0}  # all lead to the answer
+    assert record.runs.modal == 1
