@@ -3,7 +3,8 @@
     native   CalculiX's modal job, with one thread or all cores, and reading it
     first    its matrix job, reading it, the factorisation and a block Krylov space
     later    other parameter values: matrices by their parts, another factorisation, and a block
-             Krylov space from the modes before
+             Krylov space from the modes before; of large models the factors that are there
+             (`kept` says of how many of these solutions, and how many columns were solved)
 
 and how much of two cores finite differences get that run side by side: the wall time of jobs with
 one thread one after another, over twice that of the same jobs two at a time.
@@ -56,7 +57,8 @@ class Solution:
     """Wall times in s of one modal solution, and memory, at one size.
 
     native_s: CalculiX, with its reading; native_bytes: its memory. job_s, read_s, solve_s: of the
-    first solution from matrices. later_s: median of the later ones. own_bytes: largest resident
+    first solution from matrices. later_s: median of the later ones, later_cpu_s: of their processor
+    time; kept: how many of them factorised nothing; later_columns: solved in all. own_bytes: largest resident
     size of this process and its matrix jobs. difference: largest of the elastic frequencies,
     relative, first against native. efficiency: of two jobs side by side, None where it was not
     measured.
@@ -71,6 +73,9 @@ class Solution:
     read_s: float
     solve_s: float
     later_s: float
+    later_cpu_s: float
+    kept: int
+    later_columns: int
     own_bytes: int
     difference: float
     efficiency: float | None
@@ -78,6 +83,15 @@ class Solution:
     @property
     def first_s(self) -> float:
         return self.job_s + self.read_s + self.solve_s
+
+
+@dataclass(frozen=True, slots=True)
+class Later:
+    """A later solution, its wall and its processor time."""
+
+    wall_s: float
+    cpu_s: float
+    solved: SolvedModes
 
 
 def measure(problem: Problem) -> Solution:
@@ -92,7 +106,7 @@ def measure(problem: Problem) -> Solution:
         shift = shift_below((2.0 * np.pi * float(modes.frequencies_hz[0])) ** 2)
         first = solver.solve(base.upper_stiffness, base.upper_mass, model.n_modes, shift)
         solve_s = time.monotonic() - started
-        later_s = later(model, base, solver, first)
+        laters = later(model, base, solver, first)
     elastic = np.sqrt(first.eigenvalues[problem.n_rigid :]) / (2.0 * np.pi)
     alike = native.n_equations <= LARGEST_PARALLEL
     return Solution(
@@ -104,7 +118,10 @@ def measure(problem: Problem) -> Solution:
         job.solver_s,
         job.read_s,
         solve_s,
-        median(later_s),
+        median(item.wall_s for item in laters),
+        median(item.cpu_s for item in laters),
+        sum(item.solved.way == "kept factors" for item in laters),
+        sum(item.solved.solutions for item in laters),
         peak[0],
         float(np.abs(elastic / modes.frequencies_hz - 1.0).max()),
         efficiency(problem) if alike else None,
@@ -113,12 +130,12 @@ def measure(problem: Problem) -> Solution:
 
 def later(
     model: PlainModel, base: MatrixResult, solver: ModeSolver, before: SolvedModes
-) -> list[float]:
-    """Seconds of each solution on the way to the hidden moduli; their matrices are linear in it."""
+) -> list[Later]:
+    """Each solution on the way to the hidden moduli; their matrices are linear in it."""
     affine = towards(base, model.matrices(np.array(model.problem.truth))[0])
-    seconds = []
+    found = []
     for step in STEPS:
-        started = time.monotonic()
+        started, cpu = time.monotonic(), time.process_time()
         matrices = affine.at(np.array([step]))
         before = solver.solve(
             matrices.upper_stiffness,
@@ -126,9 +143,10 @@ def later(
             model.n_modes,
             before.shift,
             before.shapes,
+            solver.blocks_that_pay(model.n_modes),
         )
-        seconds.append(time.monotonic() - started)
-    return seconds
+        found.append(Later(time.monotonic() - started, time.process_time() - cpu, before))
+    return found
 
 
 def towards(base: MatrixResult, other: MatrixResult) -> ParameterMatrices:
@@ -168,7 +186,7 @@ def table(solutions: Sequence[Solution]) -> str:
     lines = [
         f"{'one modal solution':18}{'equations':>11}{'native s':>9}{'job':>8}{'read':>7}"
         f"{'solve':>7}{'first s':>8}{'':>7}{'later s':>8}{'':>7}{'GB native':>11}{'own':>6}"
-        f"{'differ':>9}{'2 cores':>9}"
+        f"{'differ':>9}{'2 cores':>9}{'later cpu':>10}{'kept':>6}{'columns':>8}"
     ]
     for item in solutions:
         share = "-" if item.efficiency is None else f"{item.efficiency:.0%}"
@@ -178,6 +196,7 @@ def table(solutions: Sequence[Solution]) -> str:
             f"{f'x{item.native_s / item.first_s:.1f}':>7}{item.later_s:8.2f}"
             f"{f'x{item.native_s / item.later_s:.1f}':>7}{item.native_bytes / 1e9:11.2f}"
             f"{item.own_bytes / 1e9:6.2f}{item.difference:9.1e}{share:>9}"
+            f"{item.later_cpu_s:10.2f}{item.kept:>4}/{len(STEPS)}{item.later_columns:8}"
         )
     return "\n".join(lines)
 

@@ -26,6 +26,13 @@ vectors, and others only as rounding brings them in: where the count says that s
 another one from the shapes found and random vectors goes on to c just above the last one found,
 until it holds as many as there are.
 
+A factorisation of 10^6 equations takes as long as hundreds of solved columns. There the factors
+of an earlier model do as well, as long as it is near (`block_davidson`): K and M new, the inverse
+old. Residuals are held to the same bound; where their fall over the first blocks says that a
+factorisation is the shorter way, that is gone from where they are. Nothing can be counted without
+factors: random vectors beside the start shapes stay in the block to the end and turn to the lowest
+of what the others lack, and a mode among the lowest has to converge like the rest.
+
 Rounding sets a limit to all ways: lambda is known to about 10^-16 of the largest eigenvalue, as
 the computed eigenvalues of rigid modes show. Small models are solved whole by LAPACK
 (core/algebra/dense_modes). How the shift is found: core/algebra/pencil.
@@ -33,6 +40,7 @@ the computed eigenvalues of rigid modes show. Small models are solved whole by L
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,7 +49,12 @@ from scipy.linalg import eigh
 from scipy.linalg.blas import dgemm
 
 from modetune.core.algebra.dense_modes import solve_condensed, solve_whole
-from modetune.core.algebra.krylov import RitzPairs, unit_combinations, with_random
+from modetune.core.algebra.krylov import (
+    RitzPairs,
+    block_davidson,
+    unit_combinations,
+    with_random,
+)
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pencil import (
     LEAST_SHIFT,
@@ -53,9 +66,12 @@ from modetune.core.algebra.pencil import (
     factorise_below,
     largest_pairs,
     singular_together,
+    triangle_product,
 )
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
+
+logger = logging.getLogger(__name__)
 
 #: Models up to this many unknowns are solved whole.
 DENSE = 300
@@ -75,6 +91,11 @@ ROUNDS = 4
 TOLERANCE = 2e-5
 #: The same from random vectors, whose modes hold some of any other; a block more.
 RANDOM_TOLERANCE = 2e-6
+#: Blocks with an earlier model's factors: fewer are too few to try, more never came to an end.
+LEAST_BLOCKS, MOST_BLOCKS = 3, 8
+#: Solved columns that a column of such a block costs, with its products and its part of the basis,
+#: and that a mode costs with factors of its own (three blocks, the later ones smaller).
+BLOCK_COLUMN, KRYLOV_MODE = 2.5, 4.5
 #: Eigenvalues this close, relative to their distance from the shift, are not told apart.
 _SAME = 1e-6
 
@@ -102,8 +123,8 @@ class SolvedModes:
 class ModeSolver:
     """Modes of one model after the other; what depends on their sparsity alone is kept.
 
-    One solver holds the matrices of the last model and the factors of one shifted matrix. It is
-    for one thread.
+    One solver holds the matrices of the last model and the factors of one shifted matrix, its own
+    or an earlier model's (`has_own_factors`). It is for one thread.
     """
 
     def __init__(self, *, count: bool = True) -> None:
@@ -119,6 +140,7 @@ class ModeSolver:
         n_modes: int,
         shift: float | None = None,
         start: Floats | None = None,
+        kept_blocks: int = 0,
     ) -> SolvedModes:
         """The lowest modes of a model, rigid ones included.
 
@@ -129,6 +151,8 @@ class ModeSolver:
         start: (n, n_start), shapes of a similar model, at least n_modes of them and better some
         more. With count, modes are complete or an error is raised; without it, a mode of which the
         start shapes hold nothing is not found: for whoever looks at the modes again by other means.
+        kept_blocks: blocks of vectors that the factors of the model before may be tried with,
+        without count (`blocks_that_pay`).
         Raises ModelError where the matrices allow no solution, SolverExhausted where memory does
         not suffice.
         """
@@ -156,16 +180,48 @@ class ModeSolver:
             inverted, shapes = solve_condensed(pencil, n_modes)
             return _completed(pencil, inverted, shapes, "condensed", pencil.n_with_mass, True)
         if start is not None and start.shape[1] >= n_modes and start.shape[0] == size:
+            if kept_blocks and not self._count and pencil.kept_shift is not None:
+                pairs = self._with_kept(pencil, n_modes, pencil.kept_shift, start, kept_blocks)
+                if pairs is not None and pairs.converged:
+                    return self._kept(pairs, n_modes, pencil.kept_shift)
+                logger.info("the model is too far from the one factorised: factorised anew")
+                start = start if pairs is None else pairs.vectors
             found = self._from_start(pencil, n_modes, shift, np.asfortranarray(start))
             if found is not None:
                 return found
         return self._from_random(pencil, n_modes, shift)
 
+    def factorise(self, stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> None:
+        """Only the factors of a model, for one that is like it. As `solve`, shift as it told."""
+        if self._pencil is None or not self._pencil.update(stiffness, mass):
+            self._pencil = None
+            self._pencil = Pencil(stiffness, mass)
+        self._shift = factorise_below(self._pencil, shift)
+
+    def blocks_that_pay(self, n_modes: int) -> int:
+        """How many blocks with the factors at hand cost no more than new ones; 0 if too few.
+
+        By numbers of entries, not by a clock: the same in each run.
+        """
+        if self._pencil is None or self._pencil.kept_shift is None:
+            return 0
+        columns = self._pencil.factorisation_columns + KRYLOV_MODE * n_modes
+        blocks = int(columns / (BLOCK_COLUMN * (n_modes + GUARD)))
+        return min(blocks, MOST_BLOCKS) if blocks >= LEAST_BLOCKS else 0
+
+    @property
+    def has_own_factors(self) -> bool:
+        """Whether the factors at hand are the last model's, or will be when they are asked for."""
+        return self._shift is not None
+
     def inverse(self, block: Floats) -> Floats:
-        """(K - s M)^-1 block of the last model, (n,) or (n, n_columns), s as in its `Solved`."""
-        if self._pencil is None or self._shift is None:
+        """(K - s M)^-1 block of the last model, (n,) or (n, n_columns), s as in its `Solved`.
+
+        Of the earlier model whose factors are at hand, where the last one was solved by these.
+        """
+        if self._pencil is None or (self._shift is None and self._pencil.kept_shift is None):
             raise ModelError("no model has been solved yet: there is nothing to invert")
-        if self._pencil.shift != self._shift:
+        if self._shift is not None and self._pencil.shift != self._shift:
             self._shift = factorise_below(self._pencil, self._shift)
         return self._pencil.inverse(block)
 
@@ -173,6 +229,34 @@ class ModeSolver:
     def on_disk(self) -> bool:
         """Whether the factors did not fit in memory."""
         return self._pencil is not None and self._pencil.on_disk
+
+    def _with_kept(
+        self, pencil: Pencil, n_modes: int, shift: float, start: Floats, blocks: int
+    ) -> RitzPairs | None:
+        """With an earlier model's factors."""
+
+        def mass(block: Floats) -> Floats:
+            return triangle_product(pencil.mass, block)
+
+        block = with_random(start, GUARD)
+        block[:, -GUARD:] = pencil.inverse(mass(np.asfortranarray(block[:, -GUARD:])))
+        return block_davidson(
+            pencil.inverse,
+            lambda x, inertia: pencil.stiff(x) - shift * inertia,
+            mass,
+            block,
+            n_modes,
+            TOLERANCE,
+            blocks,
+        )
+
+    def _kept(self, pairs: RitzPairs, n_modes: int, shift: float) -> SolvedModes:
+        self._shift = None
+        values, shapes = 1.0 / pairs.inverted[:n_modes] + shift, pairs.vectors[:, :n_modes]
+        residuals = pairs.residuals[:n_modes]
+        return SolvedModes(
+            values, shapes, residuals, shift, "kept factors", False, pairs.solutions + GUARD
+        )
 
     def _from_start(
         self, pencil: Pencil, n_modes: int, shift: float, start: Floats

@@ -50,7 +50,7 @@ class SymmetricFactors(Protocol):
     """The factors of one real symmetric matrix after the other, all of one sparsity.
 
     negative_pivots: how many eigenvalues of the matrix are negative. lifted_pivots: how many were
-    as good as zero. on_disk: whether they are in files.
+    as good as zero. factor_entries: of the factor L. on_disk: whether they are in files.
     """
 
     @property
@@ -59,6 +59,8 @@ class SymmetricFactors(Protocol):
     def negative_pivots(self) -> int: ...
     @property
     def lifted_pivots(self) -> int: ...
+    @property
+    def factor_entries(self) -> int: ...
 
     def refactor(self, values: NDArray[np.float64]) -> None:
         """Factorise the matrix with these values in the places of its upper triangle."""
@@ -281,6 +283,7 @@ class _SymmetricSuperLu:
         self._factors: Any = None
         self.negative_pivots = 0
         self.lifted_pivots = 0
+        self.factor_entries = 0
 
     def refactor(self, values: NDArray[np.float64]) -> None:
         matrix = sparse.csc_array((values[self._places], *self._pattern), shape=self._shape)
@@ -296,6 +299,7 @@ class _SymmetricSuperLu:
         self.negative_pivots = int(np.sum(self._factors.U.diagonal() < 0.0))
         # A zero on the diagonal makes SuperLU leave it, and the signs then count nothing.
         self.lifted_pivots = int(np.sum(self._factors.perm_r != self._factors.perm_c))
+        self.factor_entries = int(self._factors.L.nnz)
 
     def solve(
         self, block: NDArray[np.float64], out: NDArray[np.float64] | None = None

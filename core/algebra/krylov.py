@@ -11,6 +11,12 @@ There is an eigenvalue of A within it of each theta, and as many as there are th
 (Kahan); beside a gap to the others the error is its square over the gap. Columns of Y that add
 less than the tolerance to any residual are left out of the next block, so the block becomes
 smaller where start vectors are good. Source: Golub and Underwood 1977; Parlett 1998, 11.5, 13.10.
+
+Where only P, the inverse of a similar matrix, is at hand, the next block is P r of the residuals
+r = (K - s M) x - M x / theta: with the inverse itself that is A x / theta less x, and so the same
+space (generalised Davidson: Morgan and Scott 1986). Its basis V is orthonormal with respect to
+K - s M, which needs no mass, and theta are the eigenvalues of V^T M V. ||P r||_M / ||x||_M is then
+the residual above but for what P is off.
 """
 
 from __future__ import annotations
@@ -30,6 +36,7 @@ Product = Callable[[Floats, Floats], object]
 _ROWS_AT_ONCE = 4096  # of tall blocks that are combined in their place
 
 _DEPENDENT = 1e-14  # of a Gram matrix of unit columns: directions that are rounding
+_TOLD_APART = 1e-2  # residual of a pair beyond those wanted, from which on it is one of its own
 _DROPPED = 1e-2  # of the tolerance: what a column left out may add to a residual
 
 
@@ -109,6 +116,65 @@ def block_krylov(
         _subtract(images, y, -ritz[block])
     converged = converged or (invariant and used >= n_pairs and inverted[-1] > least_inverted)
     return RitzPairs(inverted, vectors, images, residuals, used, bool(converged))
+
+
+def block_davidson(
+    nearly: Callable[[Floats], Floats],
+    shifted: Callable[[Floats, Floats], Floats],
+    mass: Callable[[Floats], Floats],
+    start: Floats,
+    n_pairs: int,
+    tolerance: float,
+    n_blocks: int,
+) -> RitzPairs | None:
+    """The n_pairs largest eigenvalues of A by the inverse of a similar matrix.
+
+    nearly: P of a block (n, n_columns); mass: M of it; shifted: (K - s M) of it, given M of it too;
+    start: (n, n_start), more than n_pairs columns, written over; n_blocks: after how many blocks to
+    give up, or as soon as residuals fall so slowly that these will not do. It goes on until the
+    pair next to those wanted is known well enough to be none of them. As many pairs as start has
+    columns are given back, without images, for whoever goes on; None where K - s M is not positive.
+    """
+    width = start.shape[1]
+    room = width * (n_blocks + 1)
+    v = np.empty((start.shape[0], room), order="F")
+    sv, mv = np.empty_like(v, order="F"), np.empty_like(v, order="F")
+    t = np.zeros((room, room))
+    slow, used, solutions, before, residuals = 0, 0, 0, np.inf, np.full(width, np.inf)
+    w, mw = start, mass(start)
+    for left in range(n_blocks, -1, -1):
+        sw = shifted(w, mw)
+        part = sv[:, :used].T @ w
+        _subtract(w, v[:, :used], part)
+        _subtract(sw, sv[:, :used], part)
+        block = slice(used, used + _append_orthonormal(w, sw, v, sv, used, 0.0))
+        used = block.stop
+        mv[:, block] = mass(v[:, block])
+        t[:used, block] = v[:, :used].T @ mv[:, block]
+        t[block, : block.start] = t[: block.start, block].T
+        theta, ritz = eigh(0.5 * (t[:used, :used] + t[:used, :used].T))
+        theta, ritz = theta[: -width - 1 : -1], np.asfortranarray(ritz[:, : -width - 1 : -1])
+        if theta.size <= n_pairs or not theta[-1] > 0.0:
+            return None
+        worst, beside = float(residuals[:n_pairs].max()), theta[n_pairs - 1] / theta[n_pairs] - 1.0
+        converged = worst <= tolerance and residuals[n_pairs] <= max(beside, _TOLD_APART)
+        # At the rate of the last two blocks the residuals are too large after the last one there
+        # is. A mode that the start lacked lifts them once.
+        falls = worst / tolerance * (worst / before) ** left
+        slow = slow + 1 if worst < before and falls > 1.0 else 0
+        if converged or left == 0 or slow == 2:
+            x = dgemm(1.0, v[:, :used], ritz / np.sqrt(theta))
+            return RitzPairs(theta, x, x, residuals, solutions, bool(converged))
+        r = dgemm(1.0, sv[:, :used], ritz)
+        _subtract(r, mv[:, :used], ritz / theta)
+        w = nearly(r)
+        mw = mass(w)
+        solutions += w.shape[1]
+        squares = np.sum(w * mw, axis=0) / theta
+        before, residuals = worst, np.sqrt(np.maximum(squares, 0.0))
+        kept = residuals > _DROPPED * tolerance
+        w, mw = (np.asfortranarray(a[:, kept]) for a in (w, mw))
+    raise AssertionError("the last block ends it")
 
 
 def with_random(shapes: Floats, count: int, turn: int = 0) -> Floats:

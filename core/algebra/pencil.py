@@ -46,6 +46,9 @@ BLOCK = 10
 ROUNDING = 1e-15
 #: The shift below the spectrum, in first elastic eigenvalues.
 SHIFT = -0.1
+#: Solved columns that a factorisation is worth, by entries of the factors in a column: 0.4 to 0.75
+#: were measured between 17,000 and 1,240,000 equations of shells and solids.
+FACTORISED_COLUMNS = 0.5
 _LOST = 1e-2  # of a known solution, relative: beyond this the matrix has no inverse to speak of
 
 
@@ -54,7 +57,8 @@ class Pencil:
 
     stiffness, mass: upper triangles, (n, n). rows: (n_with_mass,), or all as a slice. shift: where
     it is factorised, (rad/s)^2. below: eigenvalues below the shift (Sylvester's law of inertia:
-    as many as K - s M has negative ones); -1 where a pivot was as good as zero.
+    as many as K - s M has negative ones); -1 where a pivot was as good as zero. kept_shift: where
+    the factors at hand are, if they are an earlier model's.
     """
 
     def __init__(
@@ -69,6 +73,7 @@ class Pencil:
         _check(stiffness, mass)
         self.n = int(stiffness.shape[0])
         self.shift: float | None = None
+        self.kept_shift: float | None = None
         self.below = -1
         diagonal = sparse.csr_array(sparse.eye_array(stiffness.shape[0]))
         pattern = union([stiffness, mass, diagonal]).astype(np.float64)
@@ -96,14 +101,23 @@ class Pencil:
         values = np.zeros(self._n_entries)
         values[self._stiffness_places] = self.stiffness.data
         values[self._mass_places] -= shift * self.mass.data
-        self.shift = None
+        self.shift = self.kept_shift = None
         self._factors.refactor(values)
-        self.shift = shift
+        self.shift = self.kept_shift = shift
         self.below = -1 if self._factors.lifted_pivots else self._factors.negative_pivots
 
     def inverse(self, block: Floats, out: Floats | None = None) -> Floats:
         """(K - s M)^-1 block, (n,) or (n, n_columns), at the last shift; out: where to put it."""
         return self._factors.solve(block, out)
+
+    @property
+    def factorisation_columns(self) -> float:
+        """How many solved columns take about as long as a factorisation.
+
+        Factors with c entries a column take c operations an entry to be made and 4 to be used;
+        that is done at some eighth of the speed, as memory lets it.
+        """
+        return FACTORISED_COLUMNS * self._factors.factor_entries / self.n
 
     def apply(self, inertia: Floats) -> Floats:
         """(K - s M)^-1 f on all rows, (n, n_columns), of forces f on the rows with mass."""

@@ -10,6 +10,9 @@ Vectors that hardly move (NEGLIGIBLE) and directions that the scaled others hard
 left out. In this product unknowns without mass are not an obstacle, and nothing is lost to the
 cancellation in K x of smooth x.
 
+Where the inverse at hand is that of a similar matrix, its answers are about the ones wanted. They
+and an older basis are then taken as directions beside the modes, and K and M projected on them.
+
 An older basis is kept, as far as it is not in the new one already and there is room; what is
 least outside it goes first. It answers no known forces, so its directions are taken with respect
 to M + e diag(K), e so small that only vectors that move (nearly) no mass feel it.
@@ -59,25 +62,33 @@ def reduce(
     observer: sparse.csr_array,
     previous: Floats | None = None,
     most: int = MOST_VECTORS,
+    exact: bool = True,
 ) -> tuple[ReducedModel, Floats]:
     """A reduced model around a parameter set, and its basis (n, r).
 
     theta: (n_parameters,); eigenvalues (n_modes,), shapes (n, n_modes): the lowest modes there,
     rigid ones included, mass-normalised; inverse: by the factorisation that they were found with;
     used: positions of the modes whose derivatives are wanted; n_rigid: how many of the first are
-    rigid; observer: (n_rows, n), takes shapes
-    to the wanted degrees of freedom; previous: an older basis (n, r_old). Raises ModesError where
-    no mode strains the structure. Eigenvalues' derivatives are exact, those of shapes good to
-    some 10^-3.
+    rigid; observer: (n_rows, n), takes shapes to the wanted degrees of freedom; previous: an older
+    basis (n, r_old); exact: whether the inverse is that of this set, and not of one that is near.
+    Raises ModesError where no mode strains the structure. Eigenvalues' derivatives are exact,
+    those of shapes good to some 10^-3 with an exact inverse, else to what the two sets are apart.
     """
     mass = affine.mass_at(theta)
     modes = KnownModes.of(eigenvalues, shapes, used, mass, n_rigid)
     answers = derivative_answers(affine, theta, modes, mass, inverse)
-    basis = _basis(modes, answers, most - eigenvalues.size)
+    own_shift = min(answers.shift, LEAST_SHIFT * float(eigenvalues[modes.first]))
+    if exact:
+        basis, more = _basis(modes, answers, most - eigenvalues.size), previous
+    else:
+        basis, known = shapes, [answers.vectors, *([] if previous is None else [previous])]
+        more = np.hstack(known)
     widened = basis
-    if previous is not None and basis.shape[1] < most:
+    if more is not None and basis.shape[1] < most:
         metric = _Metric.of(affine.at(theta))
-        widened = with_directions(metric.weighted, basis, previous, most - basis.shape[1])
+        widened = with_directions(metric.weighted, basis, more, most - basis.shape[1])
+    if not exact:
+        return projected_model(affine, widened, own_shift, observer), widened
     stiffness_parts = _reduced_parts(affine.base.upper_stiffness, affine.stiffness, widened)
     mass_parts = _reduced_parts(affine.base.upper_mass, affine.mass, widened)
     inertia = projected(mass, widened)
@@ -91,7 +102,7 @@ def reduce(
         stiffness -= _moved(stiffness_parts, theta, affine.reference, basis.shape[1])
     model = ReducedModel(
         reference=affine.reference,
-        shift=min(answers.shift, LEAST_SHIFT * float(eigenvalues[modes.first])),
+        shift=own_shift,
         base_stiffness=stiffness,
         base_mass=inertia - _moved(mass_parts, theta, affine.reference, widened.shape[1]),
         stiffness=stiffness_parts,

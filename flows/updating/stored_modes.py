@@ -8,6 +8,11 @@ what its search began with, and has the same digits whoever finds them, and when
     others                   the modes of the first one
     once there is a basis    what the newest reduced model, made of the modes at a set, has there
 
+Where a factorisation takes longer than what it spares (large models), a search from a reduced model
+goes on with the factors that the modes behind that were found with, their own or again those of an
+earlier set. So this too follows from the start alone; where other factors have taken their place,
+since a set lay too far away and was not kept, they are made once more.
+
 Shapes of all unknowns and the newest basis stay in memory. Where a campaign goes on that was killed
 what its next search begins with is found once more, set by set.
 """
@@ -51,8 +56,8 @@ from modetune.flows.updating.semi_analytic import UnlikeMatrices
 logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are solved, or reduced, to other numbers.
-MODES_VERSION = 4
-REDUCED_VERSION = 3
+MODES_VERSION = 5
+REDUCED_VERSION = 4
 RANGE_VERSION = 2
 #: Unobservable nodes that a message names.
 NAMED = 5
@@ -84,20 +89,43 @@ class _Solved:
     """Modes at a set with shapes of all unknowns (n, n_modes).
 
     energies: (n_modes,), NaN where the rounding of the matrices hides them: of rigid modes.
+    factors: those that it was found with. previous: the basis (n, r) it was found from, where
+    these are not its own.
     """
 
     eigenvalues: Floats
     shapes: Floats
     energies: Floats
     n_rigid: int
+    factors: _Factors
+    previous: Floats | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Factors:
+    """The set whose factors are at hand, and their shift, (rad/s)^2."""
+
+    of: _Set
+    shift: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """What a search begins with: shift, (rad/s)^2, shapes of all unknowns, factors, a basis."""
+
+    shift: float
+    shapes: Floats | None = None
+    factors: _Factors | None = None
+    basis: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class _Basis:
-    """A reduced model and its basis (n, r); n_rigid: modes that are rigid."""
+    """A reduced model and its basis (n, r); n_rigid: modes that are rigid; factors: its modes'."""
 
     of: _Around
     n_rigid: int
+    factors: _Factors
     reduced: ReducedModel
     vectors: Floats
 
@@ -147,6 +175,7 @@ class _Solutions:
         self._newest: tuple[_Set, _Solved] | None = None
         self._first: tuple[_Set, _Solved] | None = None
         self._basis: _Basis | None = None
+        self._factors: _Factors | None = None
 
     @property
     def on_disk(self) -> bool:
@@ -157,18 +186,42 @@ class _Solutions:
         """The modes of a set with shapes of all unknowns."""
         if self._newest is not None and self._newest[0] is item:
             return self._newest[1]
-        shift, start = self._beginning(item)
+        start = self._beginning(item)
         self._newest = None
         with self.engine.all_cores():
+            kept = self._at_hand(start.factors, item.n_modes)
+            at_hand, self._factors = self._factors, None
             here = self.model.matrices.at(item.values)
             solved = self._solver.solve(
-                here.upper_stiffness, here.upper_mass, item.n_modes, shift, start
+                here.upper_stiffness, here.upper_mass, item.n_modes, start.shift, start.shapes, kept
             )
             energies = matrix_energies(here.upper_stiffness, solved.shapes, self.rounding)
         energies[energies == 0.0] = np.nan
         n_rigid = count_rigid_modes(solved.eigenvalues, energies, lambda: np.inf)
-        self._newest = item, _Solved(solved.eigenvalues, solved.shapes, energies, n_rigid)
+        own = self._solver.has_own_factors
+        self._factors = _Factors(item, solved.shift) if own else at_hand
+        assert self._factors is not None
+        self._newest = (
+            item,
+            _Solved(
+                solved.eigenvalues,
+                solved.shapes,
+                energies,
+                n_rigid,
+                self._factors,
+                None if own else start.basis,
+            ),
+        )
         return self._newest[1]
+
+    def _at_hand(self, factors: _Factors | None, n_modes: int) -> int:
+        """For how many blocks these factors are worth being kept; made once more if need be."""
+        blocks = 0 if factors is None else self._solver.blocks_that_pay(n_modes)
+        if blocks and factors is not None and factors != self._factors:
+            there = self.model.matrices.at(factors.of.values)
+            self._solver.factorise(there.upper_stiffness, there.upper_mass, factors.shift)
+            self._factors = factors
+        return blocks
 
     def basis(self, around: _Around) -> _Basis:
         """A reduced model with its basis."""
@@ -184,30 +237,33 @@ class _Solutions:
                     around.modes,
                     solved.n_rigid,
                     observer,
+                    solved.previous,
+                    exact=self._solver.has_own_factors,
                 )
-            self._basis = _Basis(around, solved.n_rigid, *made)
+            self._basis = _Basis(around, solved.n_rigid, solved.factors, *made)
         return self._basis
 
-    def _beginning(self, item: _Set) -> tuple[float, Floats | None]:
-        """The shift of a search, (rad/s)^2, and the shapes that it begins with."""
+    def _beginning(self, item: _Set) -> _Start:
+        """What a search begins with."""
         if item.start is None:
-            return self.shift, None
+            return _Start(self.shift)
         if isinstance(item.start, _Set):
             if self._first is None or self._first[0] is not item.start:
                 self._first = item.start, self.modes(item.start)
-            first = self._first[1]
+            first, factors, basis = self._first[1], None, None
             eigenvalues, shapes, n_rigid = first.eigenvalues, first.shapes, first.n_rigid
         else:
             self._first = None
             try:
-                basis = self.basis(item.start)
-                eigenvalues, shapes = basis.shapes(item.values, item.n_modes)
+                newest = self.basis(item.start)
+                eigenvalues, shapes = newest.shapes(item.values, item.n_modes)
             except ModesError as error:
                 logger.debug("no start from a reduced model: %s", error)
-                return self.shift, None
-            n_rigid = basis.n_rigid
+                return _Start(self.shift)
+            basis, n_rigid, factors = newest.vectors, newest.n_rigid, newest.factors
         elastic = eigenvalues[n_rigid:]
-        return shift_below(float(elastic[0])) if elastic.size else self.shift, shapes
+        shift = shift_below(float(elastic[0])) if elastic.size else self.shift
+        return _Start(shift, shapes, factors, basis)
 
 
 class MatrixModes:
