@@ -59,8 +59,8 @@ class Solution:
     native_s: CalculiX, with its reading; native_bytes: its memory. job_s, read_s, solve_s: of the
     first solution from matrices. later_s: median of the later ones, later_cpu_s: of their processor
     time; kept: how many of them factorised nothing; later_columns: solved in all. own_bytes:
-    largest resident size of this process and its matrix jobs. difference: largest of the elastic frequencies,
-    relative, first against native. efficiency: of two jobs side by side, None where it was not
+    largest resident size of this process and its matrix jobs. difference: largest of the elastic
+    frequencies, relative, first against native. efficiency: of two jobs side by side, None where it was not
     measured.
     """
 
