@@ -60,8 +60,8 @@ class Solution:
     first solution from matrices. later_s: median of the later ones, later_cpu_s: of their processor
     time; kept: how many of them factorised nothing; later_columns: solved in all. own_bytes:
     largest resident size of this process and its matrix jobs. difference: largest of the elastic
-    frequencies, relative, first against native. efficiency: of two jobs side by side, None where it was not
-    measured.
+    frequencies, relative, first against native. efficiency: of two jobs side by side, None where
+    it was not measured.
     """
 
     size: str
