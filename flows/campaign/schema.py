@@ -315,6 +315,10 @@ class UpdateSection(Section):
     e2: NotNegative = 0.2
     """Change of the residual a parameter, up to which a sensitivity is skipped; 0: never. With
     `between: keep` it is 0.002 unless given."""
+    confirm: Literal["modes", "matrices"] = "modes"
+    """What ends updating by stored matrices: `modes`, a modal job of the solver at the final
+    values; `matrices`, the matrices that it assembles there, whose modes are found anew and
+    counted: it takes less time, but the solver's own eigensolution is not seen."""
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
     """Steps that are taken at most."""
     step_limit: Positive = 0.2

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from modetune.adapters.solver import ModalAnalysis
+from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.correlation.held_out import HeldOut
 from modetune.core.errors import ModesError, ModetuneError, SolverError
 from modetune.core.modes import Floats
@@ -292,13 +292,15 @@ class Evaluator:
 
     def confirming(self, theta: Floats) -> list[Work]:
         """The solvers' own runs at the end, of modes that were found otherwise till then."""
+        by_matrices = self.campaign.update.confirm == "matrices"
         return [
-            state.named(
-                Work("modal", (Job(state.campaign.parameters.values(own), state.analysis),))
-            )
+            state.named(Work(kind, (Job(state.campaign.parameters.values(own), analysis),)))
             for state in self.used
             if state.finder.name != state.case.solver.program.name
             for own in (state.own(theta),)
+            for kind, analysis in (
+                ("matrices", MatrixAnalysis()) if by_matrices else ("modal", state.analysis),
+            )
         ]
 
     def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modetune.adapters.solver import ModalAnalysis
+from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.correlation.pairing import LostMode, close_modes
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats
@@ -31,6 +32,7 @@ from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.loop import CONFIRMED, Loop, Noted
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
+from modetune.flows.updating.stored_modes import assembled_modes
 
 logger = logging.getLogger(__name__)
 
@@ -177,12 +179,45 @@ class ReducedForesight:
     def _by_solver(
         self, title: str, state: CaseState, part: CaseEvaluation, analysis: ModalAnalysis
     ) -> CaseEvaluation:
+        if self.campaign.update.confirm == "matrices":
+            found = self._by_assembled(title, state, part, analysis)
+            if found is not None:
+                return found
         job = Job(state.campaign.parameters.values(part.theta), analysis)
         name = state.case.solver.program.name
         work = Work(f"modal by {name}", (job,), state.engine)
         ((outcome,),) = self.evaluator.carry_out(title, [work], state)
         modal = outcome.result(ModalResult)
         return compare(state.case, part.theta, outcome.key, modal, part, name)
+
+    def _by_assembled(
+        self, title: str, state: CaseState, part: CaseEvaluation, analysis: ModalAnalysis
+    ) -> CaseEvaluation | None:
+        """By the matrices that the solver assembles at the set; None where they do not agree."""
+        name = state.case.solver.program.name
+
+        def assembled(job: Job) -> MatrixResult:
+            work = Work(f"matrices by {name}", (job,), state.engine)
+            ((outcome,),) = self.evaluator.carry_out(title, [work], state)
+            return outcome.result(MatrixResult)
+
+        job = Job(state.campaign.parameters.values(part.theta), MatrixAnalysis())
+        try:
+            key, modal = assembled_modes(state.campaign, state.engine, job, analysis, assembled)
+        except (ModelError, UnlikeMatrices) as error:
+            logger.warning("%s: its own modes are looked at", error)
+            return None
+        said = f"{name}'s matrices, {modal.eigenvalues.size} modes counted"
+        found = compare(state.case, part.theta, key, modal, part, said)
+        apart = float(np.max(np.abs(found.errors - part.errors)))
+        if apart > CONFIRMED:
+            logger.warning(
+                "frequencies by %s's matrices differ by %.1e: its own modes are looked at",
+                name,
+                apart,
+            )
+            return None
+        return found
 
     def _foreseen_at(self, theta: Floats) -> Evaluation | None:
         """The end of the last step on reduced models, if it is this set."""

@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 import weakref
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -167,7 +167,9 @@ def updated(campaign: Campaign, place: Path, watcher: Any) -> CampaignRecord:
 
 def apart(record: CampaignRecord) -> float:
     """What the record says of how far the matrices' frequencies were from the solver's own."""
-    (found,) = re.findall(r"confirmed by calculix: frequencies within (\S+)", record.best.decision)
+    (found,) = re.findall(
+        r"confirmed by calculix.*: frequencies within (\S+)", record.best.decision
+    )
     return float(found)
 
 
@@ -506,3 +508,68 @@ def test_a_limit_of_memory_holds_whoever_finds_the_modes(
         assert update(file, tmp_path, watcher, *limit).iterations
     assert "more than the 0.001 GB that may be taken (`run.memory_gb`" in caplog.text
     assert not list((tmp_path / "store").glob("jobs/factors-*"))
+
+
+def test_its_own_matrices_at_the_end_confirm_as_its_modes_do(
+    bar_file: Path, bar_stored: CampaignRecord, tmp_path: Path, watcher: Any
+) -> None:
+    record = update(bar_file, tmp_path, watcher, STORED, "update.confirm=matrices")
+    assert record.status == "converged"
+    # Two jobs for the matrices of all values, one at the final ones; no modal job.
+    assert (record.runs.sensitivity, record.runs.modal) == (3, 0)
+    assert re.fullmatch(r"calculix's matrices, \d+ modes counted", record.best.solved_by)
+    # The last set was foreseen by a reduced model, which is believed to a tenth of e1.
+    assert apart(record) < 0.1 * E1
+    np.testing.assert_array_equal(record.updated, bar_stored.updated)
+    # CalculiX prints eigenvalues with seven digits.
+    np.testing.assert_allclose(
+        record.best.computed.frequencies_hz, bar_stored.best.computed.frequencies_hz, rtol=1e-6
+    )
+    assert record.best.pairing.mac.min() > 1.0 - 1e-6
+    again = update(bar_file, tmp_path, watcher, STORED, "update.confirm=matrices")
+    assert (again.runs.sensitivity, again.runs.modal) == (0, 0)
+    np.testing.assert_array_equal(
+        again.best.computed.frequencies_hz, record.best.computed.frequencies_hz
+    )
+    # Nor do its matrices stay beside what was made of them.
+    store = Store(tmp_path / "store")
+    makers = [entry.solver for key in store.entries() if (entry := store.get(key.stem))]
+    assert set(makers) == {"modetune"}
+
+
+@dataclass(frozen=True)
+class HeavyAtLast(HeavyMatrices):
+    """Only the matrices after the two that those for all values are made of are heavier."""
+
+    jobs: list[Path] = field(default_factory=list)
+
+    def render(self, deck: EditedCalculix, analysis: Analysis) -> Rendered:
+        heavy = super().render(deck, analysis)
+        rendered = CalculixProgram.render(self, deck, analysis)
+
+        def write(folder: Path) -> None:
+            if isinstance(analysis, MatrixAnalysis):
+                self.jobs.append(folder)
+            (heavy if len(self.jobs) > 2 else rendered).write(folder)
+
+        return replace(rendered, write=write)
+
+
+def test_matrices_at_the_end_that_are_others_are_found_out(
+    bar_file: Path, tmp_path: Path, watcher: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = [f"store={tmp_path / 'store'}", STORED, "update.confirm=matrices"]
+    campaign = load_campaign(bar_file, settings)
+    late = HeavyAtLast("ccx")
+    changed = recased(campaign, solver=replace(campaign.case.solver, program=late))
+    record = updated(changed, tmp_path, watcher)
+    assert len(late.jobs) == 3
+    warnings = [entry.getMessage() for entry in caplog.records if entry.levelname == "WARNING"]
+    assert warnings == [
+        "frequencies by calculix's matrices differ by 5.0e-03: its own modes are looked at"
+    ]
+    # These agree with the matrices of all values.
+    assert record.status == "converged"
+    assert record.best.solved_by == "calculix"
+    assert record.runs.modal == 1
+    np.testing.assert_allclose(record.updated, BAR.truth, rtol=1e-5)
