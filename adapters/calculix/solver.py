@@ -41,6 +41,7 @@ from modetune.adapters.calculix.sections import (
 from modetune.adapters.calculix.spare_unknowns import modes_at_most
 from modetune.adapters.calculix.splitting import split_model
 from modetune.adapters.cross_checks import check_energies, mark_of, without_spare
+from modetune.adapters.numbers import Number
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import (
@@ -51,7 +52,6 @@ from modetune.adapters.solver import (
     Deck,
     ModalAnalysis,
     ModelSummary,
-    Number,
     Rendered,
     Solver,
 )

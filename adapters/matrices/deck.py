@@ -30,7 +30,8 @@ from pathlib import Path
 from modetune.adapters.matrices.index import read_index, write_index
 from modetune.adapters.matrices.model import Factors, MatrixModel
 from modetune.adapters.matrices.spring_mass import read_spring_mass
-from modetune.adapters.solver import Deck, ModelSummary, Number
+from modetune.adapters.numbers import Number
+from modetune.adapters.solver import Deck, ModelSummary
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Integers

@@ -29,7 +29,8 @@ from modetune.adapters.nastran.equation import equation_card, in_fortran, real
 from modetune.adapters.nastran.model import NastranModel, ValuePlace
 from modetune.adapters.nastran.number import format_number, read_number
 from modetune.adapters.nastran.sections import station_rows
-from modetune.adapters.solver import SensitivityAnalysis, moved_numbers
+from modetune.adapters.numbers import moved_numbers
+from modetune.adapters.solver import SensitivityAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of
 from modetune.core.parameters import Parameter, Values

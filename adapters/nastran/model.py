@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from modetune.adapters.nastran.affected_elements import affected_elements_of, powers_of
-from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, read_bulk, refuse
-from modetune.adapters.nastran.case_control import (
-    OWN_PARAMETERS,
-    CaseControl,
-    read_case_control,
-)
+from modetune.adapters.nastran.bulk import Bulk, Objection, read_bulk
+from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import (
     CardField,
     NastranCard,
@@ -27,28 +20,16 @@ from modetune.adapters.nastran.deck import (
     write_edited,
 )
 from modetune.adapters.nastran.geometry import read_geometry
-from modetune.adapters.nastran.harmless import (
-    FOLLOWED_PARAMETERS,
-    HARMLESS,
-    LEFT_OUT,
-    TEMPERATURE_DEPENDENT,
-    changing_model_parameter,
-    changing_parameter,
-)
+from modetune.adapters.nastran.harmless import HARMLESS
+from modetune.adapters.nastran.left_out import check_left_out
 from modetune.adapters.nastran.lumped_masses import lumped_properties
 from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.places import ValuePlace as ValuePlace
 from modetune.adapters.nastran.places import find_places
 from modetune.adapters.nastran.splitting import split_materials, split_properties
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.solver import (
-    AffectedElements,
-    Deck,
-    MassKind,
-    ModelSummary,
-    Number,
-    moved_numbers,
-)
+from modetune.adapters.numbers import Number, moved_numbers
+from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
@@ -56,8 +37,6 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values, assigned, driven_by
 from modetune.core.updating.observation import Observation, observe
-
-logger = logging.getLogger(__name__)
 
 #: Quantities in which stiffness and mass matrices are linear whatever the card.
 LINEAR = (
@@ -99,64 +78,8 @@ class NastranModel(Deck):
         return self.structure.bulk
 
     def check(self) -> None:
-        """Raise ModelError for all cards that count for modes and are not understood.
-
-        For jobs on another solver than Nastran; what these leave out is told.
-        """
-        case = read_case_control(self.deck)
-        refuse(
-            [
-                *(item.text for item in self.objections if item.name not in HARMLESS),
-                *(f"{self.deck.file}: {text}" for text in case.lost),
-                *self._lost_parameters(),
-                *self._tied_bolts(),
-                *self._temperatures(case),
-            ]
-        )
-        if not any(has_mass(item) for item in (*self.bulk.masses.values(), *self._elements())):
-            raise ModelError(
-                f"{self.deck.file}: nothing in the model has mass, so it has no modes; give its "
-                "materials a density (RHO of MAT1) or grid points a CONM2"
-            )
-        counts = Counter(card.name for card in self.deck.cards if card.name in LEFT_OUT)
-        names = {name for name, _ in case.parameters}
-        names |= {card.text(1) for card in self.deck.named("PARAM")}
-        said = [f"{count} {name}" for name, count in sorted(counts.items())]
-        said += [f"PARAM {name}" for name in sorted(names - OWN_PARAMETERS - FOLLOWED_PARAMETERS)]
-        if said:
-            logger.warning(
-                "%s: left out of jobs on this solver: %s", self.deck.file, ", ".join(said)
-            )
-
-    def _elements(self) -> list[Any]:
-        return list(self.bulk.elements.values())
-
-    def _lost_parameters(self) -> Iterator[str]:
-        """Parameters of the bulk data that change modes, a sentence each."""
-        for card in self.deck.named("PARAM", "MDLPRM"):
-            pairs = range(1, len(card.fields), 2) if card.name == "MDLPRM" else (1,)
-            changing = changing_model_parameter if card.name == "MDLPRM" else changing_parameter
-            for place in pairs:
-                reason = changing(card.text(place), card.text(place + 1))
-                if reason:
-                    yield f"{self.deck.where(card)}: {reason}"
-
-    def _tied_bolts(self) -> Iterator[str]:
-        """Bolts that join two halves of a mesh; those that name elements alone are preloads."""
-        for card in self.deck.named("BOLT"):
-            if not all(text.isdecimal() or text == "THRU" for text in filled(card, None) if text):
-                yield f"{self.deck.where(card)}: BOLT joins grid points, which is not translated"
-
-    def _temperatures(self, case: CaseControl) -> Iterator[str]:
-        """Materials that depend on a temperature which the case control selects."""
-        dependent = self.deck.named(*TEMPERATURE_DEPENDENT)
-        if dependent and case.temperature:
-            yield (
-                f"{self.deck.where(dependent[0])}: {dependent[0].name} makes the material depend "
-                f"on the temperature that `{case.temperature}` selects, which jobs on this solver "
-                "do not follow; give the material its values at that temperature and take "
-                f"{dependent[0].name} or the selection out"
-            )
+        """Raise ModelError for what jobs on another solver than Nastran cannot leave out."""
+        check_left_out(self.deck, self.bulk, self.objections)
 
     @cached_property
     def summary(self) -> ModelSummary:

@@ -21,7 +21,7 @@ from modetune.adapters.nastran.sections import (
     section_entries,
 )
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.solver import FROM_ZERO, check_moved, check_one
+from modetune.adapters.numbers import FROM_ZERO, check_moved, check_one
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter

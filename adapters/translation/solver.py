@@ -26,14 +26,8 @@ from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.patch import edited_bulk
-from modetune.adapters.solver import (
-    AffectedElements,
-    Deck,
-    MassKind,
-    ModelSummary,
-    Number,
-    Solver,
-)
+from modetune.adapters.numbers import Number
+from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary, Solver
 from modetune.adapters.translation.bricks import WrittenShells
 from modetune.adapters.translation.shells import KINDS
 from modetune.adapters.translation.translate import Translation, translate

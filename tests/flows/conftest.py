@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from modetune.adapters.numbers import Number
 from modetune.adapters.process import LOG
 from modetune.adapters.solver import (
     AffectedElements,
@@ -32,7 +33,6 @@ from modetune.adapters.solver import (
     MatrixAnalysis,
     ModalAnalysis,
     ModelSummary,
-    Number,
     Rendered,
     SensitivityAnalysis,
     Solver,

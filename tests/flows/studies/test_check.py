@@ -15,7 +15,8 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from modetune.adapters.solver import ModelSummary, Number
+from modetune.adapters.numbers import Number
+from modetune.adapters.solver import ModelSummary
 from modetune.configs.cases import write_case
 from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.correlation.correlation import rigid_body_shapes
