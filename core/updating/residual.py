@@ -125,21 +125,32 @@ def residual_sensitivity(
     derivatives: of the paired computed modes, in the order of the pairs, at the rows of
     `computed`.
     """
-    lam_m = measured.eigenvalues[pairing.measured]
-    slopes = derivatives.eigenvalues / lam_m[:, None]
-    for alike in _unsplit(measured, computed, pairing, weighting):
-        slopes[alike] = slopes[alike].mean(axis=0)
+    slopes = frequency_sensitivity(measured, computed, pairing, weighting, derivatives.eigenvalues)
     if not weighting.with_shapes:
         return slopes
     _, sensors = common_dofs(measured, computed)
     changes = derivatives.mode_shapes[sensors]
-    rows = np.zeros((lam_m.size, sensors.size, slopes.shape[1]))
+    rows = np.zeros((len(slopes), sensors.size, slopes.shape[1]))
     for cluster in _clusters(measured, computed, pairing, weighting):
         change = changes[:, cluster.pairs] * cluster.scales[:, :, None]
         for space in (cluster.space, cluster.test):
             change = change - np.tensordot(space, np.tensordot(space.T, change, axes=1), axes=1)
         rows[cluster.pairs] = change.transpose(1, 0, 2)
     return np.concatenate([slopes, rows.reshape(-1, slopes.shape[1])])
+
+
+def frequency_sensitivity(
+    measured: ModeSet,
+    computed: ModeSet,
+    pairing: Pairing,
+    weighting: Weighting,
+    eigenvalues: Floats,
+) -> Floats:
+    """The rows of frequencies alone, (n_pairs, n_parameters); eigenvalues: their derivatives."""
+    slopes = eigenvalues / measured.eigenvalues[pairing.measured][:, None]
+    for alike in _unsplit(measured, computed, pairing, weighting):
+        slopes[alike] = slopes[alike].mean(axis=0)
+    return np.asarray(slopes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,10 @@
 """Between two sensitivities: what the old one is good for, and as long as it pays.
 
 Where a sensitivity takes solver runs, an accepted set may do with the matrix of before: as it is
-(`keep`, thesis, 4.2), or corrected by what the last step showed (Broyden). A corrected matrix
-costs a round of runs a step, a new one its jobs side by side and the step; how they compare is
-told in docs/how-it-works.md.
+(`keep`, thesis, 4.2), or corrected by what the last step showed (Broyden), the rows of frequencies
+by the strain energies of the modal run, which are exact and cost nothing. A corrected matrix costs
+a round of runs a step, a new one its jobs side by side and the step; how they compare is told in
+docs/how-it-works.md.
 """
 
 from __future__ import annotations
@@ -81,4 +82,11 @@ class Between:
         change = current.residual.values - evaluation.residual.values
         n_frequencies = current.residual.n_frequencies
         values = broyden_update(matrix.values, step.change, change, n_frequencies)
-        return replace(matrix, values=values, age=matrix.age + 1)
+        exact = self.evaluator.by_energies(evaluation)
+        known = np.isfinite(exact)
+        values[:n_frequencies][known] = exact[known]
+        methods = tuple(
+            f"{name}+strain_energy" if new and "strain_energy" not in name else name
+            for name, new in zip(matrix.methods, known.any(axis=0).tolist(), strict=True)
+        )
+        return replace(matrix, values=values, methods=methods, age=matrix.age + 1)

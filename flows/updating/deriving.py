@@ -7,12 +7,13 @@ since half a derivative is a wrong one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modetune.core.modes import Floats
-from modetune.core.updating.residual import residual_sensitivity
+from modetune.core.updating.residual import frequency_sensitivity, residual_sensitivity
 from modetune.core.updating.results import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
@@ -26,6 +27,7 @@ from modetune.flows.updating.evaluation import (
 )
 from modetune.flows.updating.finders import UNFIT, Columns
 from modetune.flows.updating.pieces import Pieces
+from modetune.flows.updating.sensitivities import UnbalancedEnergies, by_energies
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,21 @@ class Deriving:
                     again.append(place)
             waiting = again
         return self._stacked(parts, [columns[place] for place in range(len(parts))])
+
+    def by_energies(self, evaluation: Evaluation) -> Floats:
+        """What strain energies tell of the sensitivity at a point, without a job: rows of
+        frequencies (n_frequencies, n_parameters), NaN where they tell nothing."""
+        parameters, parts = self.campaign.parameters.names, evaluation.parts
+        found = np.full((evaluation.residual.n_frequencies, len(parameters)), np.nan)
+        for state, part, rows in zip(self.used, parts, part_rows(parts), strict=True):
+            with suppress(UnbalancedEnergies):
+                slopes = by_energies(part.point, state.campaign.parameters.names)
+                place = np.ix_(rows[: part.residual.n_frequencies], state.columns)
+                test, weighting = state.case.test.modes, state.case.weighting
+                found[place] = frequency_sensitivity(
+                    test, part.seen, part.pairing, weighting, slopes
+                )
+        return found
 
     def _suited(self, title: str, place: int, part: CaseEvaluation) -> CaseEvaluation:
         """An evaluated case with all that its finder's derivatives are made of."""

@@ -268,9 +268,13 @@ class Evaluator:
         """The sensitivity at an evaluation point."""
         return self._deriving.matrix(f"iteration {number}", evaluation, Ahead())
 
+    def by_energies(self, evaluation: Evaluation) -> Floats:
+        """Rows of frequencies (n_frequencies, n_parameters) that no job is needed for, else NaN."""
+        return self._deriving.by_energies(evaluation)
+
     def skip(self, number: int, slope: float) -> None:
         """Note that e2 makes this iteration do without a sensitivity of its own."""
-        reason = f"e2: the residual changed by {slope:.3g} a parameter in the iteration before"
+        reason = f"e2: slope {slope:.3g} a parameter, at most {self.campaign.update.e2:g}"
         names = [
             state.case.of(f"sensitivity {name}")
             for state in self.used

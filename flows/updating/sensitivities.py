@@ -145,18 +145,8 @@ class Sensitivities:
     # strain energies
 
     def _strain_energy(self, point: Point, column: int) -> ModeDerivatives:
-        balance = point.modal.energy_balance[point.pairing.computed]
-        if not (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():
-            raise UnbalancedEnergies(
-                f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
-                "eigenvalues say: the solver leaves some out (reduced elements); use `auto`, "
-                "semi_analytic or finite_difference"
-            )
-        energies = point.modal.elastic_energies(self.parameters.names[column])
-        values = strain_energy_derivative(
-            energies[point.pairing.computed], float(point.theta[column])
-        )
-        return ModeDerivatives(values[:, None], np.zeros((0, values.size, 1)))
+        values = by_energies(point, self.parameters.names)[:, [column]]
+        return ModeDerivatives(values, np.zeros((0, len(values), 1)))
 
     # the solver's own
 
@@ -235,6 +225,27 @@ class Sensitivities:
         # Of close modes that the step turns: what the shapes that they had would be.
         eigenvalues = after.eigenvalues @ rotation**2
         return eigenvalues[places], (np.real(after.mode_shapes) @ rotation)[:, places]
+
+
+def by_energies(point: Point, names: Sequence[str]) -> Floats:
+    """Derivatives of the paired modes' eigenvalues by their strain energies, (n_pairs, n_names).
+
+    names: of the point's parameters; NaN for one whose energies were not asked for, as the
+    stiffness is not proportional to it. Raises UnbalancedEnergies.
+    """
+    balance = point.modal.energy_balance[point.pairing.computed]
+    if not (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():
+        raise UnbalancedEnergies(
+            f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
+            "eigenvalues say: the solver leaves some out (reduced elements); use `auto`, "
+            "semi_analytic or finite_difference"
+        )
+    found = np.full((point.pairing.computed.size, len(names)), np.nan)
+    for column, name in enumerate(names):
+        if name in point.modal.groups:
+            energies = point.modal.elastic_energies(name)[point.pairing.computed]
+            found[:, column] = strain_energy_derivative(energies, float(point.theta[column]))
+    return found
 
 
 def not_linear(solver: Solver) -> str:

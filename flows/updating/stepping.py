@@ -18,6 +18,7 @@ from modetune.core.updating.identifiability import remaining_step
 from modetune.core.updating.residual import Residual
 from modetune.core.updating.trust_region import (
     HELD,
+    KEPT,
     Scale,
     TrustRegion,
     by_factors,
@@ -161,8 +162,8 @@ class Stepping:
     ) -> TrustRegion:
         """The region for the step after an accepted one; kept: share of its promise."""
         self._count(current, step, region)
-        if not self.adapts or (matrix.age > 0 and kept < 1.0):
-            return region  # what an old matrix promised tells nothing of the model
+        if not self.adapts or (matrix.age > 0 and kept < KEPT):
+            return region  # what an old matrix promised in vain tells nothing of the model
         return region.after(self.length(current, step), kept)
 
     def length(self, current: Evaluation, step: Step) -> float:
