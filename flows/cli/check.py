@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, CampaignPath, Settings, stoppable
+from modetune.flows.cli.options import (
+    AsJson,
+    CampaignPath,
+    NoPrefect,
+    Settings,
+    paged,
+    stoppable,
+)
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
@@ -54,6 +61,7 @@ def check(
     junit: Annotated[
         Path | None, typer.Option(help="Write what was found as a JUnit report (XML).")
     ] = None,
+    no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
     """Judge campaign, test and model before updating, at the cost of its first modal run.
@@ -67,7 +75,9 @@ def check(
             raise CampaignError("--against needs a solver run; with --record nothing is run")
         bands = frequency_band, mac_band
         with stoppable():
-            campaign, found = compared(campaign_file, settings or [], against, record, state, bands)
+            campaign, found = compared(
+                campaign_file, settings or [], against, record, state, bands, no_prefect
+            )
         outcome_of_comparison(campaign.name, found).write(summary, junit)
         if as_json:
             typer.echo(json.dumps(_told_check(found, state, bands)))
@@ -78,8 +88,11 @@ def check(
     from modetune.flows.studies.check.judging import check_campaign
 
     campaign = load_campaign(campaign_file, settings or [])
-    with stoppable():
-        report = check_campaign(campaign, run=not no_run)
+    with stoppable(), paged("check", campaign.name, no_prefect or no_run) as pages:
+        report = check_campaign(campaign, run=not no_run, watcher=pages)
+        if pages is not None:
+            good = report.exit_code == 0
+            pages.done(_end(report), _tables(report), status=report.level, good=good)
     _outcome(campaign.name, report).write(summary, junit)
     if as_json:
         typer.echo(json.dumps(told(campaign, report)))
@@ -127,8 +140,7 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
     from rich.text import Text
 
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table, table_of
-    from modetune.flows.studies.check.pairing import ModePreview
+    from modetune.flows.report.tables import show_table
 
     console = terminal()
     model = campaign.case.solver.deck.summary
@@ -140,8 +152,8 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
         ),
         soft_wrap=True,
     )
-    show_table(console, table_of("Modes before updating", report.modes, ModePreview))
-    show_table(console, _energy_table(report))
+    for table in _tables(report):
+        show_table(console, table)
     for item in sorted(report.findings, key=lambda item: item.level == "good"):
         head = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
         said = Text(_finding(item))
@@ -154,6 +166,14 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
         row.add_row(head, said)
         console.print(row)
     console.print(Text(_end(report)), soft_wrap=True)
+
+
+def _tables(report: PreCheckReport) -> list[Table]:
+    from modetune.flows.report.tables import table_of
+    from modetune.flows.studies.check.pairing import ModePreview
+
+    modes = table_of("Modes before updating", report.modes, ModePreview)
+    return [modes, _energy_table(report)]
 
 
 def _end(report: PreCheckReport) -> str:
@@ -180,6 +200,7 @@ def compared(
     record: Path | None,
     state: str,
     bands: tuple[float, float],
+    no_prefect: bool = True,
 ) -> tuple[Campaign, BaselineCheck]:
     """A campaign, and its model beside a baseline's, or that of a record."""
     from modetune.core.errors import CampaignError
@@ -193,7 +214,13 @@ def compared(
     model: State = "initial" if state == "initial" else "updated"
     campaign, band = load_campaign(campaign_file, settings), Band(*bands)
     if record is None:
-        return campaign, check_deck(campaign, baseline, model, band)
+        with paged("check", campaign.name, no_prefect) as pages:
+            found = check_deck(campaign, baseline, model, band, pages)
+            if pages is not None:
+                status, tables = "within the band", [_comparison_table(found)]
+                status = status if found.within else "worse"
+                pages.done(_comparison_end(found), tables, status=status, good=found.within)
+            return campaign, found
     return campaign, check_record(campaign, record, baseline, model, band)
 
 

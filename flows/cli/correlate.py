@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, Figures, stoppable
+from modetune.flows.cli.options import AsJson, Figures, NoPrefect, paged, stoppable
 from modetune.flows.report.tables import Column, Table, frame, json_object, show_table, table_of
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def correlate(
     orthogonality: Reduced = None,
     figures: Figures = None,
     out: Out = None,
+    no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
     """Compare modes: pairs, frequencies, MAC, COMAC, scale factors, and the worst sensors.
@@ -77,14 +78,18 @@ def correlate(
     if second is None and second_at:
         raise CampaignError("--second-at is of a second campaign, and none is named")
     sources = source(first, at or ()), source(second, second_at or ()) if second else None
-    with stoppable():
+    solves = any(item is not None and item.kind == "campaign" for item in sources)
+    with stoppable(), paged("correlate", first.stem, no_prefect or not solves) as pages:
         found = correlate_sources(
             *sources,
             "initial" if state == "initial" else "updated",
             settings or (),
             {"guyan": "guyan", "serep": "serep"}.get(orthogonality or ""),  # type: ignore[arg-type]
+            pages,
         )
-    written = _write(found, figures, out)
+        written = _write(found, figures, out)
+        if pages is not None:
+            pages.done("; ".join(_lines(found)), _tables(found), written)
     if as_json:
         typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
         return
@@ -212,18 +217,24 @@ def _write_csv(path: Path, rows: Sequence[ComparedPair | ComparedSensor], kind: 
 def _show(found: Correlation) -> None:
     from rich.text import Text
 
-    from modetune.core.modes import dof_name
     from modetune.flows.campaign.terminal import terminal
 
     console = terminal()
-    title = f"{found.second.label} beside {found.first.label}"
-    show_table(console, table_of(title, _pairs(found), ComparedPair))
-    if found.mac.size and max(found.mac.shape) <= SHOWN:
-        show_table(console, _matrix_table(found))
-    worst = [ComparedSensor(dof_name(dof), *values) for dof, *values in found.worst(WORST)]
-    show_table(console, table_of("Least agreement", worst, ComparedSensor))
+    for table in _tables(found):
+        show_table(console, table)
     for line in _lines(found):
         console.print(Text(line), soft_wrap=True)
+
+
+def _tables(found: Correlation) -> list[Table]:
+    from modetune.core.modes import dof_name
+
+    title = f"{found.second.label} beside {found.first.label}"
+    tables = [table_of(title, _pairs(found), ComparedPair)]
+    if found.mac.size and max(found.mac.shape) <= SHOWN:
+        tables.append(_matrix_table(found))
+    worst = [ComparedSensor(dof_name(dof), *values) for dof, *values in found.worst(WORST)]
+    return [*tables, table_of("Least agreement", worst, ComparedSensor)]
 
 
 def _lines(found: Correlation) -> list[str]:

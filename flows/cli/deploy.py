@@ -1,4 +1,4 @@
-"""`modetune deploy`: a campaign on a Prefect server."""
+"""`modetune deploy`: an update or a study of a campaign on a Prefect server."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from pathlib import Path
 import typer
 
 from modetune.flows.cli.options import AsJson, CampaignPath, Runs, Settings
-from modetune.flows.cli.server import POOL, CronLine, Name, Pool, TimeZone, serving
+from modetune.flows.cli.server import POOL, CronLine, Name, Pool, StudyLine, TimeZone, serving
 
 
 def deploy(
     campaign_file: CampaignPath,
+    study: StudyLine = "update",
     cron: CronLine = None,
     timezone: TimeZone = "UTC",
     pool: Pool = POOL,
@@ -21,19 +22,21 @@ def deploy(
     runs: Runs = Path("runs"),
     as_json: AsJson = False,
 ) -> None:
-    """Put the campaign on a Prefect server, to be run by a worker, on a schedule or when asked."""
-    from modetune.flows.campaign.campaign import load_campaign
+    """Put an update, or a study, of the campaign on a Prefect server, to be run by a worker, on a
+    schedule or when asked."""
+    from modetune.flows.cli.studies import read_study
 
-    campaign = load_campaign(campaign_file, settings or [])
+    asked = read_study(study, campaign_file)
+    campaign = asked.campaign(campaign_file, settings or [])
     name = name or campaign.name
     with serving() as server, server.api() as api:
         from modetune.flows.server import deployment
 
         schedule = deployment.Schedule(cron, timezone)
-        deployment.deploy(api, campaign, runs, name, schedule, pool)
+        deployment.deploy(api, campaign, (asked.name, asked.options), runs, name, schedule, pool)
         told = {
             "status": "deployed",
-            "deployment": f"{deployment.FLOW}/{name}",
+            "deployment": f"{asked.name}/{name}",
             "pool": pool,
             "cron": cron,
             "timezone": timezone if cron else None,

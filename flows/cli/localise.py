@@ -62,16 +62,17 @@ def localise(
     campaign = place.campaign
     with stoppable(), paged("localise", campaign.name, no_prefect) as pages:
         found = find(campaign, place.theta, pages)
-        if pages is not None:
-            pages.done(found.sentence, tables(found))
-    written: list[Path] = []
-    if figures is not None:
-        from modetune.flows.studies.localise.figures import write_figures
+        written: list[Path] = []
+        if figures is not None:
+            from modetune.flows.studies.localise.figures import write_figures
 
-        title = f"{campaign.name}: where the {'updated' if record else 'initial'} model is wrong"
-        written = write_figures(
-            title, found, campaign.case.solver.deck.mesh(), campaign.case.surface, figures
-        )
+            model = "updated" if record else "initial"
+            title = f"{campaign.name}: where the {model} model is wrong"
+            written = write_figures(
+                title, found, campaign.case.solver.deck.mesh(), campaign.case.surface, figures
+            )
+        if pages is not None:
+            pages.done(found.sentence, tables(found), written)
     if as_json:
         typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
         return

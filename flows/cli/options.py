@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,7 +29,10 @@ At = Annotated[
 ]
 Runs = Annotated[Path, typer.Option(help="Where run folders go.")]
 Figures = Annotated[Path | None, typer.Option(help="Folder for figures (PNG).")]
-NoPrefect = Annotated[bool, typer.Option("--no-prefect", help="Without Prefect's pages.")]
+NoPrefect = Annotated[
+    bool,
+    typer.Option("--no-prefect", envvar="MODETUNE_NO_PREFECT", help="Without Prefect's pages."),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
 
 
@@ -58,15 +62,34 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
     return campaign.store, campaign
 
 
+#: The pages of the run that a server started, in its process.
+_given: ContextVar[Pages | None] = ContextVar("given", default=None)
+
+
+@contextmanager
+def on_pages(pages: Pages) -> Iterator[None]:
+    """Commands in here are on the pages of a run that a server started."""
+    token = _given.set(pages)
+    try:
+        yield
+    finally:
+        _given.reset(token)
+
+
 @contextmanager
 def paged(flow: str, name: str, without: bool) -> Iterator[Pages | None]:
-    """The pages of a study's run on Prefect's server, unless it goes without."""
-    if without:
-        yield None
+    """The pages of a run on Prefect's server, unless it goes without; those of the run that a
+    server started where this is its process. Their address goes to standard error."""
+    given = _given.get()
+    if given is not None or without:
+        yield given
         return
     from modetune.flows.updating.prefect import shown
 
-    with shown(name, flow=flow) as pages:
+    def tell(address: str) -> None:
+        typer.echo(f"pages: {address}", err=True)
+
+    with shown(name, flow=flow, address=tell) as pages:
         yield pages
 
 

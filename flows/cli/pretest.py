@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modetune.flows.cli.options import AsJson, Settings, stoppable
+from modetune.flows.cli.options import AsJson, NoPrefect, Settings, paged, stoppable
 
 if TYPE_CHECKING:
     from modetune.core.planning.placement import Quality
@@ -56,6 +56,7 @@ def pretest(
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Write a PNG of all places.")] = None,
     settings: Settings = None,
+    no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
     """Choose places for sensors and exciters from the model alone; the test is not read."""
@@ -77,7 +78,7 @@ def pretest(
         exciters,
         mass,
     )
-    found = _run(campaign_file, settings or [], asked, out, picture)
+    found = _run(campaign_file, settings or [], asked, out, picture, no_prefect)
     if as_json:
         typer.echo(json.dumps(told_pretest(found, out, picture)))
         return
@@ -88,7 +89,12 @@ def pretest(
 
 
 def _run(
-    campaign_file: Path, settings: list[str], asked: Any, out: Path | None, picture: Path | None
+    campaign_file: Path,
+    settings: list[str],
+    asked: Any,
+    out: Path | None,
+    picture: Path | None,
+    no_prefect: bool,
 ) -> Pretest:
     """Run the pretest and write its files; their names are looked at first."""
     from modetune.flows.campaign.campaign import load_campaign
@@ -104,14 +110,18 @@ def _run(
         from modetune.flows.report.mesh_picture import check_picture
 
         check_picture(picture, mesh)
-    with stoppable():
-        found = run_pretest(campaign, asked)
-    if out is not None:
-        write_sensor_file(out, found, campaign.case.units)
-    if picture is not None:
-        from modetune.flows.studies.pretest.figures import save_pretest_picture
+    with stoppable(), paged("pretest", campaign.name, no_prefect) as pages:
+        found = run_pretest(campaign, asked, pages)
+        if out is not None:
+            write_sensor_file(out, found, campaign.case.units)
+        if picture is not None:
+            from modetune.flows.studies.pretest.figures import save_pretest_picture
 
-        save_pretest_picture(picture, found, mesh)
+            save_pretest_picture(picture, found, mesh)
+        if pages is not None:
+            written = [path for path in (out, picture) if path is not None]
+            status = "doubtful" if found.doubtful else "completed"
+            pages.done("; ".join(quality_lines(found)), _tables(found), written, status)
     return found
 
 
@@ -170,21 +180,29 @@ def _show(found: Pretest) -> None:
     from rich.text import Text
 
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table, table_of
-    from modetune.flows.studies.pretest.information import Knowledge
+    from modetune.flows.report.tables import show_table
 
     console = terminal()
-    show_table(console, _sensor_table(found))
+    sensors, *others = _tables(found)
+    show_table(console, sensors)
     for line in quality_lines(found):
         console.print(Text(line), soft_wrap=True)
-    title = "Standard deviations of the parameters"
-    show_table(console, table_of(title, found.knowledge, Knowledge))
-    show_table(console, _exciter_table(found))
+    for table in others:
+        show_table(console, table)
     if found.suspension:
         held = ", ".join(f"{item.node} ({100 * item.share:.0f} %)" for item in found.suspension)
         console.print(Text(f"moves least, for a suspension: nodes {held}"), soft_wrap=True)
     for note in found.notes:
         console.print(Text(f"note: {note}"), soft_wrap=True)
+
+
+def _tables(found: Pretest) -> list[Table]:
+    from modetune.flows.report.tables import table_of
+    from modetune.flows.studies.pretest.information import Knowledge
+
+    title = "Standard deviations of the parameters"
+    known = table_of(title, found.knowledge, Knowledge)
+    return [_sensor_table(found), known, _exciter_table(found)]
 
 
 def quality_lines(found: Pretest) -> list[str]:

@@ -78,15 +78,18 @@ def sample(
         paged("sample", campaign.name, no_prefect) as pages,
     ):
         found = sample_campaign(campaign, request, progress, earlier, pages)
+        write_posterior(folder / FILE, found)
+        written = [folder / FILE, *_figures(found, figures)]
+        doubts = [finding.text for finding in findings(found) if finding.red]
         if pages is not None:
-            pages.done(found.points_by or "sampled", [posterior_table(found)])
-    write_posterior(folder / FILE, found)
-    written = [folder / FILE, *_figures(found, figures)]
+            said = "; ".join(doubts) or found.points_by or "sampled"
+            status = "unreliable" if doubts else "completed"
+            pages.done(said, [posterior_table(found)], written, status, good=not doubts)
     if as_json:
         typer.echo(json.dumps(told(found, written)))
     else:
         _show(found, written)
-    raise typer.Exit(3 if any(finding.red for finding in findings(found)) else 0)
+    raise typer.Exit(3 if doubts else 0)
 
 
 def _progress() -> Any:

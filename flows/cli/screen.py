@@ -72,12 +72,12 @@ def screen(
         paged("screen", campaign.name, no_prefect) as pages,
     ):
         screening = screen_campaign(campaign, request, progress, pages)
+        write_screening(folder / FILE, screening)
+        written = [folder / FILE, *_figures(screening, figures)]
+        if out is not None:
+            written.append(write_proposal(campaign_file, screening, out))
         if pages is not None:
-            pages.done(proposed(screening), tables(screening))
-    write_screening(folder / FILE, screening)
-    written = [folder / FILE, *_figures(screening, figures)]
-    if out is not None:
-        written.append(write_proposal(campaign_file, screening, out))
+            pages.done(proposed(screening), tables(screening), written)
     _tell(screening, folder, written, as_json)
 
 

@@ -1,4 +1,4 @@
-"""`modetune serve`: a campaign on a schedule, from this process."""
+"""`modetune serve`: an update or a study of a campaign on a schedule, from this process."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from pathlib import Path
 import typer
 
 from modetune.flows.cli.options import CampaignPath, Runs, Settings, stoppable
-from modetune.flows.cli.server import CronLine, Name, TimeZone, WithoutLogin, serving
+from modetune.flows.cli.server import CronLine, Name, StudyLine, TimeZone, WithoutLogin, serving
 
 
 def serve(
     campaign_file: CampaignPath,
+    study: StudyLine = "update",
     cron: CronLine = None,
     timezone: TimeZone = "UTC",
     name: Name = None,
@@ -20,9 +21,10 @@ def serve(
     without_login: WithoutLogin = False,
 ) -> None:
     """Run the campaign on a schedule from this process, until Ctrl-C."""
-    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.cli.studies import read_study
 
-    campaign = load_campaign(campaign_file, settings or [])
+    asked = read_study(study, campaign_file)
+    campaign = asked.campaign(campaign_file, settings or [])
     name = name or campaign.name
     said = "the schedule is paused; the same command goes on with it"
     with stoppable(said), serving() as server:
@@ -33,11 +35,10 @@ def serve(
             check_login(server)
         pool, schedule = f"serve-{name}", deployment.Schedule(cron, timezone)
         with server.api() as api:
-            kept = deployment.deploy(api, campaign, runs, name, schedule, pool)
+            told = asked.name, asked.options
+            kept = deployment.deploy(api, campaign, told, runs, name, schedule, pool)
         when = f"at `{cron}` ({timezone})" if cron else "when asked"
-        typer.echo(
-            f"serving {deployment.FLOW}/{name} {when}; pages at {server.pages}; Ctrl-C ends it"
-        )
+        typer.echo(f"serving {asked.name}/{name} {when}; pages at {server.pages}; Ctrl-C ends it")
         keeper = Worker(server, pool, 1)
         try:
             keeper.work(once=False)

@@ -18,6 +18,14 @@ server_app = typer.Typer(help="The Prefect server that commands share.", no_args
 CronLine = Annotated[
     str | None, typer.Option("--cron", help="When it starts: minute hour day month weekday.")
 ]
+StudyLine = Annotated[
+    str,
+    typer.Option(
+        "--study",
+        help="What is run, as it is typed without the campaign: update, 'screen --method morris', "
+        "sample, validate, localise, check, pretest, correlate.",
+    ),
+]
 TimeZone = Annotated[str, typer.Option("--timezone", help="Of the schedule, e.g. Europe/Berlin.")]
 Name = Annotated[
     str | None, typer.Option("--name", help="Of the deployment; the campaign's by default.")

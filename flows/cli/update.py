@@ -66,17 +66,21 @@ def run_update(
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.campaign.terminal import terminal
     from modetune.flows.updating.display import ConsoleProgress
+    from modetune.flows.updating.running import is_same
     from modetune.flows.updating.starts import update_from_starts
 
     campaign = load_campaign(campaign_file, settings)
     campaign.solver_version()
+    folder = runs / campaign.name
     with (
         ConsoleProgress(terminal(stderr=True)).shown() as progress,
         paged("update", campaign.name, not with_prefect) as pages,
     ):
-        run = update_from_starts(campaign, runs / campaign.name, progress, pages, progress.forecast)
+        same = pages is not None and pages.deployed and is_same(campaign, folder)
+        run = update_from_starts(campaign, folder, progress, pages, progress.forecast)
         if pages is not None:
-            pages.ended(run.record, run.folder)
+            spent = run.record.runs
+            pages.ended(run.record, folder, same and not spent.modal + spent.sensitivity)
         return run
 
 

@@ -54,7 +54,8 @@ def validate(
         judge = leave_one_out if one_out else by_held_out
         found = judge(campaign, progress.working, pages)
         if pages is not None:
-            pages.done(found.sentence, [held_out_table(found.held_out)])
+            tables, good = [held_out_table(found.held_out)], found.status == "good"
+            pages.done(found.sentence, tables, status=found.status, good=good)
     if as_json:
         typer.echo(json.dumps(told(found, one_out)))
     else:

@@ -54,6 +54,7 @@ from modetune.flows.jobs.deck_texts import keep_text
 from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans, analysis_kind
 from modetune.flows.jobs.limits import CORES, MEMORY, Limit, Limits
 from modetune.flows.jobs.scratch import factor_files
+from modetune.flows.jobs.watching import Derivation, JobWatcher, told
 
 logger = logging.getLogger(__name__)
 R = TypeVar("R", bound=Result)
@@ -195,7 +196,7 @@ class JobEngine:
 
     may_run: False where the store alone may answer. elsewhere: runs a job of this key so that the
     store has it, in place of this process, and tells whether that had it and what it took, seconds.
-    launcher: starts the programs, where not this process does.
+    launcher: starts the programs, where not this process does. watcher: is told of each piece.
     """
 
     plans: Plans
@@ -211,6 +212,7 @@ class JobEngine:
     elsewhere: Callable[[Job, str], tuple[bool, float]] | None = None
     launcher: Launcher | None = None
     memory: JobMemory = field(default_factory=JobMemory)
+    watcher: JobWatcher | None = None
 
     @property
     def room(self) -> FactorRoom:
@@ -279,14 +281,21 @@ class JobEngine:
         keep_text(self.store, self.plans.model_digest(), self.plans.plan(NOMINAL).rendered)
         self.plans.done(NOMINAL)
 
-    def derived(self, asked: Json, compute: Callable[[], R], kind: type[R]) -> R:
+    def derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str = "") -> R:
         """What is computed here from results at a cost, from the store if it is there.
 
-        asked: everything that can change the numbers, keys of the results among it.
-        Raises NotComputed where the store alone may answer and has no answer.
+        asked: everything that can change the numbers, keys of the results among it; name: for
+        people who watch. Raises NotComputed where the store alone may answer and has no answer.
         """
         text = canonical_json(asked)
-        key = content_key(text)
+        key, begun = content_key(text), time.monotonic()
+        with told(self.watcher, name) as outcomes:
+            reused = key in self.store
+            found = self._derived(key, text, compute, kind)
+            outcomes.append(Derivation(key, reused, time.monotonic() - begun))
+        return found
+
+    def _derived(self, key: str, text: str, compute: Callable[[], R], kind: type[R]) -> R:
         found = self._stored(key, kind)
         if found is not None:
             return found

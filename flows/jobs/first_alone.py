@@ -43,13 +43,16 @@ class FirstAlone:
                 if failures >= FIRST_FAILURES or not alike or isinstance(outcome, SolverCancelled):
                     reason = f"no job has succeeded so far: {outcome}"
                     if rest:
-                        self._execution.skip(iteration, [other.name for other in rest], reason)
+                        names = [other.name for other in rest]
+                        self._execution.skip(iteration, names, reason, "Not tried")
                     return [*done, *(type(outcome)(f"not tried, for {reason}") for _ in rest)]
         return done
 
-    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        """Note work that was not needed, and why."""
-        self._execution.skip(iteration, names, reason)
+    def skip(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
+        """Note work that was not needed, or not tried, and why."""
+        self._execution.skip(iteration, names, reason, state)
 
 
 def _kind(work: Work) -> str:

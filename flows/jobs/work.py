@@ -14,6 +14,7 @@ from typing import Protocol
 from modetune.core.errors import ModetuneError
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.watching import doing, told
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +40,15 @@ class Execution(Protocol):
         """Outcomes in the order of the work."""
         ...
 
-    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        """Note work that was not needed, and why."""
+    def skip(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
+        """Note work that was not needed, or not tried, and why."""
         ...
 
 
 #: What carries out the jobs of an engine, so many side by side.
 Executes = Callable[[JobEngine, int], Execution]
-
-
-class JobWatcher(Protocol):
-    """Who is told of each piece of work, as a Prefect server's pages are. It never waits."""
-
-    def began(self, iteration: str, work: Work) -> Callable[[Done], None]:
-        """A piece begins; what is returned hears how it ended."""
-        ...
-
-    def skipped(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        """Work that was not needed, and why."""
-        ...
 
 
 def solve_work(engine: JobEngine, work: Work) -> Done:
@@ -68,18 +59,25 @@ def solve_work(engine: JobEngine, work: Work) -> Done:
         return error
 
 
+def solved(engine: JobEngine, jobs: Sequence[Job], name: str = "modal") -> tuple[JobOutcome, ...]:
+    """Jobs of a study's model, one after another, as one piece. Raises what `solve` raises."""
+    with doing("model"), told(engine.watcher, name) as outcomes:
+        done = tuple(engine.solve(job) for job in jobs)
+        outcomes += done
+    return done
+
+
 @dataclass(frozen=True, slots=True)
 class ThreadExecution:
     """A bounded pool of threads; each waits for its external solver.
 
-    told: hears what became of each piece, in the order of the work; watcher: hears of each as it
-    begins and ends.
+    told: hears what became of each piece, in the order of the work; the engine's watcher hears of
+    each as it begins and ends.
     """
 
     engine: JobEngine
     parallel: int
     told: Callable[[Done], None] | None = None
-    watcher: JobWatcher | None = None
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
         with ThreadPoolExecutor(self.parallel, thread_name_prefix="modetune") as pool:
@@ -97,14 +95,16 @@ class ThreadExecution:
                     future.cancel()
                 raise
 
-    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        if self.watcher is not None:
-            self.watcher.skipped(iteration, names, reason)
+    def skip(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
+        if self.engine.watcher is not None:
+            self.engine.watcher.skipped(iteration, names, reason, state)
 
     def _solve(self, iteration: str, work: Work) -> Done:
-        if self.watcher is None:
+        if self.engine.watcher is None:
             return solve_work(self.engine, work)
-        ended = self.watcher.began(iteration, work)
+        ended = self.engine.watcher.began(iteration, work.name)
         done = solve_work(self.engine, work)
         ended(done)
         return done

@@ -1,12 +1,14 @@
-"""Campaigns that a Prefect server starts: by a schedule, from its pages, or when asked.
+"""Studies of campaigns that a Prefect server starts: by a schedule, from its pages, or when asked.
 
-A deployment holds where the campaign file, its settings and its run folders are; the run reads
-the file anew each time. Its work pool is of a type of its own, whose runs have no settings at all:
-no command, environment, image or entry point. What runs is `modetune`'s own (`worker.py`).
+A deployment holds where the campaign file, its settings and its run folders are, and which study it
+is with its options; the run reads the file anew each time. Its work pool is of a type of its own,
+whose runs have no settings at all: no command, environment, image or entry point. What runs is
+`modetune`'s own (`worker.py`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +17,6 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.heartbeats import TAG
 from modetune.flows.jobs.prefect_api import PrefectApi, ServerRefused
 
-#: The flow that every deployment is of.
-FLOW = "update"
 #: The type of pools whose runs are campaigns and nothing else.
 POOL_TYPE = "modetune"
 #: A run can set nothing of how it is run.
@@ -37,9 +37,17 @@ class Schedule:
 
 
 def deploy(
-    api: PrefectApi, campaign: Campaign, runs: Path, name: str, schedule: Schedule, pool: str
+    api: PrefectApi,
+    campaign: Campaign,
+    study: tuple[str, Sequence[str]],
+    runs: Path,
+    name: str,
+    schedule: Schedule,
+    pool: str,
 ) -> str:
-    """Put a campaign on a server, to be run by a pool's workers; its identity there.
+    """Put a study of a campaign on a server, to be run by a pool's workers; its identity there.
+
+    study: its name, which is that of the flow, and its options.
 
     A run that would start while another one of the deployment is under way is cancelled. Raises
     ModetuneError, where the schedule is none.
@@ -47,7 +55,7 @@ def deploy(
     make_pool(api, pool)
     when = {"cron": schedule.cron, "timezone": schedule.timezone}
     deployment = {
-        "flow_id": api.post("/flows/", {"name": FLOW})["id"],
+        "flow_id": api.post("/flows/", {"name": study[0]})["id"],
         "name": name,
         "schedules": [{"schedule": when, "active": True}] if schedule.cron else [],
         "paused": False,
@@ -56,8 +64,10 @@ def deploy(
             "campaign_file": str(campaign.file.resolve()),
             "settings": list(campaign.settings),
             "runs": str(runs.resolve()),
+            "study": study[0],
+            "options": list(study[1]),
         },
-        "description": f"modetune campaign `{campaign.file.resolve()}`",
+        "description": f"modetune {' '.join((study[0], *study[1]))} `{campaign.file.resolve()}`",
         "tags": [TAG],
         "work_pool_name": pool,
         "concurrency_limit": 1,

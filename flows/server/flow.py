@@ -23,7 +23,7 @@ from typing import Any
 from prefect import Task, flow, task
 from prefect.cache_policies import NO_CACHE
 from prefect.client.schemas.objects import State
-from prefect.states import Completed, Failed
+from prefect.states import Cancelled, Completed, Failed
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from modetune.core.errors import ModetuneError, SolverCrashed
@@ -58,13 +58,15 @@ def solve(piece: Piece) -> State[Any]:
         piece.fault = fault  # raised where the loop waits
         raise
     kind, name, message = became(piece.done)
-    return Failed(message=message) if kind == "FAILED" else Completed(name=name, message=message)
+    made = {"FAILED": Failed, "CANCELLED": Cancelled}.get(kind, Completed)
+    return made(name=name, message=message)
 
 
 @task(cache_policy=NO_CACHE, persist_result=False)
-def skip(reason: str) -> State[Any]:
-    """A sensitivity that e2 made unnecessary."""
-    return Completed(name="Skipped", message=reason)
+def skip(reason: str, state: str) -> State[Any]:
+    """A piece that was not needed, or not tried."""
+    made = Cancelled if state == "Not tried" else Completed
+    return made(name=state, message=reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +81,11 @@ class TaskExecution:
         self._tasks(iteration, [(solve, piece.work.name, {"piece": piece}) for piece in pieces])
         return [_outcome(piece) for piece in pieces]
 
-    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        self._tasks(iteration, [(skip, name, {"reason": reason}) for name in names])
+    def skip(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
+        told = {"reason": reason, "state": state}
+        self._tasks(iteration, [(skip, name, told) for name in names])
 
     def _tasks(
         self, iteration: str, asked: Sequence[tuple[Task[..., Any], str, dict[str, Any]]]

@@ -1,9 +1,9 @@
 """A worker: starts the deployed campaigns that are due, and watches over them.
 
-Each run is a process of its own with a fixed command (`deployed.py`); of what the server has about
-a run only its parameters are read, and those are a campaign file, settings and folders. A run whose
-process ends without a word, here or on another machine, is marked as crashed, so that the next one
-can start. A server that is gone is waited for.
+Each run is a process of its own with a fixed command (`cli/deployed.py`); of what the server has
+about a run only its parameters are read, and those are a campaign file, settings, folders, and a
+study with its options. A run whose process ends without a word, here or on another machine, is
+marked as crashed, so that the next one can start. A server that is gone is waited for.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class Worker:
         if told["status"] != "ACCEPT":
             return
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "modetune.flows.server.deployed"],
+            [sys.executable, "-P", "-m", "modetune.flows.cli.deployed"],
             stdin=subprocess.PIPE,
             start_new_session=True,
         )

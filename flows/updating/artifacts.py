@@ -20,6 +20,7 @@ import numpy as np
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.report.comparison import mac_table
+from modetune.flows.report.drawing import PAGE
 from modetune.flows.report.iteration_tables import iteration_table
 from modetune.flows.report.mode_tables import mode_labels, mode_table
 from modetune.flows.report.parameter_tables import parameter_table
@@ -101,6 +102,17 @@ def table_sheet(campaign: str, sheet: str, table: Table, description: str = "") 
     return Sheet("table", sheet_key(campaign, sheet), description or sheet, data)
 
 
+def files_sheet(campaign: str, written: Sequence[Path]) -> Sheet:
+    """Where a run left its report and other files, as links for a browser on the same machine."""
+    said = f"Where the run of {campaign} left its files"
+    return Sheet("markdown", sheet_key(campaign, "files"), said, _links(written))
+
+
+def _links(files: Sequence[Path]) -> str:
+    paths = [path.resolve() for path in files]
+    return "\n".join(f"* [{path.name}]({path.as_uri()}): `{path}`" for path in paths)
+
+
 def mac_picture(record: CampaignRecord) -> bytes:
     """MAC of computed with measured modes before and after, as PNG that fits into a sheet."""
     # Drawing is imported where something is drawn.
@@ -132,9 +144,10 @@ def _nearness(record: IterationRecord, tolerances: Tolerances) -> float:
 
 def _places(record: CampaignRecord, folder: Path) -> str:
     place, runs = folder.resolve(), record.runs
+    files = [*filter(Path.exists, [place / PAGE]), place / "campaign.h5"]
     return (
         f"**{record.status.replace('_', ' ')}**: {record.reason}\n\n"
-        f"* record `{place / 'campaign.h5'}`\n"
+        f"{_links(files)}\n"
         f"* updated deck in `{place / 'updated'}`\n"
         f"* solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered"
         f" by the store\n* {record.solver} {record.solver_version}, {record.wall_s:.1f} s\n"

@@ -20,6 +20,7 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, mode_name
 from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.tables import Column
 from modetune.flows.updating.evaluation import Evaluation
@@ -99,13 +100,15 @@ def read_agreement(path: Path, state: State) -> Agreement:
     )
 
 
-def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> BaselineCheck:
+def check_deck(
+    campaign: Campaign, path: Path, state: State, band: Band, watcher: JobWatcher | None = None
+) -> BaselineCheck:
     """Compare the model at the deck's values with a baseline: one modal run, the store first.
 
     Raises CampaignError where the baseline is of other modes; SolverError, StoreError.
     """
     baseline = _fitting(campaign, path, state)
-    engine = job_engine(campaign)
+    engine = job_engine(campaign, watcher)
     own = replace(
         campaign, cases=tuple(replace(item, eigensolver="solver") for item in campaign.cases)
     )  # a baseline holds the solver's own modes

@@ -20,6 +20,7 @@ from modetune.core.modes import Floats
 from modetune.core.updating.reduced_range import RangeUse, ReducedRange, range_sets
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.watching import doing
 from modetune.flows.jobs.work import Done, Work
 from modetune.flows.updating.by_matrices import ByMatrices, reduced_columns
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, Point
@@ -213,7 +214,8 @@ class ReducedRanges:
             analysis = ModalAnalysis(state.case.n_modes, state.case.nodes)
             self.evaluator.carry_out("range", state.finder.works(part.theta, analysis), state)
             try:
-                made = state.finder.over(part.point, own, analysis, self.asked, self._told)
+                with doing("range"):
+                    made = state.finder.over(part.point, own, analysis, self.asked, self._told)
             except (UnlikeMatrices, ModelError) as error:
                 state.finder = state.finder.instead(error)
                 return []

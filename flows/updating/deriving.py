@@ -17,6 +17,7 @@ from modetune.core.updating.residual import frequency_sensitivity, residual_sens
 from modetune.core.updating.results import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
+from modetune.flows.jobs.watching import doing
 from modetune.flows.updating.asked import Ahead, CaseState, Piece
 from modetune.flows.updating.evaluation import (
     CaseEvaluation,
@@ -25,7 +26,7 @@ from modetune.flows.updating.evaluation import (
     compare,
     part_rows,
 )
-from modetune.flows.updating.finders import UNFIT, Columns
+from modetune.flows.updating.finders import REDUCED, UNFIT, Columns
 from modetune.flows.updating.pieces import Pieces
 from modetune.flows.updating.sensitivities import UnbalancedEnergies, by_energies
 
@@ -64,7 +65,10 @@ class Deriving:
             for place in waiting:
                 state, own = self.used[place], [next(done) for _ in works[place]]
                 try:
-                    columns[place] = state.finder.columns(parts[place].point, state.analysis, own)
+                    with doing(title):
+                        point = parts[place].point
+                        columns[place] = state.finder.columns(point, state.analysis, own)
+                    self._tell(title, state, columns[place])
                 except UNFIT as error:
                     state.finder = state.finder.instead(error)
                     again.append(place)
@@ -85,6 +89,14 @@ class Deriving:
                     test, part.seen, part.pairing, weighting, slopes
                 )
         return found
+
+    def _tell(self, title: str, state: CaseState, columns: Columns) -> None:
+        """Tell of columns that no work stood for: those of a reduced model around a set."""
+        if state.finder.name != REDUCED and set(columns.methods) == {REDUCED}:
+            named = state.campaign.parameters.names
+            names = [state.case.of(f"sensitivity {name}") for name in named]
+            reason = "follows from the reduced model"
+            self.pieces.execution.skip(title, names, reason, "Derived")
 
     def _suited(self, title: str, place: int, part: CaseEvaluation) -> CaseEvaluation:
         """An evaluated case with all that its finder's derivatives are made of."""

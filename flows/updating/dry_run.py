@@ -97,7 +97,9 @@ class Replay:
         self.answered += len(jobs)
         return [solve_work(self.engine, piece) for piece in work]
 
-    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+    def skip(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
         pass
 
 

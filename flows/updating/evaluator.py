@@ -27,6 +27,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobOutcome, Ledger
 from modetune.flows.jobs.first_alone import FirstAlone
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.watching import doing, told
 from modetune.flows.jobs.work import Execution, Work
 from modetune.flows.updating.asked import Ahead, AskedModes, CaseState, ModeTrack, Piece
 from modetune.flows.updating.deriving import Deriving
@@ -178,10 +179,11 @@ class Evaluator:
 
         Raises SolverError, ModesError, StoreError.
         """
-        foreseen = None if self.foresight is None else self.foresight.believed(theta, previous)
+        title, ahead = f"iteration {number}", Ahead()
+        with doing(title):
+            foreseen = None if self.foresight is None else self.foresight.believed(theta, previous)
         if foreseen is not None:
             return foreseen, None
-        title, ahead = f"iteration {number}", Ahead()
         asked = [AskedModes(0, state, state.own(theta), state.analysis) for state in self.used]
         beside = [] if alone else self._deriving.works(theta)
         track = ModeTrack(np.ones(theta.size), [previous] if previous else [], grows=False)
@@ -230,8 +232,8 @@ class Evaluator:
             if within is None:
                 yield from self._points(title, some, track)
                 continue
-            self.execution.run(title, [Work(f"reduced model for {len(some)} sets", ())])
-            with one_thread():
+            name = f"{len(some)} sets by the reduced model"  # one piece for whoever watches
+            with doing(title), told(self.used[0].engine.watcher, name), one_thread():
                 found = within._points(title, some, track)
             yield from found
 
@@ -260,7 +262,8 @@ class Evaluator:
             for item in done:
                 unless_failed(item)
             try:
-                return self.only.finder.columns(point, analysis, done).derivatives
+                with doing("sensitivities"):
+                    return self.only.finder.columns(point, analysis, done).derivatives
             except UNFIT as error:
                 self.only.finder = self.only.finder.instead(error)
 
@@ -378,7 +381,8 @@ class Evaluator:
                 again = []
                 try:
                     for item in points.pop(point):
-                        part = item.answered(outcomes[id(item)], self._before(item, previous))
+                        with doing(title):
+                            part = item.answered(outcomes[id(item)], self._before(item, previous))
                         if part is None:
                             again.append(item)
                         else:

@@ -185,7 +185,7 @@ class ReducedForesight:
                 return found
         job = Job(state.campaign.parameters.values(part.theta), analysis)
         name = state.case.solver.program.name
-        work = Work(f"modal by {name}", (job,), state.engine)
+        work = Work(f"modal confirmation by {name}", (job,), state.engine)
         ((outcome,),) = self.evaluator.carry_out(title, [work], state)
         modal = outcome.result(ModalResult)
         return compare(state.case, part.theta, outcome.key, modal, part, name)

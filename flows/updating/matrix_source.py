@@ -127,7 +127,10 @@ class MatrixSource:
             if not self.everywhere:
                 return self._take_apart(chosen, wide)
             return self.engine.derived(
-                self._asked(chosen), lambda: self._take_apart(chosen, wide), ParameterMatrices
+                self._asked(chosen),
+                lambda: self._take_apart(chosen, wide),
+                ParameterMatrices,
+                "matrices of all values",
             )
         except ModelError as error:
             raise ModelError(f"{error}; {WITHOUT_MATRICES}") from error

@@ -11,6 +11,7 @@ from modetune.core.modes import Floats
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.jobs.engine import JobOutcome, Ledger
+from modetune.flows.jobs.watching import doing
 from modetune.flows.jobs.work import Done, Execution
 from modetune.flows.updating.asked import Ahead, CaseState, Piece
 from modetune.flows.updating.finders import UNFIT
@@ -60,7 +61,8 @@ class Pieces:
             works = [(state, work) for work in state.finder.works(theta, analysis)]
             done = self.run(title, works, Ahead())
             try:
-                return state.finder.modes(theta, analysis, done)
+                with doing(title):
+                    return state.finder.modes(theta, analysis, done)
             except UNFIT as error:
                 state.finder = state.finder.instead(error)
 

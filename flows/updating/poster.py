@@ -7,8 +7,9 @@ server that is gone is asked again, and the shared one started again, until a mi
 campaign's end. Where standard input ends without the campaign's end, the campaign was killed, and
 its run is marked as crashed.
 
-Lines on standard output: `waiting` while a server starts, `up` once it answers, `ended` when it
-knows the end, and `warning ...` for the user.
+Lines on standard output: `at ...` with the server's address, then `waiting` while one starts, `up`
+once it answers, `page ...` with the run's address, `ended` when it knows the end, and `warning ...`
+for the user.
 """
 
 from __future__ import annotations
@@ -98,10 +99,12 @@ class Poster:
     def work(self) -> None:
         """Tell the server everything. Raises GivenUp, StorageUnavailable."""
         self._server = use_server()
+        tell(f"at {self._server.pages}")
         if not self._ready(self._server):
             return
         tell("up")
         self._deliver(self._begin)
+        tell(f"page {self._server.pages}/runs/flow-run/{self.run}")
         while True:
             told = self._told()
             self._pass_on(told)

@@ -26,12 +26,12 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from modetune.core.errors import CampaignStopped, ModetuneError
+from modetune.core.errors import CampaignStopped, ModetuneError, SolverCancelled
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.criteria import Tolerances
-from modetune.flows.jobs.work import Done, Work
+from modetune.flows.jobs.watching import Ended
 from modetune.flows.report.tables import Table
-from modetune.flows.updating.artifacts import Sheet, progress_sheets, table_sheet
+from modetune.flows.updating.artifacts import Sheet, files_sheet, progress_sheets, table_sheet
 from modetune.flows.updating.display import iteration_line
 from modetune.flows.updating.updating import Progress
 
@@ -39,10 +39,13 @@ logger = logging.getLogger(__name__)
 
 #: The process beside a campaign.
 COMMAND = (sys.executable, "-P", "-m", "modetune.flows.updating.poster")
-#: Seconds that the end of a campaign waits for a server that answers to hear of it.
-END_S = 5.0
+#: Seconds that a campaign's end is kept from who is left with a server that is up and answers: a
+#: container that ends with the campaign ends the process beside it too.
+END_S = 2.0
 #: ... and for the first word of the process beside, where it has said none yet.
-FIRST_WORD_S = 3.0
+FIRST_WORD_S = 1.0
+#: ... which tells what it found in the server's place.
+FOUND = (b"up\n", b"waiting\n", b"warning ")
 #: Bytes that may wait for a process that does not read.
 MOST_WAITING = 16_000_000
 
@@ -51,12 +54,21 @@ class Pages:
     """The pages of one run of a campaign or a study, from `Pages(name)` to its end.
 
     name: of the campaign; flow_run: the run that the server started, or None to make one, of this
-    flow.
+    flow; address: hears where people look at it, once that is known.
     Any thread may tell; nothing here raises but what a mistake of ours raises.
     """
 
-    def __init__(self, name: str, flow_run: str | None = None, flow: str = "update") -> None:
+    def __init__(
+        self,
+        name: str,
+        flow_run: str | None = None,
+        flow: str = "update",
+        address: Callable[[str], None] = lambda address: None,
+    ) -> None:
         self.name = name
+        self.deployed = flow_run is not None
+        self._address = address
+        self._said = b""
         self._guard = threading.Lock()
         self._unsent = bytearray()
         try:
@@ -72,28 +84,33 @@ class Pages:
             logger.warning("Prefect's pages lack this run: no process can be started (%s)", error)
             return
         assert self._beside.stdin is not None
+        assert self._beside.stdout is not None
         os.set_blocking(self._beside.stdin.fileno(), False)
+        os.set_blocking(self._beside.stdout.fileno(), False)
         begin = {"name": name, "flow_run": flow_run, "flow": flow, "parent": os.getpid()}
         self._tell(begin)
 
-    def began(self, iteration: str, work: Work) -> Callable[[Done], None]:
+    def began(self, iteration: str, name: str) -> Callable[[Ended], None]:
         """A piece of work begins; what is returned hears how it ended."""
-        task, name = str(uuid4()), f"{iteration} / {work.name}"
+        task, name = str(uuid4()), f"{iteration} / {name}"
         began = time.monotonic()
         times: dict[str, str | float] = {"start_time": _now()}
         self._task(task, name, "RUNNING", "Running", "", times)
 
-        def ended(done: Done) -> None:
+        def ended(done: Ended) -> None:
             times.update(end_time=_now(), total_run_time=time.monotonic() - began)
             self._task(task, name, *became(done), times)
 
         return ended
 
-    def skipped(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        """Pieces that e2 made unnecessary."""
+    def skipped(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
+        """Pieces that were not needed, by e2 or as others hold them, or that were not tried."""
+        kind = "CANCELLED" if state == "Not tried" else "COMPLETED"
         for name in names:
             times = {"start_time": _now(), "end_time": _now()}
-            self._task(str(uuid4()), f"{iteration} / {name}", "COMPLETED", "Skipped", reason, times)
+            self._task(str(uuid4()), f"{iteration} / {name}", kind, state, reason, times)
 
     def sheet(self, sheet: Sheet) -> None:
         """A table, a text or a number of the run; a later one of the same key replaces it."""
@@ -107,17 +124,38 @@ class Pages:
         """A line of the run's log."""
         self._tell({"log": {"level": level, "message": text, "timestamp": _now()}})
 
-    def ended(self, record: CampaignRecord, folder: Path) -> None:
-        """The campaign has come to its end, and its record is in this folder."""
+    def ended(self, record: CampaignRecord, folder: Path, unchanged: bool = False) -> None:
+        """The campaign has come to its end, and its record is in this folder.
+
+        unchanged: since the run before it, whose results the store had.
+        """
         # What is not converged is not shown in green, and an alarm may wait for it.
         kind = "COMPLETED" if record.status == "converged" else "FAILED"
-        self.end(kind, record.status.replace("_", " ").capitalize(), record.reason, folder)
+        name, reason = record.status.replace("_", " ").capitalize(), record.reason
+        if unchanged:
+            reason = (
+                "nothing changed since the run before: no solver run, all "
+                f"{record.runs.reused} results from the store; still {name.lower()}: {reason}"
+            )
+        self.end(kind, "Unchanged" if unchanged else name, reason, folder)
 
-    def done(self, said: str, tables: Sequence[Table]) -> None:
-        """A study has come to its end. said: what it found, in a sentence."""
+    def done(
+        self,
+        said: str,
+        tables: Sequence[Table],
+        written: Sequence[Path] = (),
+        status: str = "completed",
+        good: bool = True,
+    ) -> None:
+        """A study has come to its end.
+
+        said: what it found, in a sentence; written: files it left; good: whether it is to be green.
+        """
         for table in tables:
             self.sheet(table_sheet(self.name, table.title, table))
-        self.end("COMPLETED", "Completed", said)
+        if written:
+            self.sheet(files_sheet(self.name, written))
+        self.end("COMPLETED" if good else "FAILED", status.capitalize(), said)
 
     def failed(self, error: BaseException) -> None:
         """The campaign was broken off."""
@@ -137,23 +175,25 @@ class Pages:
         beside, self._beside = self._beside, None
         assert beside.stdin is not None
         assert beside.stdout is not None
-        deadline = time.monotonic() + END_S
         with beside.stdout, beside.stdin:
-            said = _said(beside.stdout.fileno(), b"", time.monotonic() + FIRST_WORD_S, b"")
-            while self._unsent and b"up\n" in said and time.monotonic() < deadline:
+            self._hear(beside.stdout.fileno(), FIRST_WORD_S, FOUND)
+            deadline = time.monotonic() + END_S
+            while self._unsent and b"up\n" in self._said and time.monotonic() < deadline:
                 self._write(beside.stdin.fileno())
                 time.sleep(0.01)
-            if b"up\n" in said:
-                said = _said(beside.stdout.fileno(), said, deadline, b"ended\n")
+            if b"up\n" in self._said:
+                self._hear(beside.stdout.fileno(), END_S, (b"ended\n",))
         try:
             beside.wait(END_S)  # it left at once for a process of its own
         except subprocess.TimeoutExpired:
             beside.kill()
             beside.wait()
-        for line in said.decode().splitlines():
-            kind, _, text = line.partition(" ")
-            if kind == "warning":
-                logger.warning("%s", text)
+        said = [line.partition(" ") for line in self._said.decode().splitlines()]
+        for text in [text for kind, _, text in said if kind == "warning"]:
+            logger.warning("%s", text)
+        if b"waiting\n" in self._said and b"\npage " not in self._said:
+            (server,) = {text for kind, _, text in said if kind == "at"}
+            self._address(f"{server}/runs, as soon as the server is up")
 
     def _task(
         self,
@@ -186,6 +226,24 @@ class Pages:
             assert self._beside.stdin is not None
             self._unsent += json.dumps(message).encode() + b"\n"
             self._write(self._beside.stdin.fileno())
+            assert self._beside.stdout is not None
+            self._hear(self._beside.stdout.fileno())
+
+    def _hear(self, pipe: int, patience_s: float = 0.0, wanted: Sequence[bytes] = ()) -> None:
+        """Take what the process beside said by now, or by when it says something that is wanted."""
+        deadline = time.monotonic() + patience_s
+        known = self._said.count(b"\n")
+        while not any(word in self._said for word in wanted):
+            if not select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
+                break
+            piece = os.read(pipe, 65536)
+            self._said += piece
+            if not piece:
+                break
+        for line in self._said.decode().splitlines()[known : self._said.count(b"\n")]:
+            kind, _, text = line.partition(" ")
+            if kind == "page":
+                self._address(text)
 
     def _write(self, pipe: int) -> None:
         """Write what the pipe takes now."""
@@ -199,9 +257,14 @@ class Pages:
 
 
 @contextmanager
-def shown(name: str, flow_run: str | None = None, flow: str = "update") -> Iterator[Pages]:
+def shown(
+    name: str,
+    flow_run: str | None = None,
+    flow: str = "update",
+    address: Callable[[str], None] = lambda address: None,
+) -> Iterator[Pages]:
     """The pages of a run that ends in here; one that is broken off is told as such."""
-    pages = Pages(name, flow_run, flow)
+    pages = Pages(name, flow_run, flow, address)
     try:
         yield pages
     except BaseException as error:
@@ -220,6 +283,7 @@ class PagesProgress:
 
     def working(self, text: str) -> None:
         self.watcher.working(text)
+        self.pages.log(text)
 
     def iteration(self, record: IterationRecord) -> None:
         self.watcher.iteration(record)
@@ -229,27 +293,18 @@ class PagesProgress:
             self.pages.sheet(sheet)
 
 
-def became(done: Done) -> tuple[str, str, str]:
+def became(done: Ended) -> tuple[str, str, str]:
     """Type, name and message of the state of a piece of work that has ended."""
+    if isinstance(done, SolverCancelled):
+        return "CANCELLED", "Cancelled", str(done)
     if isinstance(done, ModetuneError):
         return "FAILED", "Failed", str(done)
     if not done:
-        return "COMPLETED", "Derived", "follows from the modal job"
+        return "COMPLETED", "Derived", "no job was needed"
     keys = ", ".join(outcome.key[:12] for outcome in done)
     if all(outcome.reused for outcome in done):
         return "COMPLETED", "Cached", keys
     return "COMPLETED", "Completed", f"{keys} in {sum(item.wall_s for item in done):.1f} s"
-
-
-def _said(pipe: int, said: bytes, deadline: float, wanted: bytes) -> bytes:
-    """What stands in a pipe by the time that it holds what is wanted, ends, or is overdue."""
-    while not (said and wanted in said):
-        ready, _, _ = select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))
-        piece = os.read(pipe, 65536) if ready else b""
-        if not piece:
-            break
-        said += piece
-    return said
 
 
 def _now() -> str:

@@ -25,6 +25,7 @@ from modetune.flows.jobs.job import Plans
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.scratch import remove_abandoned
 from modetune.flows.jobs.slurm import on_slurm
+from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import Executes, Execution, ThreadExecution
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.updating.campaign_log import campaign_log, log_iterations
@@ -33,14 +34,14 @@ from modetune.flows.updating.forecast import Forecast, Forecaster
 from modetune.flows.updating.prefect import Pages, PagesProgress
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.sensitivities import not_linear
-from modetune.flows.updating.starting import read_earlier, start_of
+from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of
 from modetune.flows.updating.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
 
 
-def job_engine(campaign: Campaign) -> JobEngine:
-    """The engine that solves the jobs of a campaign's first case."""
+def job_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> JobEngine:
+    """The engine that solves the jobs of a campaign's first case, and tells a watcher of them."""
     run, solver = campaign.run, campaign.cases[0].solver
     remove_abandoned(campaign.store)
     limits = [Limit(CORES, max(cores(), 0 if run.here else campaign.threads), campaign.threads)]
@@ -66,8 +67,15 @@ def job_engine(campaign: Campaign) -> JobEngine:
         counter=MachineLimits(server_home() / "limits" if run.here else None),
         limits=tuple(limits),
         ledger=Ledger(),
+        watcher=watcher,
     )
     return on_slurm(engine, run.slurm, campaign.name) if run.engine == "slurm" else engine
+
+
+def is_same(campaign: Campaign, folder: Path) -> bool:
+    """Whether nothing has changed since the run that left its record in a run folder."""
+    earlier = read_earlier(folder)
+    return earlier is not None and is_unchanged(campaign, job_engine(campaign), earlier)
 
 
 def update_campaign(
@@ -94,20 +102,20 @@ def update_campaign(
                 f"another run of this campaign is under way in {folder}; wait for it, or name "
                 "another place for run folders with --runs"
             )
-        with campaign_log(campaign, folder), solving_engine(campaign) as engine:
+        with campaign_log(campaign, folder), solving_engine(campaign, pages) as engine:
             return _update(campaign, engine, folder, progress, pages, forecast, executes)
 
 
 @contextmanager
-def solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
+def solving_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> Iterator[JobEngine]:
     """The engine that solves a campaign's jobs where the campaign says."""
     if campaign.run.engine != "dask":
-        yield job_engine(campaign)
+        yield job_engine(campaign, watcher)
         return
     from modetune.flows.updating.dask import on_dask
 
     with on_dask(campaign, job_engine) as engine:
-        yield engine
+        yield replace(engine, watcher=watcher)
 
 
 def _update(
@@ -132,7 +140,7 @@ def _update(
         if pages is not None:
             engine = _counted(engine, campaign, pages)
             progress = PagesProgress(progress, pages, campaign.tolerances)
-        execution: Execution = ThreadExecution(engine, campaign.parallel, watcher=pages)
+        execution: Execution = ThreadExecution(engine, campaign.parallel)
         if executes is not None:
             execution = executes(engine, campaign.parallel)
         if campaign.sensitivity.method == "auto":

@@ -67,7 +67,12 @@ class SemiAnalytic:
             "shapes": self.with_shapes,
             "turned": _turned(point),
         }
-        return engine.derived(asked, lambda: self._computed(point, columns), ModeDerivatives)
+        return engine.derived(
+            asked,
+            lambda: self._computed(point, columns),
+            ModeDerivatives,
+            "sensitivities from matrices",
+        )
 
     def _computed(self, point: Point, columns: Sequence[int]) -> ModeDerivatives:
         theta, source = self.source.written(point.theta), self.source

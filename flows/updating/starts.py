@@ -27,6 +27,7 @@ from modetune.core.storage.record_file import write_record
 from modetune.core.updating.trust import StartSpread, with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.watching import part_of
 from modetune.flows.jobs.work import Executes, ThreadExecution
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.updating.evaluators import evaluator_of
@@ -89,7 +90,7 @@ def update_from_starts(
             logger.warning("the update from the campaign's own start failed: %s", error)
     campaign.solver_version()
     began = time.monotonic()
-    with solving_engine(campaign) as engine:
+    with solving_engine(campaign, pages) as engine:
         own = start_of(campaign, engine, read_earlier(folder))
         starts = drawn_starts(own, n)
         ends = _run_starts(own, engine, starts, progress)
@@ -136,7 +137,16 @@ def _run_starts(
     progress.working(f"updates from {len(starts)} starts")
     with ThreadPoolExecutor(beside, thread_name_prefix="modetune-start") as pool:
         try:
-            futures = [pool.submit(_run_start, campaign, engine, start, share) for start in starts]
+            futures = [
+                pool.submit(
+                    _run_start,
+                    campaign,
+                    replace(engine, watcher=part_of(engine.watcher, f"start {number}")),
+                    start,
+                    share,
+                )
+                for number, start in enumerate(starts, start=1)
+            ]
             for done, _ in enumerate(as_completed(futures), start=1):
                 progress.working(f"updates from {len(starts)} starts: {done} ended")
             return [future.result() for future in futures]

@@ -49,7 +49,7 @@ from modetune.core.updating.reduced_basis import reduce
 from modetune.core.updating.reduced_range import ReducedRange, reduce_over
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.engine import JobEngine, R
 from modetune.flows.jobs.job import Job
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.matrix_source import MatrixSource
@@ -294,7 +294,7 @@ class MatrixModes:
             )
 
         asked: Json = {"modes at": item.key, "nodes": list(analysis.nodes)}
-        found = self.engine.derived(asked, compute, ModalResult)
+        found = self._derived(asked, compute, ModalResult, "modal by stored matrices")
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
 
     def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
@@ -317,7 +317,7 @@ class MatrixModes:
             "n_modes": analysis.n_modes,
             "nodes": list(analysis.nodes),
         }
-        found = self.engine.derived(asked, compute, ModalResult)
+        found = self._derived(asked, compute, ModalResult, "modal by the reduced model")
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
 
     def over(
@@ -356,7 +356,7 @@ class MatrixModes:
                     tell,
                 )
 
-        found = self.engine.derived(asked, compute, ReducedRange)
+        found = self._derived(asked, compute, ReducedRange, "reduced model between the bounds")
         return content_key(canonical_json(asked)), found
 
     def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:
@@ -373,9 +373,12 @@ class MatrixModes:
         if key not in self._reduced:
             self._reduced[key] = _Around(key, item, modes, _named(nodes))
         around = self._around = self._reduced[key]
-        return self.engine.derived(
-            asked, lambda: self._solutions.basis(around).reduced, ReducedModel
+        return self._derived(
+            asked, lambda: self._solutions.basis(around).reduced, ReducedModel, "reduced model"
         )
+
+    def _derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str) -> R:
+        return self.engine.derived(asked, compute, kind, self.campaign.case.of(name))
 
     @property
     def on_disk(self) -> bool:

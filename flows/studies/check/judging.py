@@ -16,6 +16,8 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.jobs.work import solved
 from modetune.flows.studies.check.findings import Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.model import (
@@ -78,7 +80,9 @@ class PreCheckReport:
         return 2 if self.level == "wrong" else 0
 
 
-def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
+def check_campaign(
+    campaign: Campaign, run: bool = True, watcher: JobWatcher | None = None
+) -> PreCheckReport:
     """Judge a campaign that was read; run: with its first modal job, from the store if there.
 
     Where parameters start from nothing a second job tells whether they leave parts loose so.
@@ -92,14 +96,14 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     )
     if not run:
         return PreCheckReport(static)
-    engine = job_engine(campaign)
+    engine = job_engine(campaign, watcher)
     analysis = campaign_analysis(campaign)
     job = Job(campaign.parameters.values(campaign.start), analysis)
     nothing = from_nothing(campaign)
     jobs = [job, Job(joined_values(campaign, nothing), analysis)] if nothing else [job]
     try:
         campaign.solver_version()
-        outcomes = [engine.solve(item) for item in jobs]
+        outcomes = solved(engine, jobs)
         result, *joined = (outcome.result(ModalResult) for outcome in outcomes)
     except SolverError as error:
         told = Finding("wrong", "model", f"the solver gave no modes: {error}")

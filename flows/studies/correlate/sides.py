@@ -27,6 +27,8 @@ from modetune.core.updating.results import MatrixResult, ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.measured import tracking_nodes
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.jobs.work import solved
 from modetune.flows.studies.correlate.correlate import (
     Correlation,
     Dof,
@@ -110,21 +112,23 @@ def correlate_sources(
     state: State = "updated",
     settings: Sequence[str] = (),
     method: Literal["guyan", "serep"] | None = None,
+    watcher: JobWatcher | None = None,
 ) -> Correlation:
     """Compare two sources, or a campaign or record with its own test.
 
     state: which model of a record. method: how the mass matrix is reduced to the common degrees
-    of freedom for orthogonality, None for none. A test stands first beside a model.
+    of freedom for orthogonality, None for none; watcher: is told of each job. A test stands first
+    beside a model.
     Raises CampaignError, SolverError, StoreError.
     """
     model: Model | None = None
     if second is None:
-        left, right, model = _alone(first, state, settings)
+        left, right, model = _alone(first, state, settings, watcher)
     elif first.kind == second.kind == "campaign":
-        left, right, model = _two_models(first, second, settings)
+        left, right, model = _two_models(first, second, settings, watcher)
     elif "campaign" in (first.kind, second.kind):
         campaign, other = (first, second) if first.kind == "campaign" else (second, first)
-        model, mine, theirs = _model_beside(campaign, other, state, settings)
+        model, mine, theirs = _model_beside(campaign, other, state, settings, watcher)
         ordered = other.kind == "test" or campaign is second
         left, right = (theirs, mine) if ordered else (mine, theirs)
     else:
@@ -136,11 +140,11 @@ def correlate_sources(
         return found
     if model is None:
         raise CampaignError("orthogonality needs a mass matrix: name a campaign file for one side")
-    return replace(found, orthogonality=_orthogonality(found, model, method))
+    return replace(found, orthogonality=_orthogonality(found, model, method, watcher))
 
 
 def _alone(
-    item: ComparedSource, state: State, settings: Sequence[str]
+    item: ComparedSource, state: State, settings: Sequence[str], watcher: JobWatcher | None
 ) -> tuple[Side, Side, Model | None]:
     """A campaign's or record's model beside its own test."""
     if item.kind == "test":
@@ -152,34 +156,44 @@ def _alone(
         record = read_record(item.path)
         test = Side("test", "test", record.test.numbers, record.test.modes, record.geometry)
         return test, _read(item, state), None
-    model = _model(load_campaign(item.path, list(settings)), item.at)
+    model = _model(load_campaign(item.path, list(settings)), item.at, watcher)
     campaign = model.campaign
     test = Side("test", "test", campaign.test.numbers, campaign.test.modes, model.geometry)
     return test, model.side(_seen(model), campaign.name), model
 
 
 def _model_beside(
-    item: ComparedSource, other: ComparedSource, state: State, settings: Sequence[str]
+    item: ComparedSource,
+    other: ComparedSource,
+    state: State,
+    settings: Sequence[str],
+    watcher: JobWatcher | None,
 ) -> tuple[Model, Side, Side]:
     """A campaign's model as the other side's sensors see it, and the other side."""
     if other.kind == "record":
         theirs = _read(other, state)
-        model = _model(load_campaign(item.path, list(settings)), item.at)
+        model = _model(load_campaign(item.path, list(settings)), item.at, watcher)
         return model, model.side(_seen(model), model.campaign.name), theirs
     files = [str(path.resolve()) for path in (other.path, *other.more)]
     named = json.dumps(files)  # JSON is YAML, whatever the path holds
     swapped = [*settings, f"test.modes={named}", "test.use=null"]
-    model = _model(load_campaign(item.path, swapped), item.at)
+    model = _model(load_campaign(item.path, swapped), item.at, watcher)
     test = model.campaign.test
     theirs = Side(other.path.name, "test", test.numbers, test.modes, model.geometry)
     return model, model.side(_seen(model), model.campaign.name), theirs
 
 
 def _two_models(
-    first: ComparedSource, second: ComparedSource, settings: Sequence[str]
+    first: ComparedSource,
+    second: ComparedSource,
+    settings: Sequence[str],
+    watcher: JobWatcher | None,
 ) -> tuple[Side, Side, Model]:
     """Two models at the sensors of their tests, or where these share none, at common nodes."""
-    models = [_model(load_campaign(item.path, list(settings)), item.at) for item in (first, second)]
+    models = [
+        _model(load_campaign(item.path, list(settings)), item.at, watcher)
+        for item in (first, second)
+    ]
     seen, by_sensors = [_seen(model) for model in models], True
     if common_dofs(*seen)[0].size == 0:
         ids = (
@@ -192,7 +206,7 @@ def _two_models(
                 "both campaigns the same test, with coordinates, so that each model is seen by it"
             )
         models = [
-            _model(model.campaign, item.at, tracking_nodes(ids))
+            _model(model.campaign, item.at, watcher, tracking_nodes(ids))
             for model, item in zip(models, (first, second), strict=True)
         ]
         seen, by_sensors = [model.elastic for model in models], False
@@ -215,13 +229,19 @@ def _labels(models: list[Model], first: ComparedSource, second: ComparedSource) 
     return [f"{names[0]} {text or '(initial)'}" for text in said]
 
 
-def _model(campaign: Campaign, at: Sequence[str], nodes: tuple[int, ...] | None = None) -> Model:
+def _model(
+    campaign: Campaign,
+    at: Sequence[str],
+    watcher: JobWatcher | None,
+    nodes: tuple[int, ...] | None = None,
+) -> Model:
     """The modes of a campaign's model, from the store or the solver."""
     values = parse_values(campaign, list(at))
     analysis = campaign_analysis(campaign)
     if nodes is not None:
         analysis = ModalAnalysis(analysis.n_modes, nodes)
-    result = job_engine(campaign).solve(Job(values, analysis)).result(ModalResult)
+    (outcome,) = solved(job_engine(campaign, watcher), [Job(values, analysis)])
+    result = outcome.result(ModalResult)
     return Model(campaign, values, result.elastic)
 
 
@@ -248,7 +268,10 @@ def _read(item: ComparedSource, state: State) -> Side:
 
 
 def _orthogonality(
-    found: Correlation, model: Model, method: Literal["guyan", "serep"]
+    found: Correlation,
+    model: Model,
+    method: Literal["guyan", "serep"],
+    watcher: JobWatcher | None,
 ) -> Orthogonality:
     """One matrix job; sensors along the model's own axes that have an equation are masters."""
     solver = model.campaign.case.solver
@@ -259,7 +282,8 @@ def _orthogonality(
             "dependent nodes, or matrices); leave --orthogonality out: the MAC matrix says much "
             "the same"
         )
-    outcome = job_engine(model.campaign).solve(Job(model.values, MatrixAnalysis()))
+    engine = job_engine(model.campaign, watcher)
+    (outcome,) = solved(engine, [Job(model.values, MatrixAnalysis())], "matrices")
     matrices = outcome.result(MatrixResult)
     dofs, rows, signs = _masters(found, model, matrices)
     if method == "serep":

@@ -20,7 +20,8 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.updating.localisation import Removal, removals
 from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.work import JobWatcher, ThreadExecution
+from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.updating.evaluators import evaluator_of
@@ -110,9 +111,9 @@ def localise(
     """
     updated = theta is not None
     values = campaign.start if theta is None else theta
-    engine = job_engine(campaign)
+    engine = job_engine(campaign, watcher)
     try:
-        threads = ThreadExecution(engine, campaign.parallel, watcher=watcher)
+        threads = ThreadExecution(engine, campaign.parallel)
         evaluator = evaluator_of(campaign, engine, threads)
         evaluation, matrix = evaluator.evaluate(0, values, None, alone=False)
         assert matrix is not None

@@ -20,6 +20,7 @@ from modetune.core.updating.results import MatrixResult, ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import EXTRA_MODES, RIGID_MODES
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution, Work
 from modetune.flows.studies.pretest.candidates import (
     CandidateSensors,
@@ -86,7 +87,9 @@ class Pretest:
         return self.quality.largest > ALIKE
 
 
-def run_pretest(campaign: Campaign, settings: PretestSettings) -> Pretest:
+def run_pretest(
+    campaign: Campaign, settings: PretestSettings, watcher: JobWatcher | None = None
+) -> Pretest:
     """Choose sensors and exciters for a model.
 
     Raises CampaignError for what is unavailable, ModesError where modes cannot be told apart,
@@ -100,7 +103,7 @@ def run_pretest(campaign: Campaign, settings: PretestSettings) -> Pretest:
     )
     analysis = _analysis(campaign, settings, asked)
     own = with_shapes(campaign, analysis.nodes)
-    engine = job_engine(own)
+    engine = job_engine(own, watcher)
     evaluator = evaluator_of(own, engine, ThreadExecution(engine, own.parallel), eigensolver=False)
     modal = evaluator.modes(own.parameters.initial, analysis)
     numbers = _mode_numbers(settings.modes, modal.elastic.n_modes)

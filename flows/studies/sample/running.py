@@ -16,7 +16,8 @@ from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
-from modetune.flows.jobs.work import JobWatcher, ThreadExecution
+from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.sample.checking import Checks, check_surrogate
 from modetune.flows.studies.sample.learning import Learned, learn
 from modetune.flows.studies.sample.points import PointSolver
@@ -99,9 +100,9 @@ def sample_campaign(
     spread = limits[0] + unit * (limits[1] - limits[0])
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
-    with solving_engine(campaign) as engine:
+    with solving_engine(campaign, watcher) as engine:
         try:
-            threads = ThreadExecution(engine, campaign.parallel, watcher=watcher)
+            threads = ThreadExecution(engine, campaign.parallel)
             evaluator = evaluator_of(campaign, engine, threads, sets=asked)
             evaluator.tell = progress.working
             solver = PointSolver(campaign, evaluator)

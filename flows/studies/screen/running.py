@@ -23,7 +23,8 @@ from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.work import Done, JobWatcher, ThreadExecution, Work
+from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.jobs.work import Done, ThreadExecution, Work
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
 from modetune.flows.studies.screen.design import Design, Method, make_design
 from modetune.flows.studies.screen.importance import importance, loudest
@@ -98,9 +99,9 @@ def screen_campaign(
     )
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
-    with solving_engine(campaign) as engine, _ended(engine):
+    with solving_engine(campaign, watcher) as engine, _ended(engine):
         progress.working("deck's values, sensitivities")
-        shown = _Shown(engine, campaign.parallel, progress, watcher, len(design.points))
+        shown = _Shown(engine, campaign.parallel, progress, len(design.points))
         evaluator = evaluator_of(campaign, engine, shown, sets=len(design.points))
         evaluator.tell = progress.working
         nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
@@ -236,12 +237,11 @@ class _Shown:
     engine: JobEngine
     parallel: int
     progress: ScreeningProgress
-    watcher: JobWatcher | None
     total: int
     begun: int = 0
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
-        if iteration != POINTS or not work[0].jobs:
+        if iteration != POINTS:
             return self._threads().run(iteration, work)
         before, total = self.begun, self.total
         self.begun += len(work)
@@ -261,8 +261,10 @@ class _Shown:
         self.progress.working(POINTS)
         return self._threads(told).run(iteration, work)
 
-    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
-        self._threads().skip(iteration, names, reason)
+    def skip(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
+        self._threads().skip(iteration, names, reason, state)
 
     def _threads(self, told: Callable[[Done], None] | None = None) -> ThreadExecution:
-        return ThreadExecution(self.engine, self.parallel, told, self.watcher)
+        return ThreadExecution(self.engine, self.parallel, told)

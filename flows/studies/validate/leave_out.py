@@ -25,7 +25,8 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCou
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.work import JobWatcher, ThreadExecution
+from modetune.flows.jobs.watching import JobWatcher, part_of
+from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.running import solving_engine
@@ -178,14 +179,14 @@ def _validated(
     started = time.monotonic()
     campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
-    with solving_engine(campaign) as engine:
+    with solving_engine(campaign, watcher) as engine:
         workers = min(len(campaigns), campaign.parallel)
         with ThreadPoolExecutor(workers, thread_name_prefix="modetune-fold") as pool:
             futures = []
             for (number, configuration), one in zip(modes, campaigns, strict=True):
                 unknown = np.full(len(campaign.parameters), np.nan)
                 begun = Fold(number, "failed", "", 0, unknown, None, configuration)
-                futures.append(pool.submit(_fold, begun, one, engine, working, watcher))
+                futures.append(pool.submit(_fold, begun, one, engine, working))
             try:
                 done = [future.result() for future in futures]
             except BaseException:
@@ -211,11 +212,11 @@ def _fold(
     campaign: Campaign,
     engine: JobEngine,
     working: Callable[[str], None],
-    watcher: JobWatcher | None,
 ) -> tuple[Fold, RunCounts]:
     """One update; the fold tells what is left out. Where it fails, the reason stands in place of
     its end."""
-    threads = ThreadExecution(engine, campaign.parallel, watcher=watcher)
+    engine = replace(engine, watcher=part_of(engine.watcher, fold.name if fold.number else ""))
+    threads = ThreadExecution(engine, campaign.parallel)
     evaluator = evaluator_of(campaign, engine, threads)
     updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
     try:

@@ -39,7 +39,9 @@ class Scripted:
             return answer
         return (JobOutcome(JOB, "key", answer, 1.0, engine),)
 
-    def skip(self, iteration: str, names: Sequence[str], reason: str) -> None:
+    def skip(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
         self.skipped += names
 
 

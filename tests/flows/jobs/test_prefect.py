@@ -211,7 +211,12 @@ class Site:
             text=True,
             timeout=200,
             check=False,
-            env={**os.environ, process.HOME_VARIABLE: str(self.base), **environment},
+            env={
+                **os.environ,
+                process.HOME_VARIABLE: str(self.base),
+                "MODETUNE_NO_PREFECT": "0",
+                **environment,
+            },
         )
 
     def ask(self, path: str, content: object = None) -> Any:

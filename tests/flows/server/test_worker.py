@@ -18,19 +18,19 @@ import pytest
 
 from modetune.core.errors import ModetuneError
 from modetune.flows.campaign.campaign import cores
+from modetune.flows.cli import deployed
 from modetune.flows.jobs import heartbeats
 from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.heartbeats import LABEL, LICENCES, SilentRuns
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.prefect_api import PrefectApi, ServerRefused
-from modetune.flows.server import deployed
 from modetune.flows.server.deployment import make_pool
 from modetune.flows.server.worker import check_login
 from tests.flows.conftest import api_of
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 #: What the processes of a site are, by a piece of their command lines.
-WORKER, RUN, POSTER = b"modetune\0worker", b"server.deployed", b"updating.poster"
+WORKER, RUN, POSTER = b"modetune\0worker", b"cli.deployed", b"updating.poster"
 SERVER = (b"jobs.prefect_server", b"prefect\0server")
 #: Seconds that a busy machine may need to start something.
 PATIENCE_S = 150.0
@@ -273,7 +273,7 @@ def test_a_run_with_other_parameters_than_a_campaigns_fails(
 ) -> None:
     ended: list[tuple[str, str, str]] = []
     monkeypatch.setattr(deployed, "shown", Recorded(ended))
-    deployed.update("run", told)
+    deployed.run_deployed("run", told)
     assert [(kind, name) for kind, name, _ in ended] == [("FAILED", "Failed")]
 
 

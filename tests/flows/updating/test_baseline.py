@@ -144,12 +144,12 @@ def test_the_command_ends_with_three_and_tells_each_mode(
     campaign = campaign_of_deck(bench, {"k1": 1.2, "k2": 0.8, "m3": 1.4})
     monkeypatch.setattr("modetune.flows.campaign.campaign.load_campaign", lambda *_: campaign)
     with pytest.raises(typer.Exit) as ended:
-        check(Path("c.yaml"), against=baseline, as_json=True)
+        check(Path("c.yaml"), against=baseline, no_prefect=True, as_json=True)
     assert ended.value.exit_code == 3
     told = json.loads(capsys.readouterr().out)
     assert told["status"] == "worse"
     assert not all(mode["within"] for mode in told["modes"])
     with pytest.raises(typer.Exit) as ended:
-        check(Path("c.yaml"), against=baseline, frequency_band=1.0, mac_band=1.0)
+        check(Path("c.yaml"), against=baseline, frequency_band=1.0, mac_band=1.0, no_prefect=True)
     assert ended.value.exit_code == 0
     assert capsys.readouterr().out.splitlines()[-1] == "within the band"

@@ -270,7 +270,8 @@ def commanded(
     shutil.copytree(SIX_MASS, folder / "x", ignore=shutil.ignore_patterns("__pycache__", "*.py"))
     proxies = {name: "http://192.0.2.1:3128" for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY")}
     environment = {**os.environ, **proxies, process.HOME_VARIABLE: str(folder / "home")}
-    for name in ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "NO_PROXY", "no_proxy"):
+    hidden = ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "NO_PROXY", "no_proxy")
+    for name in (*hidden, "MODETUNE_NO_PREFECT"):
         environment.pop(name, None)
     return subprocess.run(
         [sys.executable, "-m", "modetune", "update", "campaign.yaml", "--json", *options],
