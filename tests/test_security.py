@@ -230,6 +230,7 @@ def test_secrets_of_the_environment_are_in_no_log_deck_or_record(
             *settings,
             MODETUNE_LOG="DEBUG",
             PREFECT_API_URL=dead,
+            MODETUNE_NO_PREFECT="0",
             **SECRETS,
         )
         assert done.returncode in (0, 3), done.stderr

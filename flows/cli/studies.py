@@ -32,7 +32,7 @@ STUDIES = (update, screen, sample, validate, localise, check, pretest, correlate
 #: What is not part of a study: `deploy` has options for it, or nobody would see it.
 NOT_THERE = ("settings", "runs", "as_json", "no_prefect", "dry_run")
 #: What a wrong command line raises; typer has no name for it that all its versions share.
-WRONG: type[Exception] = typer.BadParameter.__bases__[0]
+WRONG: Any = typer.BadParameter.__bases__[0]
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 for command in STUDIES:
     app.command()(command)
@@ -71,8 +71,8 @@ def read_study(line: str, campaign: Path) -> Study:
     context = _parsed(name, [str(campaign), *options])
     made: list[str] = []
     for item in context.command.params[1:]:
-        value = context.params[str(item.name)]
-        if value in (None, [], (), item.get_default(context)):
+        value = context.params[item.name]
+        if context.get_parameter_source(item.name).name != "COMMANDLINE":
             continue
         if item.name in NOT_THERE:
             raise CampaignError(
@@ -107,4 +107,4 @@ def _parsed(name: str, arguments: list[str]) -> Any:
     try:
         return _command(name).make_context(name, list(arguments))
     except WRONG as error:
-        raise CampaignError(f"the study {name}: {error}") from error
+        raise CampaignError(f"the study {name}: {error.format_message()}") from error

@@ -117,6 +117,12 @@ def is_slow(one: socket.socket, request: bytes) -> None:
     breaks("503 Service Unavailable")(one, request)
 
 
+def answers_late(one: socket.socket, request: bytes) -> None:
+    """After 20 s, unless the other side has hung up by then."""
+    if not select.select([one], [], [], 20.0)[0]:
+        breaks("503 Service Unavailable")(one, request)
+
+
 def lies(one: socket.socket, request: bytes) -> None:
     """Says that every run was cancelled, and that nothing has the form that it should have."""
     good = request.startswith(b"GET /api/admin/version")
@@ -133,6 +139,7 @@ STATES = [
     says_nothing,
     drips,
     is_slow,
+    answers_late,
     lies,
     breaks("500 Internal Server Error"),
     breaks("503 Service Unavailable"),
@@ -263,7 +270,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def commanded(
-    folder: Path, variables: dict[str, str], *options: str
+    folder: Path, variables: dict[str, str], *options: str, command: str = "update"
 ) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own: with the interpreter's exit, which threads of others
     can abort. A proxy is named that nobody answers for."""
@@ -274,7 +281,7 @@ def commanded(
     for name in (*hidden, "MODETUNE_NO_PREFECT"):
         environment.pop(name, None)
     return subprocess.run(
-        [sys.executable, "-m", "modetune", "update", "campaign.yaml", "--json", *options],
+        [sys.executable, "-m", "modetune", command, "campaign.yaml", "--json", *options],
         cwd=folder / "x",
         env=environment | variables,
         capture_output=True,
@@ -300,6 +307,19 @@ def test_the_command_ends_as_ever_whatever_stands_in_a_servers_place(
         done = commanded(tmp_path, {"PREFECT_API_URL": url})
         end_poster(url)
     assert told(done) == plain
+
+
+@pytest.mark.parametrize("command", ["screen", "check", "correlate"])
+def test_a_study_ends_as_ever_beside_a_server_that_answers_late(
+    tmp_path: Path, command: str
+) -> None:
+    """And whoever reads its JSON sees nothing of it."""
+    with listening(answers_late) as url:
+        done = commanded(tmp_path, {"PREFECT_API_URL": url}, command=command)
+        end_poster(url)
+    assert done.returncode == 0, done.stderr
+    assert not {"fault", "Traceback", "thread"} & set(done.stderr.split())
+    assert isinstance(json.loads(done.stdout), dict)
 
 
 @contextmanager
