@@ -23,7 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tests.flows.conftest import ChainDeck, ScriptedProgram
@@ -119,7 +119,8 @@ def check(execution: Execution, work: Sequence[Work]) -> None:
 def with_pages(count: int, parallel: int, folder: Path) -> None:
     """The engine as it is beside the pages of a Prefect server."""
     with shown("overhead") as pages:
-        check(ThreadExecution(engine(folder), parallel, watcher=pages), works(count))
+        watched = replace(engine(folder), watcher=pages)
+        check(ThreadExecution(watched, parallel), works(count))
         pages.end("COMPLETED", "Completed", "")
 
 
