@@ -40,12 +40,15 @@ class FactorRoom:
     """What factors may take.
 
     memory_bytes: of this process, all that it holds; disk_bytes: of files; files: makes an empty
-    folder for the files of one matrix, with what removes it.
+    folder for the files of one matrix, with what removes it; memory_key, disk_key: what users call
+    both limits.
     """
 
     memory_bytes: int
     disk_bytes: int
     files: Callable[[], FactorFiles]
+    memory_key: str = "the limit of memory"
+    disk_key: str = "the limit of disk"
 
 
 _room: ContextVar[FactorRoom | None] = ContextVar("factor_room", default=None)
@@ -95,24 +98,24 @@ def _in_files(
     least, disk = beside + factors.memory_on_disk, factors.memory.factors
     text = (
         f"the factors of {factors.n} equations take {_gb(peak)}, beside {_gb(beside)} of what else "
-        f"is in memory, and {_gb(room.memory_bytes)} may be taken (`run.memory_gb`, or else what "
+        f"is in memory, and {_gb(room.memory_bytes)} may be taken ({room.memory_key}, or else what "
         "machine or container have)"
     )
     free = disk_usage(files.folder).free
     if least > room.memory_bytes:
         raise SolverExhausted(
-            f"{text}; with factors on disk too it is {_gb(least)}; raise `run.memory_gb`, take a "
+            f"{text}; with factors on disk too it is {_gb(least)}; raise {room.memory_key}, take a "
             "machine with more memory, a smaller model, or fewer modes"
         )
     if disk > room.disk_bytes:
         raise SolverExhausted(
             f"{text}; on disk they take up to {_gb(disk)}, more than the {_gb(room.disk_bytes)} of "
-            "`run.disk_gb`; raise one of both"
+            f"{room.disk_key}; raise one of both"
         )
     if disk > free:
         raise SolverExhausted(
             f"{text}; on disk they take up to {_gb(disk)}, and the disk of {files.folder} has "
-            f"{_gb(free)}; free some space, or raise `run.memory_gb`"
+            f"{_gb(free)}; free some space, or raise {room.memory_key}"
         )
     files.memory_mb = (room.memory_bytes - beside) // 10**6
     logger.info(

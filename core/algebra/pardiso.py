@@ -369,7 +369,7 @@ def _error_of(error: int, matrix_type: Literal[2, -2] | int, handle: _Handle) ->
     if kind == _DISK:
         folder = handle.files.folder if handle.files else "their folder"
         return SolverExhausted(
-            f"{text}; look at {folder} and its free space, free some, or raise `run.memory_gb`"
+            f"{text}; look at {folder} and its free space, free some, or allow more memory"
         )
     if error in (-4, -7):
         return ModelError(f"{text}: it is singular")

@@ -218,7 +218,13 @@ class JobEngine:
     def room(self) -> FactorRoom:
         """What factors in this process may take."""
         store = self.store
-        return FactorRoom(self.memory_bytes, self.policy.disk_bytes, lambda: factor_files(store))
+        return FactorRoom(
+            self.memory_bytes,
+            self.policy.disk_bytes,
+            lambda: factor_files(store),
+            "`run.memory_gb`",
+            "`run.disk_gb`",
+        )
 
     @property
     def memory_bytes(self) -> int:

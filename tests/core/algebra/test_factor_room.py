@@ -133,7 +133,7 @@ def test_other_factorisations_go_to_files_too(
     ("share", "disk", "said"),
     [
         (0.01, 10**9, "with factors on disk too"),
-        (0.6, 10**6, r"more than the 0.001 GB of `run.disk_gb`"),
+        (0.6, 10**6, r"more than the 0.001 GB of the limit of disk"),
     ],
 )
 def test_what_does_not_fit_at_all_is_refused_with_a_remedy(
