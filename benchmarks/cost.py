@@ -2,7 +2,7 @@
 
 Memory is the largest sum of resident sizes over the command and all its descendants, looked at 20
 times a second in /proc; pages that processes share count in each. Runs are counted by a shell
-script that stands in for `ccx`, notes what kind of job it is given, and becomes CalculiX.
+script that stands in for `ccx`, and notes what kind of job it is given and how long it took.
 """
 
 from __future__ import annotations
@@ -31,6 +31,11 @@ if [ "$1" = -i ]; then
     kind=modal
     if tail -n 200 "$2.inp" | grep -qi MATRIXSTORAGE; then kind=matrices; fi
     echo $kind >> {log}
+    begun=$(date +%s.%N)
+    {program} "$@"
+    code=$?
+    echo seconds $begun $(date +%s.%N) >> {log}
+    exit $code
 fi
 exec {program} "$@"
 """
@@ -39,13 +44,14 @@ exec {program} "$@"
 @dataclass(frozen=True, slots=True)
 class Cost:
     """wall_s: from start to end. cpu_s: of the command and all it waited for. peak_bytes: of the
-    tree. modal_runs, matrix_runs: of CalculiX."""
+    tree. modal_runs, matrix_runs: of CalculiX; solver_s: wall time of those that ended, in all."""
 
     wall_s: float
     cpu_s: float
     peak_bytes: int
     modal_runs: int
     matrix_runs: int
+    solver_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +96,18 @@ def run_counted(
                 raise
         wall_s = time.monotonic() - started
     process.returncode = os.waitstatus_to_exitcode(status)
-    kinds = log.read_text().split()
+    lines = [line.split() for line in log.read_text().splitlines()]
+    kinds = [line[0] for line in lines]
     cost = Cost(
         wall_s,
         usage.ru_utime + usage.ru_stime,
         peak[0],
         kinds.count("modal"),
         kinds.count("matrices"),
+        sum(
+            float(end) - float(begin)
+            for _, begin, end in (line for line in lines if len(line) == 3)
+        ),
     )
     output_text, errors_text = (
         (folder / name).read_text(errors="replace") for name in ("output.txt", "errors.txt")

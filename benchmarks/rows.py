@@ -17,7 +17,19 @@ from benchmarks.overhead import overheads_ms
 from benchmarks.plain import PlainModel
 from benchmarks.problem import CASES, TARGET, Problem
 from benchmarks.table import Figure, Row
-from benchmarks.ways import WAYS, ServerUse, Trial, campaign, modetune, prepare, run_way, told
+from benchmarks.ways import (
+    BY_SOLVER,
+    WAYS,
+    ServerUse,
+    Trial,
+    campaign,
+    modetune,
+    prepare,
+    run_way,
+    told,
+)
+
+from modetune.core.storage.record_file import read_record
 
 #: A case of problem.py at a size of it.
 Place = tuple[str, str]
@@ -97,9 +109,12 @@ class Round:
             sys.exit(f"{WAYS[letter].name} did not meet the target on {' '.join(place)}")
         return found
 
-    def command(self, place: Place, command: str, options: Sequence[str]) -> Cost:
-        """A command of modetune on a problem's campaign, with a store of its own."""
-        folder = self.folder(f"{'-'.join(place)}-{command}")
+    def command(self, place: Place, command: str, options: Sequence[str], label: str = "") -> Cost:
+        """A command of modetune on a problem's campaign, with a store of its own.
+
+        label: tells commands of a round apart.
+        """
+        folder = self.folder(f"{'-'.join(place)}-{command}{label}")
         return self.words([command, *campaign(self.bench.problem(place), folder), *options], folder)
 
     def words(self, words: Sequence[str], folder: Path) -> Cost:
@@ -172,6 +187,40 @@ def later_solution(each: Round) -> Figure:
     )
 
 
+def beyond_solver(each: Round) -> Figure:
+    """What an iteration by the solver's own modes costs beside CalculiX."""
+    place = each.bench.place("garteur", "coarse")
+    folder = each.folder(f"{'-'.join(place)}-beyond")
+    by_solver = [word for text in BY_SOLVER for word in ("--set", text)]
+    words = ["update", *campaign(each.bench.problem(place), folder), *by_solver]
+    cost = each.words(words, folder)
+    (file,) = folder.glob("runs/*/campaign.h5")
+    iterations = read_record(file).iterations
+    spent_s = sum(iteration.wall_s for iteration in iterations)
+    return Figure(
+        (spent_s - cost.solver_s) / len(iterations),
+        {"iterations": len(iterations), "together s": spent_s, "CalculiX s": cost.solver_s},
+    )
+
+
+def memory(each: Round) -> Figure:
+    """Peak memory of a screening of ten times the points over that of the other."""
+    place = each.bench.place("garteur", "coarse")
+    many, few = (
+        each.command(place, "screen", ["--method", "morris", "--points", str(count)], str(count))
+        for count in (5000, 500)
+    )
+    return Figure(
+        many.peak_bytes / few.peak_bytes,
+        {
+            "5,000 points GB": many.peak_bytes / 1e9,
+            "s": many.wall_s,
+            "500 points GB": few.peak_bytes / 1e9,
+            "their s": few.wall_s,
+        },
+    )
+
+
 def cached_demo(each: Round) -> Figure:
     """The demo once more, all of its results in the store."""
     folder = each.folder("demo")
@@ -204,7 +253,7 @@ def skipped(each: Round) -> Figure:
 
 
 MORRIS = ["--method", "morris", "--points", "500"]
-POSTERIOR = ["--walkers", "10", "--steps", "2000"]
+POSTERIOR = ["--walkers", "32", "--steps", "625"]
 ROWS: tuple[Row[Round], ...] = (
     *(
         Row(
@@ -250,6 +299,8 @@ ROWS: tuple[Row[Round], ...] = (
         partial(study, "fine", "sample", POSTERIOR),
     ),
     Row("starts-fine", "8 starts over one start, aircraft fine", 1.2, False, starts),
+    Row("beyond", "an iteration beside CalculiX, aircraft coarse", 0.2, False, beyond_solver, "s"),
+    Row("memory", "peak memory of 5,000 Morris points over 500", 1.2, False, memory),
     Row("demo", "cached rerun of the demo, whole process", 2.5, False, cached_demo, "s"),
     Row("job", "a job's overhead with Prefect", 10.0, False, job_overhead, "ms"),
     Row("e2", "wall saved by e2, launcher, 10 moduli", 40.0, True, skipped, "%"),
