@@ -63,25 +63,25 @@ def run_update(
     campaign_file: Path, settings: list[str], runs: Path, with_prefect: bool
 ) -> CampaignRun:
     """Run a campaign, with its progress on standard error."""
-    from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.campaign.terminal import terminal
     from modetune.flows.updating.display import ConsoleProgress
-    from modetune.flows.updating.running import is_same
-    from modetune.flows.updating.starts import update_from_starts
 
-    campaign = load_campaign(campaign_file, settings)
-    campaign.solver_version()
-    folder = runs / campaign.name
-    with (
-        ConsoleProgress(terminal(stderr=True)).shown() as progress,
-        paged("update", campaign.name, not with_prefect) as pages,
-    ):
-        same = pages is not None and pages.deployed and is_same(campaign, folder)
-        run = update_from_starts(campaign, folder, progress, pages, progress.forecast)
-        if pages is not None:
-            spent = run.record.runs
-            pages.ended(run.record, folder, same and not spent.modal + spent.sensitivity)
-        return run
+    with ConsoleProgress(terminal(stderr=True)).shown() as progress:
+        progress.working("reading the campaign")  # a large deck takes a moment, as do imports
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.updating.running import is_same
+        from modetune.flows.updating.starts import update_from_starts
+
+        campaign = load_campaign(campaign_file, settings)
+        campaign.solver_version()
+        folder = runs / campaign.name
+        with paged("update", campaign.name, not with_prefect) as pages:
+            same = pages is not None and pages.deployed and is_same(campaign, folder)
+            run = update_from_starts(campaign, folder, progress, pages, progress.forecast)
+            if pages is not None:
+                spent = run.record.runs
+                pages.ended(run.record, folder, same and not spent.modal + spent.sensitivity)
+            return run
 
 
 def show(run: CampaignRun) -> None:
