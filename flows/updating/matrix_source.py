@@ -280,7 +280,7 @@ def modes_source(campaign: Campaign, engine: JobEngine, many: bool = False) -> M
     auto = campaign.case.eigensolver == "auto"
     reason = None
     if auto:  # first: the rest takes a look at the whole deck
-        reason = _slower(solver, campaign.run.engine, many)
+        reason = _slower(solver, many)
     if reason is None:
         reason = unsuitable(solver, parameters.parameters, campaign.sensitivity.method)
     if reason is None and auto and not many:
@@ -291,14 +291,12 @@ def modes_source(campaign: Campaign, engine: JobEngine, many: bool = False) -> M
     return source
 
 
-def _slower(solver: Solver, place: str, many: bool) -> str | None:
+def _slower(solver: Solver, many: bool) -> str | None:
     """Why the solver itself is as fast, None where it is not."""
     summary, energies = solver.deck.summary, solver.program.capabilities.strain_energies
     small = summary.n_elements < SMALL
     if small and energies and not (many and summary.matrices is None):
         return f"it is as fast below {SMALL} elements"
-    if place != "local":
-        return "jobs run on other machines"
     return None if small or is_available() else "MKL's PARDISO is not installed"
 
 

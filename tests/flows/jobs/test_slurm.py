@@ -35,6 +35,7 @@ from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.slurm import srun_options
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.eventually import eventually
+from tests.flows.updating.test_by_matrices import BAR, update, written
 
 NODE = Path(__file__).resolve().parents[3] / "tools" / "slurm_node.sh"
 TRUTH = {"k1": 1.2, "k2": 0.8}
@@ -319,3 +320,19 @@ def test_a_job_cancelled_in_slurm_is_tried_again(bench: Any, queue: Any) -> None
     thread.join()
     assert len(done) == 1
     assert bench.runs() == 2
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+def test_matrices_of_a_model_come_from_slurm_and_modes_are_found_here(
+    tmp_path: Path, watcher: Any, asked: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By `auto`: two matrix jobs and the last modal one go through srun, and end where jobs of
+    this machine do."""
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr("modetune.flows.updating.matrix_source.SMALL", 0)
+    file = written(BAR, tmp_path / "bar")
+    here = update(file, tmp_path / "here", watcher)
+    there = update(file, tmp_path / "there", watcher, "run.engine=slurm")
+    assert len(asked()) == there.runs.modal + there.runs.sensitivity == 3
+    assert there.iterations[0].solved_by == "stored matrices"
+    np.testing.assert_array_equal(there.updated, here.updated)
