@@ -279,7 +279,8 @@ def test_every_command_line_of_the_pages_is_one(page: Path) -> None:
     lines = [line for block in blocks for line in block.splitlines()]
     lines += re.findall(r"`(modetune [a-z][^`\n]*)`", page.read_text())
     for line in lines:
-        words = line.partition("#")[0].replace("[", " ").replace("]", " ").split()
+        unquoted = re.sub(r'"[^"]*"', "VALUE", line)  # what is in quotes is a value
+        words = unquoted.partition("#")[0].replace("[", " ").replace("]", " ").split()
         if words[:1] != ["modetune"] or words[1:2] in ([], ["COMMAND"], ["--help"]):
             continue
         if words[1].endswith(":"):
