@@ -67,7 +67,8 @@ CORNERS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1,
 
 def deck(bricks: Bricks, grid: Cell) -> Iterator[str]:
     """The lines of a CalculiX deck: steel, held where x + z is least."""
-    cells = {cell: name for cell in product(*map(range, grid)) if (name := bricks(cell))}
+    nx, ny, nz = map(range, grid)
+    cells = {cell: name for cell in product(nx, ny, nz) if (name := bricks(cell))}
     places = [[tuple(np.add(cell, corner)) for corner in CORNERS] for cell in cells]
     number = {place: n for n, place in enumerate(sorted({p for row in places for p in row}), 1)}
     yield "*NODE, NSET=ALL"
