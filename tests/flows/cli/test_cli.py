@@ -322,7 +322,7 @@ def test_a_full_disk_ends_with_five_and_harms_nothing(folder: Path, small_disk: 
 
 @needs_ccx
 def test_a_flow_run_shows_every_piece_and_what_e2_skipped(folder: Path, server_base: Path) -> None:
-    served = {process.HOME_VARIABLE: str(server_base)}
+    served = {process.HOME_VARIABLE: str(server_base), "MODETUNE_NO_PREFECT": "0"}
     arguments = [
         "update",
         "thesis.yaml",

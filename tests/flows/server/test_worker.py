@@ -57,7 +57,7 @@ class Site:
             "MODETUNE_STORE": str(self.store),
         }
         self._cores = ExitStack()
-        for name in ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING"):
+        for name in ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "MODETUNE_NO_PREFECT"):
             self.environment.pop(name, None)
         subprocess.run(
             [sys.executable, "-m", "modetune", "deploy", "campaign.yaml"],
