@@ -128,7 +128,9 @@ class ReducedModel:
         close = _close(inverted, modes, self.shift)
         if shapes is None:
             shapes = self.modes(theta, int(modes.max()) + 1)[1][:, modes]
-        turn = _turn(inverted, self.rows @ vectors, close, shapes)
+        near = np.flatnonzero(close.any(axis=1))
+        turn = np.zeros(close.shape)
+        turn[near] = _turn(inverted[near], self.rows @ vectors[:, near], close[near], shapes)
         phi = (vectors / np.sqrt(np.abs(inverted))) @ turn
         eigenvalues = (self.shift + 1.0 / inverted) @ turn**2
         apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
@@ -189,10 +191,11 @@ def _close(inverted: Floats, modes: Integers, shift: float) -> NDArray[np.bool_]
     known = inverted > LEAST_MASS * inverted[0]
     hz = np.sqrt(np.abs(shift + 1.0 / inverted[known]))
     found = np.zeros((inverted.size, modes.size), dtype=np.bool_)
+    places = np.flatnonzero(known)
     for members in close_sets(hz, CLOSE):
-        found[
-            np.ix_(np.flatnonzero(known)[members], np.isin(modes, np.flatnonzero(known)[members]))
-        ] = True
+        wanted = np.isin(modes, places[members])
+        if wanted.any():
+            found[np.ix_(places[members], wanted)] = True
     return found
 
 

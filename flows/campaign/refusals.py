@@ -68,6 +68,12 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
         why = not_confirmed(solver) if method == "semi_analytic" and has.matrices else ""
         said = f"{solver.program.name} does not offer {method} here"
         return [f"{place}: {why or said}; use `auto`"]
+    if file.model.eigensolver == "solver" and file.update.confirm == "matrices":
+        where = source.where(("update", "confirm"))
+        return [
+            f"{where}: update.confirm: matrices confirms modes that come from matrices, and "
+            "`model.eigensolver: solver` takes the solver's own; leave one of the two out"
+        ]
     if file.model.eigensolver == "pardiso" and isinstance(file, ModelFile):
         where = source.where(("model", "eigensolver"))
         return [

@@ -116,7 +116,7 @@ class ReducedRanges:
     def __init__(self, evaluator: Evaluator) -> None:
         self.evaluator = evaluator
         self._finders: list[ByRange] = []
-        self._confirmed: tuple[float, str] | None = None
+        self._confirmed: tuple[str, float, str] | None = None
         self._refused = False
 
     @property
@@ -139,9 +139,9 @@ class ReducedRanges:
             error=max(float(own.errors[-1]) for own in ranges),
             estimate=max(tally.estimate for tally in tallies),
             in_full=sum(tally.in_full for tally in tallies),
-            solver=self.evaluator.campaign.solver_name,
-            apart=self._confirmed[0],
-            where=self._confirmed[1],
+            solver=self._confirmed[0],
+            apart=self._confirmed[1],
+            where=self._confirmed[2],
         )
 
     def within(
@@ -199,7 +199,7 @@ class ReducedRanges:
         where = ", ".join(
             f"{n} {value:.4g}" for n, value in zip(names, theta.tolist(), strict=True)
         )
-        self._confirmed = apart, where
+        self._confirmed = confirmed.solved_by, apart, where
         return True
 
     def _made(self, known: Evaluation) -> list[ByRange]:

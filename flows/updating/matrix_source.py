@@ -287,6 +287,8 @@ def modes_source(campaign: Campaign, engine: JobEngine, many: bool = False) -> M
         reason = _more_runs(source, campaign.start)
     if reason is not None:
         logger.info("modes are the solver's own: %s", reason)
+        if campaign.update.confirm == "matrices" and not many:
+            logger.warning("`update.confirm: matrices` has nothing to confirm: %s", reason)
         return None
     return source
 

@@ -40,6 +40,7 @@ from modetune.flows.updating.start_ends import (
     start_spread,
     tolerated,
 )
+from modetune.flows.updating.stored_modes import one_thread
 
 logger = logging.getLogger(__name__)
 
@@ -92,10 +93,11 @@ def try_starts(
     starts = drawn_starts(campaign, asked or (MANY if scarce else TRIED))
     ends, allowed = [end_of(starts[0], record)], tolerated(campaign, record)
     inner = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
-    for start in starts[1:]:
-        ends.append(_updated(campaign, inner, start, start, REDUCED))
-        if not asked and len(ends) >= TRIED and _worth_a_look(ends, allowed):
-            break
+    with one_thread():
+        for start in starts[1:]:
+            ends.append(_updated(campaign, inner, start, start, REDUCED))
+            if not asked and len(ends) >= TRIED and _worth_a_look(ends, allowed):
+                break
     if asked:
         ends = [
             _updated(campaign, evaluator, end.start, end.start, "") if end.updated is None else end

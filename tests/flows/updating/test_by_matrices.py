@@ -541,6 +541,17 @@ def test_its_own_matrices_at_the_end_confirm_as_its_modes_do(
     assert set(makers) == {"modetune"}
 
 
+def test_confirming_by_matrices_where_modes_are_the_solvers_own_is_refused_or_told(
+    bar_file: Path, tmp_path: Path, watcher: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    by = "update.confirm=matrices"
+    with pytest.raises(CampaignError, match=r"line \d+: update\.confirm: matrices confirms modes"):
+        load_campaign(bar_file, [by, "model.eigensolver=solver"])
+    settings = (by, "model.eigensolver=auto", "update.max_iterations=0")
+    update(bar_file, tmp_path, watcher, *settings)  # of so few elements, by itself
+    assert "`update.confirm: matrices` has nothing to confirm: it is as fast below" in caplog.text
+
+
 @dataclass(frozen=True)
 class HeavyAtLast(HeavyMatrices):
     """Only the matrices after the two that those for all values are made of are heavier."""
