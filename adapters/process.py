@@ -11,7 +11,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import json
-import marshal
 import os
 import select
 import signal
@@ -161,7 +160,7 @@ class _Supervisors:
         self._requests: socket.socket | None = None
 
     def start(self, what: bytes) -> _Supervisor:
-        """A supervisor of what is told in `marshal`. Raises OSError."""
+        """A supervisor of what is told in JSON. Raises OSError."""
         wanted, stdin = os.pipe()
         stdout, said = os.pipe()
         made = _Supervisor(os.fdopen(stdin, "wb", 0), os.fdopen(stdout, "rb"))
@@ -216,15 +215,10 @@ atexit.register(_supervisors.end)
 
 def _supervisor(command: Command, folder: Path, disk_bytes: int, where: str) -> _Supervisor:
     environment = {**os.environ, **dict(command.environment)}
-    what = (
-        LOG,
-        disk_bytes,
-        [os.fsencode(word) for word in command.arguments],
-        {os.fsencode(name): os.fsencode(value) for name, value in environment.items()},
-        os.fsencode(folder.absolute()),
-    )
+    # Each text escapes what is not UTF-8 in it as the system's own texts do.
+    what = [LOG, disk_bytes, list(command.arguments), environment, str(folder.absolute())]
     try:
-        return _supervisors.start(marshal.dumps(what))
+        return _supervisors.start(json.dumps(what).encode())
     except OSError as error:  # no more processes, memory or open files: may pass
         raise SolverCrashed(f"{where} could not be started: {error.strerror}") from error
 

@@ -89,8 +89,10 @@ def honeycomb_panel(n: int = 8) -> list[str]:
 def test_a_honeycomb_panel_with_equipment(tmp_path: Path) -> None:
     calculix, mystran = both(honeycomb_panel(), 4, tmp_path)
     ratio = calculix.modes.frequencies_hz / mystran.modes.frequencies_hz
-    assert ratio.min() > 0.995
-    assert ratio.max() < 1.03  # lumped masses of 8 x 8 elements
+    # Of the bare panel eight elements a side with lumped masses leave both programs 0.3 to 3.5 %
+    # below the closed forms of these modes, and 1.8 % apart at most.
+    assert ratio.min() > 0.98
+    assert ratio.max() < 1.005
     assert np.diag(mac(shapes_at(mystran), shapes_at(calculix)))[:3].min() > 0.98
 
 

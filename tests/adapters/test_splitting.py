@@ -238,7 +238,7 @@ def test_elements_without_a_material_are_refused_with_their_line(tmp_path: Path)
     with pytest.raises(ModelError, match=r"a\.dat, line 24: CELAS2 9 has no property"):
         model.numbers(spring)
     wrong = parameter("E", "youngs_modulus", "property", "11")
-    with pytest.raises(ModelError, match="it has 10, 20"):
+    with pytest.raises(ModelError, match=r"there are 10, 20"):
         model.numbers(wrong)
 
 

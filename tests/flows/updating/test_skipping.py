@@ -51,7 +51,11 @@ def update(folder: Path, case: str, e2: float, server_base: Path) -> dict[str, A
         cwd=folder,
         capture_output=True,
         text=True,
-        env={**os.environ, prefect_server.HOME_VARIABLE: str(server_base)},
+        env={
+            **os.environ,
+            prefect_server.HOME_VARIABLE: str(server_base),
+            "MODETUNE_NO_PREFECT": "0",
+        },
         timeout=200,
         check=False,
     )
