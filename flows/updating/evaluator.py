@@ -46,7 +46,7 @@ from modetune.flows.updating.finders import (
 )
 from modetune.flows.updating.holding_out import HoldingOut
 from modetune.flows.updating.pieces import Pieces
-from modetune.flows.updating.stored_modes import one_thread
+from modetune.flows.updating.small_matrices import one_thread
 
 logger = logging.getLogger(__name__)
 

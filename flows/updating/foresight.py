@@ -31,8 +31,8 @@ from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, compa
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.loop import CONFIRMED, Loop, Noted
+from modetune.flows.updating.observed_modes import assembled_modes
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
-from modetune.flows.updating.stored_modes import assembled_modes
 
 logger = logging.getLogger(__name__)
 

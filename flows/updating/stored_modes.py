@@ -22,24 +22,15 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from threadpoolctl import ThreadpoolController
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.eigen import ModeSolver, SolvedModes
-from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.pencil import shift_below
-from modetune.core.algebra.rigid_modes import (
-    GIVEN,
-    PRINTED,
-    count_rigid_modes,
-    matrix_energies,
-)
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.storage.keys import Json, canonical_json, content_key
@@ -50,22 +41,23 @@ from modetune.core.updating.reduced_range import ReducedRange, reduce_over
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, R
-from modetune.flows.jobs.job import Job
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.matrix_source import MatrixSource
-from modetune.flows.updating.semi_analytic import UnlikeMatrices
+from modetune.flows.updating.observed_modes import (
+    MODES_VERSION,
+    first_shift,
+    modes_at,
+    named_freedoms,
+    observer_of,
+    solved_energies,
+)
+from modetune.flows.updating.small_matrices import one_thread
 
 logger = logging.getLogger(__name__)
 
-#: Carries out a matrix job.
-Assembled = Callable[[Job], MatrixResult]
-
-#: Raised by hand when the same matrices are solved, or reduced, to other numbers.
-MODES_VERSION = 5
+#: Raised by hand when the same matrices are reduced to other numbers.
 REDUCED_VERSION = 4
 RANGE_VERSION = 2
-#: Unobservable nodes that a message names.
-NAMED = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +146,7 @@ class _Model:
 
     def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
         """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
-        return _observer(self.campaign, self.matrices.base, nodes, components)
+        return observer_of(self.campaign, self.matrices.base, nodes, components)
 
 
 class _Solutions:
@@ -190,7 +182,7 @@ class _Solutions:
             solved = self._solver.solve(
                 here.upper_stiffness, here.upper_mass, item.n_modes, start.shift, start.shapes, kept
             )
-            energies, n_rigid = _solved_energies(self.model.campaign, here, solved)
+            energies, n_rigid = solved_energies(self.model.campaign, here, solved)
         own = self._solver.has_own_factors
         self._factors = _Factors(item, solved.shift) if own else at_hand
         assert self._factors is not None
@@ -275,7 +267,7 @@ class MatrixModes:
         self._matrices_key = source.key(campaign.start, columns)
         if source.jobs(campaign.start, columns):
             _ = self._model.matrices  # what jobs left is made into the matrices at once
-        self._shift = _first_shift(campaign)
+        self._shift = first_shift(campaign)
         self._solutions = _Solutions(self._model, engine, self._shift)
         self._sets: dict[tuple[float, ...], _Set] = {}
         self._first: dict[int, _Set] = {}
@@ -371,7 +363,7 @@ class MatrixModes:
         }
         key = content_key(canonical_json(asked))
         if key not in self._reduced:
-            self._reduced[key] = _Around(key, item, modes, _named(nodes))
+            self._reduced[key] = _Around(key, item, modes, named_freedoms(nodes))
         around = self._around = self._reduced[key]
         return self._derived(
             asked, lambda: self._solutions.basis(around).reduced, ReducedModel, "reduced model"
@@ -416,7 +408,7 @@ class MatrixModes:
         n_rigid: int,
         analysis: ModalAnalysis,
     ) -> ModalResult:
-        return _seen(
+        return modes_at(
             self.campaign,
             self._model.matrices.base,
             eigenvalues,
@@ -425,107 +417,3 @@ class MatrixModes:
             n_rigid,
             analysis,
         )
-
-
-def assembled_modes(
-    campaign: Campaign, engine: JobEngine, job: Job, analysis: ModalAnalysis, assembled: Assembled
-) -> tuple[str, ModalResult]:
-    """The key and the modes of the matrices that a job assembles, from nothing, and counted.
-
-    assembled: carries the job out, where the store does not have the modes. Raises ModelError
-    where the count says that modes are missing.
-    """
-
-    def compute() -> ModalResult:
-        matrices = assembled(job)
-        with engine.all_cores():
-            solved = ModeSolver().solve(
-                matrices.upper_stiffness,
-                matrices.upper_mass,
-                min(analysis.n_modes, matrices.upper_stiffness.shape[0]),
-                _first_shift(campaign),
-            )
-            found = _solved_energies(campaign, matrices, solved)
-        engine.store.drop(engine.key(job))  # as large as the model, and not asked for again
-        return _seen(campaign, matrices, solved.eigenvalues, solved.shapes, *found, analysis)
-
-    asked: Json = {
-        "assembled modes": MODES_VERSION,
-        "matrices": engine.key(job),
-        "from": _first_shift(campaign),
-        "n_modes": analysis.n_modes,
-        "nodes": list(analysis.nodes),
-    }
-    found = engine.derived(asked, compute, ModalResult)
-    return content_key(canonical_json(asked)), engine.solver.by_hand(found)
-
-
-def _first_shift(campaign: Campaign) -> float:
-    """A shift by the test's first frequency, (rad/s)^2."""
-    first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
-    return shift_below(first**2)
-
-
-def _rounding(campaign: Campaign) -> float:
-    """Of the matrices' entries, relative."""
-    return PRINTED if campaign.case.solver.deck.summary.matrices is None else GIVEN
-
-
-def _solved_energies(
-    campaign: Campaign, matrices: MatrixResult, solved: SolvedModes
-) -> tuple[Floats, int]:
-    """Energies (n_modes,), NaN of rigid modes, and how many modes are rigid."""
-    energies = matrix_energies(matrices.upper_stiffness, solved.shapes, _rounding(campaign))
-    energies[energies == 0.0] = np.nan
-    return energies, count_rigid_modes(solved.eigenvalues, energies, lambda: np.inf)
-
-
-def _seen(
-    campaign: Campaign,
-    base: MatrixResult,
-    eigenvalues: Floats,
-    shapes: Floats,
-    energies: Floats,
-    n_rigid: int,
-    analysis: ModalAnalysis,
-) -> ModalResult:
-    """The modes at an analysis' nodes, of shapes of all unknowns."""
-    eigenvalues = eigenvalues[: analysis.n_modes]
-    nodes, components = _named(analysis.nodes)
-    shapes = _observer(campaign, base, nodes, components) @ shapes[:, : analysis.n_modes]
-    rigid = min(n_rigid, eigenvalues.size)
-    energies = energies[: eigenvalues.size]
-    return ModalResult.of_shapes(eigenvalues, shapes, nodes, components, energies, rigid)
-
-
-def _observer(
-    campaign: Campaign, base: MatrixResult, nodes: Integers, components: Integers
-) -> sparse.csr_array:
-    """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
-    seen = campaign.case.solver.deck.observation(base, nodes, components)
-    unknown = np.unique(nodes[seen.unknown])
-    if unknown.size:
-        named = ", ".join(map(str, unknown[:NAMED].tolist()))
-        more = f" and {unknown.size - NAMED} more" if unknown.size > NAMED else ""
-        raise UnlikeMatrices(
-            f"the motion of node {named}{more} does not follow from the stored matrices' unknowns"
-        )
-    return seen.matrix
-
-
-def one_thread() -> AbstractContextManager[object]:
-    """Small matrices on one thread, where more would wait for each other; MKL keeps its own."""
-    limited: AbstractContextManager[object] = _small_matrices().limit(limits=1)
-    return limited
-
-
-@cache
-def _small_matrices() -> ThreadpoolController:
-    """Who computes with them; to look for it among all libraries takes longer than a few sets."""
-    return ThreadpoolController().select(internal_api="openblas")
-
-
-def _named(nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
-    """The degrees of freedom of a modal result at these nodes: node by node, x, y, z."""
-    ordered = np.array(sorted(nodes), dtype=np.int64)
-    return np.repeat(ordered, 3), np.tile(np.arange(1, 4), ordered.size)

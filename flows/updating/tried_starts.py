@@ -32,6 +32,7 @@ from modetune.flows.updating.foresight import ITERATIONS, Unnoted
 from modetune.flows.updating.loop import Loop
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
+from modetune.flows.updating.small_matrices import one_thread
 from modetune.flows.updating.start_ends import (
     StartEnd,
     drawn_starts,
@@ -40,7 +41,6 @@ from modetune.flows.updating.start_ends import (
     start_spread,
     tolerated,
 )
-from modetune.flows.updating.stored_modes import one_thread
 
 logger = logging.getLogger(__name__)
 

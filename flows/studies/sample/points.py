@@ -23,7 +23,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training, worst_of
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.stored_modes import one_thread
+from modetune.flows.updating.small_matrices import one_thread
 
 logger = logging.getLogger(__name__)
 

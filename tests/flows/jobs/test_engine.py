@@ -26,8 +26,8 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs import job as jobs
-from modetune.flows.jobs.engine import JobMemory
 from modetune.flows.jobs.job import NOMINAL, Job
+from modetune.flows.jobs.job_memory import JobMemory
 from modetune.flows.updating.dry_run import dry_run
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine, update_campaign

@@ -1,0 +1,129 @@
+"""Modes of matrices with all unknowns, as a campaign sees them: at its nodes, with energies.
+
+Also those of matrices that a solver assembled at one set, solved from nothing and counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import sparse
+
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
+from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.pencil import shift_below
+from modetune.core.algebra.rigid_modes import (
+    GIVEN,
+    PRINTED,
+    count_rigid_modes,
+    matrix_energies,
+)
+from modetune.core.modes import Floats, Integers
+from modetune.core.storage.keys import Json, canonical_json, content_key
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import Job
+from modetune.flows.updating.semi_analytic import UnlikeMatrices
+
+#: Carries out a matrix job.
+Assembled = Callable[[Job], MatrixResult]
+
+#: Raised by hand when the same matrices are solved to other numbers.
+MODES_VERSION = 5
+#: Unobservable nodes that a message names.
+NAMED = 5
+
+
+def assembled_modes(
+    campaign: Campaign, engine: JobEngine, job: Job, analysis: ModalAnalysis, assembled: Assembled
+) -> tuple[str, ModalResult]:
+    """The key and the modes of the matrices that a job assembles, from nothing, and counted.
+
+    assembled: carries the job out, where the store does not have the modes. Raises ModelError
+    where the count says that modes are missing.
+    """
+
+    def compute() -> ModalResult:
+        matrices = assembled(job)
+        with engine.all_cores():
+            solved = ModeSolver().solve(
+                matrices.upper_stiffness,
+                matrices.upper_mass,
+                min(analysis.n_modes, matrices.upper_stiffness.shape[0]),
+                first_shift(campaign),
+            )
+            found = solved_energies(campaign, matrices, solved)
+        engine.store.drop(engine.key(job))  # as large as the model, and not asked for again
+        return modes_at(campaign, matrices, solved.eigenvalues, solved.shapes, *found, analysis)
+
+    asked: Json = {
+        "assembled modes": MODES_VERSION,
+        "matrices": engine.key(job),
+        "from": first_shift(campaign),
+        "n_modes": analysis.n_modes,
+        "nodes": list(analysis.nodes),
+    }
+    found = engine.derived(asked, compute, ModalResult)
+    return content_key(canonical_json(asked)), engine.solver.by_hand(found)
+
+
+def first_shift(campaign: Campaign) -> float:
+    """A shift by the test's first frequency, (rad/s)^2."""
+    first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
+    return shift_below(first**2)
+
+
+def rounding(campaign: Campaign) -> float:
+    """Of the matrices' entries, relative."""
+    return PRINTED if campaign.case.solver.deck.summary.matrices is None else GIVEN
+
+
+def solved_energies(
+    campaign: Campaign, matrices: MatrixResult, solved: SolvedModes
+) -> tuple[Floats, int]:
+    """Energies (n_modes,), NaN of rigid modes, and how many modes are rigid."""
+    energies = matrix_energies(matrices.upper_stiffness, solved.shapes, rounding(campaign))
+    energies[energies == 0.0] = np.nan
+    return energies, count_rigid_modes(solved.eigenvalues, energies, lambda: np.inf)
+
+
+def modes_at(
+    campaign: Campaign,
+    base: MatrixResult,
+    eigenvalues: Floats,
+    shapes: Floats,
+    energies: Floats,
+    n_rigid: int,
+    analysis: ModalAnalysis,
+) -> ModalResult:
+    """The modes at an analysis' nodes, of shapes of all unknowns."""
+    eigenvalues = eigenvalues[: analysis.n_modes]
+    nodes, components = named_freedoms(analysis.nodes)
+    shapes = observer_of(campaign, base, nodes, components) @ shapes[:, : analysis.n_modes]
+    rigid = min(n_rigid, eigenvalues.size)
+    energies = energies[: eigenvalues.size]
+    return ModalResult.of_shapes(eigenvalues, shapes, nodes, components, energies, rigid)
+
+
+def observer_of(
+    campaign: Campaign, base: MatrixResult, nodes: Integers, components: Integers
+) -> sparse.csr_array:
+    """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
+    seen = campaign.case.solver.deck.observation(base, nodes, components)
+    unknown = np.unique(nodes[seen.unknown])
+    if unknown.size:
+        named = ", ".join(map(str, unknown[:NAMED].tolist()))
+        more = f" and {unknown.size - NAMED} more" if unknown.size > NAMED else ""
+        raise UnlikeMatrices(
+            f"the motion of node {named}{more} does not follow from the stored matrices' unknowns"
+        )
+    return seen.matrix
+
+
+def named_freedoms(nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
+    """The degrees of freedom of a modal result at these nodes: node by node, x, y, z."""
+    ordered = np.array(sorted(nodes), dtype=np.int64)
+    return np.repeat(ordered, 3), np.tile(np.arange(1, 4), ordered.size)
