@@ -54,8 +54,8 @@ class EntryRow:
     """A result in a list. solver, kind and model are empty where its head cannot be read."""
 
     key: Annotated[str, Column("key")]
-    written: Annotated[str, Column("written (UTC)")]
-    size_kb: Annotated[float, Column("size", "kB", ".1f")]
+    age: Annotated[str, Column("written ago")]
+    size: Annotated[str, Column("size")]
     wall_s: Annotated[float, Column("took", "s", ".3g")]
     solver: Annotated[str, Column("solver")]
     kind: Annotated[str, Column("analysis")]
@@ -70,7 +70,7 @@ class SumRow:
     solver: Annotated[str, Column("solver")]
     model: Annotated[str, Column("model")]
     files: Annotated[int, Column("files")]
-    size_mb: Annotated[float, Column("size", "MB", ".2f")]
+    size: Annotated[str, Column("size")]
     wall_s: Annotated[float, Column("took", "s", ".4g")]
 
 
@@ -94,7 +94,7 @@ def store_ls(
     if as_json:
         typer.echo(json.dumps({"store": str(place.folder), "results": list(map(_told, found))}))
         return
-    show_table(terminal(), table_of("", [_row(entry) for entry in found], EntryRow))
+    show_table(terminal(), table_of("", [_row(entry, time.time()) for entry in found], EntryRow))
     if not found:
         typer.echo(f"{place.folder} has no such result")
 
@@ -130,7 +130,10 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
         ]  # fmt: skip
         typer.echo(json.dumps({"store": str(place.folder), "size_bytes": total, "holds": told}))
         return
-    rows = [SumRow(*name, files, size / 1e6, wall_s) for name, (files, size, wall_s) in sorted_sums]
+    rows = [
+        SumRow(*name, files, shown_size(size), wall_s)
+        for name, (files, size, wall_s) in sorted_sums
+    ]
     show_table(terminal(), table_of("", rows, SumRow))
     typer.echo(f"{place.folder} holds {shown_size(total)}")
 
@@ -178,9 +181,10 @@ def store_prune(
 
     Age and size hold for results, folders of failed and kept jobs, damaged results and texts of
     decks; where both are given both must hold, and without them only leftovers go, and with
-    --other-formats results of other formats. A result that is needed again is computed again.
+    --other-formats results of other formats. Results stay while a campaign runs with the store; one
+    that is needed later is computed again.
     """
-    from modetune.flows.jobs.store_files import prunable, remove
+    from modetune.flows.jobs.store_files import campaigns_running, prunable, remove
 
     place, _ = store_and_campaign(store)
     longest = age_s(older) if older else None
@@ -189,6 +193,8 @@ def store_prune(
     with stoppable("stopped; the same command goes on from there"):
         gone = found if dry_run else remove(place, found)
     _tell_removed(place.folder, gone, dry_run, as_json)
+    if (older or larger) and (running := campaigns_running(place)):
+        typer.echo(f"results stay: {running} running campaign(s) may need them", err=True)
 
 
 @store_app.command("forget")
@@ -226,8 +232,20 @@ def size_bytes(text: str) -> int:
 
 def shown_size(size: int) -> str:
     """A size in the unit that suits it."""
-    unit = max((unit for unit in SIZES if size >= SIZES[unit]), key=SIZES.__getitem__, default="B")
-    return f"{size / SIZES[unit]:.4g} {unit}"
+    return _shown(size, SIZES)
+
+
+def shown_age(seconds: float) -> str:
+    """An age in the unit that suits it, which --older takes."""
+    return _shown(round(max(seconds, 0.0)), AGES_S, ".3g")
+
+
+def _shown(value: float, units: Mapping[str, float], form: str = ".4g") -> str:
+    least = min(units, key=units.__getitem__)
+    unit = max(
+        (unit for unit in units if value >= units[unit]), key=units.__getitem__, default=least
+    )
+    return f"{value / units[unit]:{form}} {unit}"
 
 
 def _measure(text: str, units: Mapping[str, float], what: str, example: str) -> float:
@@ -266,12 +284,12 @@ def _tell_removed(folder: Path, gone: Sequence[StoreFile], dry_run: bool, as_jso
     typer.echo(f"{shown_size(total)} {said} in {folder}" if gone else "nothing to remove")
 
 
-def _row(entry: IndexedEntry) -> EntryRow:
+def _row(entry: IndexedEntry, now_s: float) -> EntryRow:
     job = entry.job
     return EntryRow(
         entry.key[:SHORT],
-        f"{datetime.fromtimestamp(entry.written_s, UTC):%Y-%m-%d %H:%M}",
-        entry.size / 1e3,
+        shown_age(now_s - entry.written_s),
+        shown_size(entry.size),
         entry.wall_s if job else float("nan"),
         f"{job.solver} {job.solver_version}".strip() if job else "",
         job.kind if job else "cannot be read",

@@ -4,7 +4,8 @@ Leftovers are what runs that were killed left behind and nobody will use again: 
 folders of jobs that nobody runs any more, files of locks (one that is held stays), indexes of
 machines that did not come back. A job that is under way holds its key's lock, so its folder is
 never a leftover. Entries of other formats belong to other versions of modetune, and are removed
-only when that is asked.
+only when that is asked. A campaign that runs may read any result again, however old: while one does
+results stay.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import time
+import uuid
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -43,6 +46,10 @@ LEFTOVERS: tuple[What, ...] = (
 WRITTEN_S = 3600.0
 #: A machine that did not ask for so long does so no more.
 FORGOTTEN_S = 30 * 86400.0
+#: How the lock begins that a campaign holds while it runs.
+CAMPAIGN = "campaign-"
+#: What a campaign that runs may read.
+READ: tuple[What, ...] = ("result", "deck's text")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +66,25 @@ class StoreFile:
         """The key it belongs to; empty where it has none."""
         start = self.path.name.partition(".")[0]
         return start if re.fullmatch("[0-9a-f]{64}", start) else ""
+
+
+@contextmanager
+def in_use(store: Store) -> Iterator[None]:
+    """Results of a store stay for as long as this lasts. Raises StorageUnavailable."""
+    lock = FileLock(store.folder / "locks" / f"{CAMPAIGN}{uuid.uuid4().hex}")
+    with storage_errors(lock.path):
+        lock.path.parent.mkdir(parents=True, exist_ok=True)
+    with lock.held(lambda: time.sleep(0.01)):
+        try:
+            yield
+        finally:
+            lock.remove()
+
+
+def campaigns_running(store: Store) -> int:
+    """How many campaigns and studies run with a store."""
+    found = {path.name.partition(".")[0] for path in _inside(store.folder / "locks")}
+    return sum(name.startswith(CAMPAIGN) and not _idle(store, name) for name in found)
 
 
 def results(store: Store, chosen: Chosen) -> Iterator[StoreFile]:
@@ -100,17 +126,19 @@ def prunable(
 ) -> list[StoreFile]:
     """What `remove` may be given: leftovers, and what is older and larger than was asked.
 
-    formats: entries of other formats too. Of our own only with an age or a size.
+    formats: entries of other formats too. Of our own only with an age or a size, and while no
+    campaign runs.
     """
+    kept = READ if campaigns_running(store) else ()
     before_s = now_s - older_s if older_s is not None else now_s + 1e9
     filtered = older_s is not None or larger is not None
     found: list[StoreFile] = []
-    if filtered:
+    if filtered and "result" not in kept:
         found += results(store, Chosen(int(before_s * 1e9), larger or 0))
     for item in beside(store, now_s):
         asked = formats if item.what == "result of another format" else filtered
         fits = item.written_s <= before_s and item.size >= (larger or 0)
-        if item.what in LEFTOVERS or (asked and fits):
+        if item.what in LEFTOVERS or (asked and fits and item.what not in kept):
             found.append(item)
     return found
 

@@ -25,6 +25,7 @@ from modetune.flows.jobs.job import Plans
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.scratch import remove_abandoned
 from modetune.flows.jobs.slurm import on_slurm
+from modetune.flows.jobs.store_files import in_use
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import Executes, Execution, ThreadExecution
 from modetune.flows.report.drawing import draw_report
@@ -108,14 +109,16 @@ def update_campaign(
 
 @contextmanager
 def solving_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> Iterator[JobEngine]:
-    """The engine that solves a campaign's jobs where the campaign says."""
-    if campaign.run.engine != "dask":
-        yield job_engine(campaign, watcher)
-        return
-    from modetune.flows.updating.dask import on_dask
+    """The engine that solves a campaign's jobs where the campaign says; the store keeps what it has
+    meanwhile."""
+    with in_use(campaign.store):
+        if campaign.run.engine != "dask":
+            yield job_engine(campaign, watcher)
+            return
+        from modetune.flows.updating.dask import on_dask
 
-    with on_dask(campaign, job_engine) as engine:
-        yield replace(engine, watcher=watcher)
+        with on_dask(campaign, job_engine) as engine:
+            yield replace(engine, watcher=watcher)
 
 
 def _update(

@@ -10,7 +10,8 @@ import pytest
 
 from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
-from modetune.flows.cli.store import age_s, shown_size, size_bytes
+from modetune.flows.cli.store import age_s, shown_age, shown_size, size_bytes
+from modetune.flows.jobs.store_files import in_use
 from modetune.flows.updating.running import update_campaign
 from tests.command_line import run_command as run
 
@@ -89,6 +90,17 @@ def test_one_result_is_forgotten_by_the_start_of_its_key(folder: Path) -> None:
     assert "nothing is known of a job" in again.stderr
 
 
+def test_results_stay_for_a_campaign_that_runs_and_that_is_told(folder: Path) -> None:
+    count = len(told(folder, "ls")["results"])
+    with in_use(Store(folder / "store")):
+        ended = run(folder, "store", "prune", "--older", "0s", "--store", "store")
+        assert ended.stderr == "results stay: 1 running campaign(s) may need them\n"
+    assert len(told(folder, "ls")["results"]) == count
+    shown = run(folder, "store", "ls", "--store", "store").stdout
+    assert "written ago" in shown
+    assert " kB" in shown
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -115,5 +127,7 @@ def test_ages_and_sizes_have_units() -> None:
     assert [shown_size(size) for size in (0, 999, 186_400, 10**9)] == [
         "0 B", "999 B", "186.4 kB", "1 GB",
     ]  # fmt: skip
+    ages = (0.4, 59, 3600, 200_000, 86400 * 60)
+    assert [shown_age(age) for age in ages] == ["0 s", "59 s", "1 h", "2.31 d", "8.57 w"]
     with pytest.raises(CampaignError, match="as 10MB"):
         size_bytes("ten")

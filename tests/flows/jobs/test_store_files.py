@@ -12,7 +12,14 @@ import pytest
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.results import ModeDerivatives
-from modetune.flows.jobs.store_files import beside, check, prunable, remove
+from modetune.flows.jobs.store_files import (
+    beside,
+    campaigns_running,
+    check,
+    in_use,
+    prunable,
+    remove,
+)
 from tests.core.storage.test_locks import holding
 
 DAY_S = 86400.0
@@ -160,3 +167,20 @@ def test_the_check_finds_every_damage_and_sets_it_aside(store: Store) -> None:
         path.name for path in damaged
     }
     assert check(store) == (1, [])
+
+
+def test_results_stay_while_a_campaign_runs(store: Store) -> None:
+    (store.folder / "damaged").mkdir(exist_ok=True)
+    damaged = store.folder / "damaged" / f"{key_of('e')}.1.h5"
+    damaged.write_bytes(b"damaged")
+    aged(damaged, 40)
+    with in_use(store), in_use(store):
+        assert campaigns_running(store) == 2
+        assert names(store, days=0)[0] == "damaged result e"  # nobody reads it again
+        assert not any(name.startswith("result") for name in names(store, days=0))
+        gone = remove(store, prunable(store, NOW_S, 0.0, None, False))
+        assert {item.what for item in gone} == {"damaged result"}  # the locks are held
+        assert campaigns_running(store) == 2
+    assert campaigns_running(store) == 0
+    assert not list((store.folder / "locks").iterdir())
+    assert sum(name.startswith("result") for name in names(store, days=0)) == len(ENTRIES)
