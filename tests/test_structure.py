@@ -132,7 +132,7 @@ FLOWS = (
 )
 #: Rooms that know several solvers: a translation from one to another, the table of all, and the
 #: reading of what any program left.
-KNOW_SOLVERS = {"adapters.command", "adapters.translation", "flows.campaign"}
+KNOW_SOLVERS = {"adapters.test_files", "adapters.translation", "flows.campaign"}
 Arrows = dict[str, set[str]]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.regular_file import open_regular
-from modetune.core.modes import ModeSet, mode_set
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 
 
 def read_frd(path: Path) -> ModeSet:
@@ -56,3 +56,25 @@ def read_frd(path: Path) -> ModeSet:
         np.tile((1, 2, 3), len(nodes)),
         normalisation="mass",
     )
+
+
+def read_frd_points(path: Path) -> tuple[Integers, Floats]:
+    """Nodes (n,) and their coordinates (n, 3), block 2C. Raises ValueError, with the line."""
+    nodes: list[int] = []
+    places: list[list[float]] = []
+    inside = False
+    try:
+        with open_regular(path) as file, io.TextIOWrapper(file, encoding="latin-1") as source:
+            for number, line in enumerate(source, start=1):
+                try:
+                    if inside and line.startswith(" -1"):
+                        nodes.append(int(line[3:13]))
+                        places.append([float(line[13 + 12 * k : 25 + 12 * k]) for k in range(3)])
+                    elif inside:
+                        break
+                    inside = inside or line.startswith("    2C")
+                except ValueError as error:
+                    raise ValueError(f"line {number}: {error}") from error
+    except OSError as error:
+        raise ValueError(f"it cannot be read: {error.strerror}") from error
+    return np.array(nodes, dtype=np.int64), np.array(places).reshape(-1, 3)

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.calculix.frd_modes import read_frd
-from modetune.adapters.nastran.f06 import read_f06
-from modetune.adapters.nastran.op2 import read_op2
-from modetune.adapters.nastran.punch import read_punch
-from modetune.adapters.nastran.results import unit_modes
 from modetune.adapters.solver import ModalAnalysis
-from modetune.adapters.test_files.measurements import read_measurement
-from modetune.adapters.test_files.modes_csv import read_test_csv
+from modetune.adapters.test_files.measurements import read_computed
 from modetune.core.errors import CampaignError, NoResult, SolverRejected
 from modetune.core.modes import ModeSet, Normalisation, dof_name, mode_set
 from modetune.core.updating.results import ModalResult
@@ -31,32 +24,9 @@ def read_results(path: Path) -> ModeSet:
             f"{there}"
         )
     try:
-        return FORMS.get(path.suffix.lower(), _test_file)(path)
-    except (CampaignError, ValueError) as error:
+        return read_computed(path)
+    except CampaignError as error:
         raise NoResult(f"{path} holds no modes that can be read: {error}") from error
-
-
-def _test_file(path: Path) -> ModeSet:
-    modes = read_measurement([path]).modes
-    if modes is None:
-        raise ValueError("it has points or response functions, and no modes")
-    return modes.modes
-
-
-def _csv(path: Path) -> ModeSet:
-    found = read_test_csv(path, computed=True).modes
-    assert found is not None
-    return found.modes
-
-
-#: What reads each form, by the end of the file's name; test files have many.
-FORMS: dict[str, Callable[[Path], ModeSet]] = {
-    ".csv": _csv,
-    ".op2": lambda path: unit_modes(read_op2(path)),
-    ".f06": lambda path: unit_modes(read_f06(path)),
-    ".pch": read_punch,
-    ".frd": read_frd,
-}
 
 
 def asked_modes(

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 from scipy import io, sparse
 
-from modetune.adapters.matrices.hdf5_reader import CSR, DEFLATE, read_hdf5
+from modetune.adapters.hdf5_reader import CSR, DEFLATE, read_hdf5
 from modetune.adapters.matrices.matrix_market import MOST_EQUATIONS, read_market
 from modetune.adapters.regular_file import largest, open_regular
 from modetune.core.algebra.factorisation import symmetric_matrix

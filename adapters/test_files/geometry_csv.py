@@ -1,4 +1,4 @@
-"""Points of a test as CSV, modetune's own documented form.
+"""Points of a test as a table, in CSV or a sheet of a workbook, modetune's own documented form.
 
     # comments and blank lines are skipped
     metres, 0.001                              (optional: the unit of length, here millimetres)
@@ -8,19 +8,26 @@
     line, 101, 102                             (optional: draws the structure)
     face, 101, 102, 103                        (optional: a triangle)
 
-The nine columns of directions may be left out of the header, and of any row.
+The nine columns of directions may be left out of the header, and of any row. Headings may have
+the unit of length, x [mm], in place of the row `metres`.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.regular_file import read_regular
+from modetune.adapters.test_files.tables import (
+    FileTable,
+    TableRow,
+    factor,
+    heading,
+    number,
+    read_tables,
+)
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.storage.files import writing
@@ -30,45 +37,46 @@ DIRECTIONS = ("xx", "xy", "xz", "yx", "yy", "yz", "zx", "zy", "zz")
 #: How far printed directions may be from right angles and unit length.
 _RIGHT = 1e-3
 
-Row = tuple[int, list[str]]
 
-
-def is_geometry_csv(path: Path) -> bool:
-    """Whether a CSV file holds points rather than modes, by its first row."""
-    try:
-        rows = _rows(path)
-    except CampaignError:
-        return False
-    return bool(rows) and rows[0][1][0] in ("node", "metres")
+def is_geometry(table: FileTable) -> bool:
+    """Whether a table holds points rather than modes, by its first row."""
+    return table.first in ("node", "metres")
 
 
 def read_geometry_csv(path: Path) -> TestGeometry:
     """Read points. Raises CampaignError with every problem, each with file and line."""
-    rows = _rows(path)
+    return geometry_of(read_tables(path)[0])
+
+
+def geometry_of(table: FileTable) -> TestGeometry:
+    """The points of a table. Raises CampaignError likewise."""
     problems: list[str] = []
-    metres = _metres(path, rows.pop(0), problems) if _is_metres(rows) else math.nan
-    header = tuple(rows[0][1]) if rows else ()
-    if header not in (HEADER, HEADER + DIRECTIONS):
-        line = rows[0][0] if rows else 1
+    rows = list(table.rows)
+    metres = _metres(rows.pop(0), problems) if table.first == "metres" else math.nan
+    where = rows[0].where if rows else table.start
+    found = [heading(field) for field in rows[0].fields] if rows else []
+    if tuple(name for name, _ in found) not in (HEADER, HEADER + DIRECTIONS):
         raise CampaignError(
-            f"{path}, line {line}: the header must be `{','.join(HEADER)}`, or go on with "
+            f"{where}: the header must be `{','.join(HEADER)}`, or go on with "
             f"`{','.join(DIRECTIONS)}`"
         )
-    points: dict[int, tuple[int, list[float]]] = {}
-    drawn: dict[str, list[tuple[int, list[int]]]] = {"line": [], "face": []}
-    for line, fields in rows[1:]:
-        if fields[0] in drawn:
-            count = 2 if fields[0] == "line" else 3
-            ends = _numbers(path, line, fields[1:], count, problems)
-            drawn[fields[0]].append((line, [int(node) for node in ends]))
+    metres = _unit(where, [unit for _, unit in found[1:4]], metres, problems)
+    points: dict[int, tuple[str, list[float]]] = {}
+    drawn: dict[str, list[tuple[str, list[int]]]] = {"line": [], "face": []}
+    for row in rows[1:]:
+        kind = row.fields[0].casefold()
+        if kind in drawn:
+            count = 2 if kind == "line" else 3
+            ends = _numbers(row, count, problems)
+            drawn[kind].append((row.where, [int(node) for node in ends]))
         else:
-            _add_point(path, line, fields, points, problems)
-    for line, nodes in drawn["line"] + drawn["face"]:
+            _add_point(row, points, problems)
+    for place, nodes in drawn["line"] + drawn["face"]:
         missing = [node for node in nodes if node not in points]
         if missing:
-            problems.append(f"{path}, line {line}: node {missing[0]} has no row")
+            problems.append(f"{place}: node {missing[0]} has no row")
     if not points and not problems:
-        problems.append(f"{path}, line {rows[0][0]}: no point follows the header")
+        problems.append(f"{where}: no point follows the header")
     if problems:
         raise CampaignError(problems)
     values = np.array([value for _, value in points.values()])
@@ -100,83 +108,55 @@ def write_geometry_csv(path: Path, geometry: TestGeometry, comment: Sequence[str
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _is_metres(rows: list[Row]) -> bool:
-    return bool(rows) and rows[0][1][0] == "metres"
-
-
-def _metres(path: Path, row: Row, problems: list[str]) -> float:
-    line, fields = row
-    metres = (_numbers(path, line, fields[1:], 1, problems) or [math.nan])[0]
+def _metres(row: TableRow, problems: list[str]) -> float:
+    metres = (_numbers(row, 1, problems) or [math.nan])[0]
     if not metres > 0.0:
-        problems.append(f"{path}, line {line}: metres must be above zero")
+        problems.append(f"{row.where}: metres must be above zero")
     return metres
 
 
+def _unit(where: str, units: list[str], metres: float, problems: list[str]) -> float:
+    """The length of the coordinates' unit, of the headings where they tell it."""
+    if len(set(units)) > 1:
+        problems.append(f"{where}: the coordinates have different units: {', '.join(units)}")
+    told = factor(where, "x", units[0], problems) if units[0] else metres
+    if not math.isnan(metres) and not math.isnan(told) and not math.isclose(told, metres):
+        problems.append(f"{where}: the unit {units[0]} contradicts `metres, {metres:g}` above it")
+    return told
+
+
 def _add_point(
-    path: Path,
-    line: int,
-    fields: list[str],
-    points: dict[int, tuple[int, list[float]]],
-    problems: list[str],
+    row: TableRow, points: dict[int, tuple[str, list[float]]], problems: list[str]
 ) -> None:
-    name, values = fields[0], fields[1:]
+    name, *values = row.fields
     if not (name.isascii() and name.isdecimal() and len(name) < 19):  # what 64 bits hold
-        problems.append(f"{path}, line {line}: `{name}` is neither a node number, line nor face")
+        problems.append(f"{row.where}: `{name}` is neither a node number, line nor face")
         return
-    numbers = _numbers(path, line, values, 12 if len(values) > 3 else 3, problems)
+    numbers = _numbers(row, 12 if len(values) > 3 else 3, problems)
     if not numbers:
         return
     if int(name) in points:
-        first = points[int(name)][0]
-        problems.append(f"{path}, line {line}: node {name} stands on line {first} already")
+        problems.append(f"{row.where}: node {name} stands in {points[int(name)][0]} already")
     frame = np.array(numbers[3:] or np.eye(3).ravel()).reshape(3, 3)
     if np.abs(frame).max() > 2.0 or np.abs(frame @ frame.T - np.eye(3)).max() > _RIGHT:
         problems.append(
-            f"{path}, line {line}: the directions of node {name} are not unit vectors at right "
-            "angles"
+            f"{row.where}: the directions of node {name} are not unit vectors at right angles"
         )
-    points[int(name)] = line, [*numbers[:3], *frame.ravel().tolist()]
+    points[int(name)] = row.where, [*numbers[:3], *frame.ravel().tolist()]
 
 
-def _numbers(
-    path: Path, line: int, fields: list[str], count: int, problems: list[str]
-) -> list[float]:
-    """The numbers of a row; none where one is missing or is not a number."""
+def _numbers(row: TableRow, count: int, problems: list[str]) -> list[float]:
+    """The numbers of a row behind its name; none where one is missing or is not a number."""
+    fields = row.fields[1:]
     if len(fields) != count:
-        problems.append(f"{path}, line {line}: {len(fields)} numbers where {count} must be")
+        problems.append(f"{row.where}: {len(fields)} numbers where {count} must be")
         return []
-    values = []
-    for field in fields:
-        try:
-            value = float(field)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            problems.append(f"{path}, line {line}: {field!r} where a number must be")
-            return []
-        values.append(value)
+    values = [number(field) for field in fields]
+    wrong = next((field for field in fields if math.isnan(number(field))), None)
+    if wrong is not None:
+        problems.append(f"{row.where}: {wrong!r} where a number must be")
+        return []
     return values
-
-
-def _rows(path: Path) -> list[Row]:
-    try:
-        text = read_regular(path).decode("utf-8-sig")
-    except OSError as error:
-        raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise CampaignError(f"test file {path} is not a text file: {error}") from error
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip(" \t,;") or line.lstrip().startswith("#"):
-            continue
-        try:
-            fields = [field.strip() for field in next(csv.reader([line]))]
-        except csv.Error as error:
-            raise CampaignError(f"{path}, line {number}: {error}") from error
-        while len(fields) > 1 and not fields[-1]:  # what spreadsheets add to shorter rows
-            fields.pop()
-        rows.append((number, fields))
-    return rows
 
 
 def _table(rows: list[list[int]], width: int) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modetune.adapters.regular_file import largest, read_regular
+from modetune.adapters.test_files.kinds import OWN_TITLE
 from modetune.core.errors import CampaignError, ModesError, StoreDamaged
 from modetune.core.measurement.measurement import (
     MeasuredDeviations,
@@ -40,7 +41,7 @@ from modetune.core.storage.seal import content, holds, sealed, title_of
 
 __test__ = False  # tests are what it holds, not what it is
 
-FORMAT, VERSION = "modetune test data", 1
+FORMAT, VERSION = OWN_TITLE, 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +121,3 @@ def read_test_hdf5(path: Path) -> Measurement:
     except (StoreDamaged, ModesError) as problem:
         raise CampaignError(f"test file {path} is not a readable test ({problem})") from problem
     return Measurement(modes, form.geometry, form.frfs, form.notes, form.deviations)
-
-
-def is_test_hdf5(data: bytes) -> bool:
-    """Whether these first bytes of a file are those of an HDF5 file, ours or another's."""
-    return data.startswith((FORMAT.encode(), b"\x89HDF\r\n"))

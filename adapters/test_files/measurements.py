@@ -1,8 +1,9 @@
 """A test from its files, whatever their form, as one Measurement.
 
-Universal files are read together, since one may hold the points and another the modes. Modes as
-CSV, points as CSV and whole tests as HDF5 join them. Parts that say the same thing twice and
-differently are refused with both places.
+What a file is shows its content (`kinds.py`), whatever its name. Universal files are read together,
+since one may hold the points and another the modes. Tables of modes or points, whole tests as HDF5,
+MATLAB's files and what solvers left join them. Parts that say the same thing twice and differently
+are refused with both places.
 """
 
 from __future__ import annotations
@@ -14,25 +15,34 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.regular_file import open_regular
-from modetune.adapters.test_files.geometry_csv import is_geometry_csv, read_geometry_csv
-from modetune.adapters.test_files.hdf5 import is_test_hdf5, read_test_hdf5
-from modetune.adapters.test_files.modes_csv import read_test_csv
+from modetune.adapters.test_files.geometry_csv import geometry_of, is_geometry
+from modetune.adapters.test_files.hdf5 import read_test_hdf5
+from modetune.adapters.test_files.kinds import FileKind, kind_of
+from modetune.adapters.test_files.mat import read_mat
+from modetune.adapters.test_files.modes_csv import modes_of
+from modetune.adapters.test_files.solver_results import (
+    READERS,
+    computed_modes,
+    read_solver_results,
+)
+from modetune.adapters.test_files.tables import FileTable, read_tables
 from modetune.adapters.test_files.universal.axes import Axes
 from modetune.adapters.test_files.universal.file import read_universal
 from modetune.core.correlation.complexity import real_shapes
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
-from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.modes import Floats, MeasuredModes, ModeSet
 
 #: How far places of one point may differ between files, relative to the structure's size.
 SAME = 1e-4
+#: Suffixes that are written, and say what a damaged file was meant to be.
 UNIVERSAL, CSV, HDF5 = (".unv", ".uff", ".uf"), (".csv",), (".h5", ".hdf5")
+TABLES = ("table", "workbook")
 
 
 @dataclass(frozen=True, slots=True)
 class FileContents:
-    """What a file is, and the datasets of a universal one by name, in order."""
+    """What a file is (`kinds.Form`), and the datasets of a universal one by name, in order."""
 
     path: Path
     form: str
@@ -81,10 +91,10 @@ def inspect_files(
         raise CampaignError("no test file is named")
     if metres is not None and not (math.isfinite(metres) and metres > 0.0):
         raise CampaignError(f"the length unit of the test is {metres:g} m; it must be above zero")
-    forms = {path: _form(path) for path in paths}
+    forms = {path: _kind(path) for path in paths}
     if len(forms) < len(paths):
         raise CampaignError("a test file is named twice")
-    universal = [path for path, form in forms.items() if form == "universal"]
+    universal = [path for path, kind in forms.items() if kind.form == "universal"]
     parts: list[tuple[str, Measurement]] = []
     datasets: dict[Path, tuple[str, ...]] = {}
     collinearity, n_functions = np.zeros(0), 0
@@ -93,47 +103,79 @@ def inspect_files(
         parts.append((", ".join(map(str, universal)), test.measurement))
         datasets = {file.path: file.datasets for file in test.files}
         collinearity, n_functions = test.collinearity, test.n_functions
-    for path, form in forms.items():
-        if form != "universal":
-            parts.append((str(path), _read_one(path, form)))
+    for path, kind in forms.items():
+        if kind.form != "universal":
+            parts.append((str(path), _read_one(path, kind)))
     merged = _merged(parts)
     if metres is not None and merged.geometry is not None:
         merged = _in_unit(merged, merged.geometry, metres)
-    files = tuple(FileContents(path, form, datasets.get(path, ())) for path, form in forms.items())
+    files = tuple(
+        FileContents(path, kind.form, datasets.get(path, ())) for path, kind in forms.items()
+    )
     return Inspection(merged, files, collinearity, n_functions)
 
 
-def _form(path: Path) -> str:
-    """What a file is: by its suffix, or by its first bytes where that says nothing."""
-    suffix = path.suffix.lower()
-    if suffix in UNIVERSAL:
-        return "universal"
-    if suffix in HDF5:
-        return "hdf5"
-    if suffix not in CSV:
-        try:
-            with open_regular(path) as file:
-                start = file.read(4096)
-        except OSError as error:
-            raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
-        if is_test_hdf5(start):
-            return "hdf5"
-        if start.lstrip(b"\r\n").startswith(b"    -1"):
-            return "universal"
-        if start.count(b"\0") or b"," not in start:
-            raise CampaignError(
-                f"test file {path} is neither a universal file ({', '.join(UNIVERSAL)}), CSV "
-                "(.csv) nor HDF5 (.h5)"
-            )
-    return "points as CSV" if is_geometry_csv(path) else "modes as CSV"
+def read_computed(path: Path) -> ModeSet:
+    """All modes that a program left in a file, with rotations. Raises CampaignError."""
+    kind = _kind(path)
+    if kind.form in READERS:
+        return computed_modes(path, kind.form)
+    read = _tables(path, kind, computed=True) if kind.form in TABLES else read_measurement([path])
+    if read.modes is None:
+        raise CampaignError("it has points or response functions, and no modes")
+    return read.modes.modes
 
 
-def _read_one(path: Path, form: str) -> Measurement:
-    if form == "hdf5":
+def _kind(path: Path) -> FileKind:
+    """What a file is: by its content, and by its suffix where bytes do not tell.
+
+    Raises CampaignError with what it is where nothing reads it.
+    """
+    kind, suffix = kind_of(path), path.suffix.lower()
+    if kind.form in ("unknown", "table") and suffix in UNIVERSAL:
+        return FileKind("universal", "a universal file")  # its reader says what is wrong
+    if kind.form == "unknown" and suffix in HDF5:
+        return FileKind("hdf5", "a test that modetune wrote as HDF5")
+    if kind.form in ("", "unknown"):
+        raise CampaignError(f"{path} is {kind.said}, not a test that can be read; {kind.remedy}")
+    return kind
+
+
+def _read_one(path: Path, kind: FileKind) -> Measurement:
+    if kind.form in READERS:
+        return read_solver_results(path, kind.form)
+    if kind.form == "hdf5":
         return read_test_hdf5(path)
-    if form == "points as CSV":
-        return Measurement(geometry=read_geometry_csv(path))
-    return read_test_csv(path)
+    if kind.form == "mat":
+        return read_mat(path, kind.said)
+    return _tables(path, kind)
+
+
+def _tables(path: Path, kind: FileKind, computed: bool = False) -> Measurement:
+    """Modes and points of a text's one table, or of a workbook's sheets. Raises CampaignError."""
+    tables = read_tables(path)
+    if kind.form == "table":
+        return _of_table(tables[0], computed)
+    wanted = [
+        table for table in tables if table.first in ("mode", "frequency_hz", "node", "metres")
+    ]
+    if not wanted:
+        sheets = ", ".join(table.name.removeprefix(f"{path}, sheet ") for table in tables)
+        raise CampaignError(
+            f"{path} is {kind.said} with sheets {sheets}, and none begins with a heading `mode`, "
+            "`frequency` or `node`"
+        )
+    merged = _merged([(table.name, _of_table(table, computed)) for table in wanted])
+    over = tuple(f"{table.name} is passed over" for table in tables if table not in wanted)
+    return replace(merged, notes=merged.notes + over)
+
+
+def _of_table(table: FileTable, computed: bool) -> Measurement:
+    return (
+        Measurement(geometry=geometry_of(table))
+        if is_geometry(table)
+        else modes_of(table, computed)
+    )
 
 
 def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:

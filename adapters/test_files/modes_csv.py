@@ -1,4 +1,4 @@
-"""Measured modes as CSV, modetune's own documented form.
+"""Measured modes as a table, in CSV or a sheet of a workbook, modetune's own documented form.
 
     # comments and blank lines are skipped
     mode,           1,      2,      3
@@ -9,21 +9,29 @@
     101.x,          0.12,  -0.40,   0.03        (sensor: node.component x y z rx ry rz)
     101.z,          ...
 
-One column a mode, numbered as the test numbers them. Sensor rows are optional: without them only
-frequencies are compared. A shape may have any scaling of its own.
+One column a mode, numbered as the test numbers them; or one row a mode, where the first row has
+the names. Sensor rows are optional: without them only frequencies are compared. A shape may have
+any scaling of its own. Names may be words with a unit (`tables.heading`), and sensors as test
+systems write them: 101:+Z, wing:101:-X, 12Z. A sensor that looks the other way changes its sign.
 """
 
 from __future__ import annotations
 
-import csv
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.regular_file import read_regular
+from modetune.adapters.test_files.tables import (
+    FileTable,
+    TableRow,
+    factor,
+    heading,
+    number,
+    read_tables,
+)
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredDeviations, Measurement
 from modetune.core.modes import COMPONENTS, MeasuredModes, ModeSet, mode_set
@@ -31,15 +39,11 @@ from modetune.core.storage.files import writing
 
 #: Rows that say how exactly frequencies and shapes were measured.
 DEVIATIONS = ("frequency_deviation", "shape_deviation")
-
-
-@dataclass(frozen=True, slots=True)
-class CsvRow:
-    """One row of the file: the line it stands on, its name, and its other fields."""
-
-    line: int
-    name: str
-    fields: tuple[str, ...]
+#: Rows of one value a mode that are no sensors.
+QUANTITIES = ("frequency_hz", "damping_ratio", *DEVIATIONS)
+_SENSOR = re.compile(
+    r"(?:[^:]+:)?(?:node|point|n|p)?\s*([0-9]{1,18})(?:[.:_ ]\s*([+-]?))?(r?[xyz])([+-]?)"
+)
 
 
 def read_modes_csv(path: Path) -> MeasuredModes:
@@ -50,117 +54,132 @@ def read_modes_csv(path: Path) -> MeasuredModes:
 
 
 def read_test_csv(path: Path, computed: bool = False) -> Measurement:
-    """The modes of a test and how exactly they were measured. Raises CampaignError likewise.
+    """The modes of a file and how exactly they were measured. Raises CampaignError likewise."""
+    return modes_of(read_tables(path)[0], computed)
+
+
+def modes_of(table: FileTable, computed: bool = False) -> Measurement:
+    """The modes of a table and how exactly they were measured. Raises CampaignError likewise.
 
     computed: the modes are a model's, which may be rigid (0 Hz), or move none of these nodes.
     """
-    rows = _rows(path)
-    if not rows or rows[0].name != "mode":
-        raise CampaignError(
-            f"{path}, line {rows[0].line if rows else 1}: the first row must be `mode, 1, 2, ...`"
-        )
-    header, *others = rows
+    header, *others = _by_columns(table)
     problems: list[str] = []
-    numbers = _mode_numbers(path, header, problems)
-    frequencies: list[float] | None = None
-    damping: list[float] = []
-    deviations: dict[str, list[float]] = {}
+    numbers = _mode_numbers(header, problems)
+    known: dict[str, list[float]] = {}
     sensors: dict[tuple[int, int], list[float]] = {}
     seen: set[str | tuple[int, int]] = set()
     for row in others:
-        where = f"{path}, line {row.line}"
-        values = _numbers(where, row, len(header.fields), problems)
-        dof = _dof(row.name)
-        if (dof or row.name) in seen:
-            problems.append(f"{where}: a second row `{row.name}`")
-        seen.add(dof or row.name)
-        if dof:
-            sensors[dof] = values
-        elif row.name == "damping_ratio":
-            damping = values
-        elif row.name in DEVIATIONS:
-            deviations[row.name] = values
-            if any(value <= 0.0 for value in values):
-                problems.append(f"{where}: `{row.name}` must be above zero, found {min(values):g}")
-        elif row.name == "frequency_hz":
-            frequencies = values
-            if any(value < 0.0 or (value == 0.0 and not computed) for value in values):
-                problems.append(f"{where}: frequencies must be above zero")
+        name = row.fields[0]
+        values = _numbers(row, len(header.fields) - 1, problems)
+        (meaning, unit), sensor = heading(name), sensor_of(name)
+        key = meaning if sensor is None else sensor[0]
+        if key in seen:
+            problems.append(f"{row.where}: a second row `{name}`")
+        seen.add(key)
+        if sensor is not None:
+            sensors[sensor[0]] = [sensor[1] * value for value in values]
+        elif meaning in QUANTITIES:
+            scale = factor(row.where, meaning, unit, problems)
+            known[meaning] = [scale * value for value in values]
+            problems += _wrong(row, meaning, known[meaning], computed)
         else:
             problems.append(
-                f"{where}: row `{row.name}` is neither frequency_hz, damping_ratio, "
-                f"{', '.join(DEVIATIONS)} nor a sensor such as 101.x"
+                f"{row.where}: row `{name}` is neither {', '.join(QUANTITIES)} nor a sensor such "
+                "as 101.x"
             )
-    if frequencies is None:
-        problems.append(f"{path}, line {header.line}: no row `frequency_hz` follows")
+    if "frequency_hz" not in known:
+        problems.append(f"{header.where}: no row `frequency_hz` follows")
     if problems:
         raise CampaignError(problems)
     shapes = np.array(list(sensors.values())).reshape(len(sensors), len(numbers))
     still = np.flatnonzero(~shapes.any(axis=0))
     if sensors and still.size and not computed:
-        raise CampaignError(
-            f"{path}, line {header.line}: mode {numbers[still[0]]} is zero at every sensor"
-        )
+        raise CampaignError(f"{header.where}: mode {numbers[still[0]]} is zero at every sensor")
     places = np.array(list(sensors), dtype=np.int64).reshape(-1, 2)
-    modes = mode_set(frequencies or [], shapes, places[:, 0], places[:, 1], damping)
-    known = [np.array(deviations.get(name, [math.nan] * len(numbers))) for name in DEVIATIONS]
+    modes = mode_set(
+        known["frequency_hz"], shapes, places[:, 0], places[:, 1], known.get("damping_ratio", [])
+    )
+    told = [np.array(known.get(name, [math.nan] * len(numbers))) for name in DEVIATIONS]
     return Measurement(
-        MeasuredModes(numbers, modes), deviations=MeasuredDeviations(*known) if deviations else None
+        MeasuredModes(numbers, modes),
+        deviations=MeasuredDeviations(*told) if known.keys() & set(DEVIATIONS) else None,
     )
 
 
-def _rows(path: Path) -> list[CsvRow]:
-    try:
-        data = read_regular(path)
-        text = data.decode("utf-8-sig")
-    except OSError as error:
-        raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        number = data.count(b"\n", 0, error.start) + 1
-        raise CampaignError(f"test file {path}, line {number}: not a text file: {error}") from error
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip(" \t,;") or line.lstrip().startswith("#"):
-            continue
-        try:  # line by line, so that no quote can swallow the lines below it
-            name, *fields = [field.strip() for field in next(csv.reader([line]))]
-        except csv.Error as error:
-            raise CampaignError(f"{path}, line {number}: {error}") from error
-        rows.append(CsvRow(number, name, tuple(fields)))
-    return rows
+def _by_columns(table: FileTable) -> list[TableRow]:
+    """The rows of a table with one column a mode; one with a row a mode is turned over."""
+    names = table.rows[0].fields if table.rows else ()
+    named = [heading(name)[0] in QUANTITIES or sensor_of(name) is not None for name in names[1:]]
+    if table.first != "mode" and not (table.first == "frequency_hz" and all(named)):
+        raise CampaignError(
+            f"{table.start}: the first row must be `mode, 1, 2, ...`, or the headings of a table "
+            "with a row a mode"
+        )
+    header, *others = table.rows
+    if table.first == "mode" and not any(named):
+        return [header, *others]
+    short = next((row for row in others if len(row.fields) != len(names)), None)
+    if short is not None:
+        raise CampaignError(
+            f"{short.where}: {len(short.fields)} values under {len(names)} headings"
+        )
+    turned = [
+        TableRow(
+            f"{header.where}, column {place + 1}", (name, *(row.fields[place] for row in others))
+        )
+        for place, name in enumerate(names)
+    ]
+    if table.first == "mode":
+        return turned
+    numbers = ("mode", *(str(place + 1) for place in range(len(others))))
+    return [TableRow(header.where, numbers), *turned]
 
 
-def _mode_numbers(path: Path, row: CsvRow, problems: list[str]) -> tuple[int, ...]:
-    numbers = tuple(int(field) for field in row.fields if _whole(field))
-    if len(numbers) != len(row.fields) or not numbers or len(set(numbers)) != len(numbers):
+def _mode_numbers(row: TableRow, problems: list[str]) -> tuple[int, ...]:
+    fields = row.fields[1:]
+    numbers = tuple(int(field) for field in fields if _whole(field))
+    if len(numbers) != len(fields) or not numbers or len(set(numbers)) != len(numbers):
         problems.append(
-            f"{path}, line {row.line}: mode numbers must be different whole numbers, found "
-            f"{', '.join(row.fields) or 'none'}"
+            f"{row.where}: mode numbers must be different whole numbers, found "
+            f"{', '.join(fields) or 'none'}"
         )
     return numbers
 
 
-def _numbers(where: str, row: CsvRow, count: int, problems: list[str]) -> list[float]:
-    if len(row.fields) != count:
-        problems.append(f"{where}: `{row.name}` has {len(row.fields)} values for {count} modes")
-    values = []
-    for field in row.fields:
-        try:
-            value = float(field)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            problems.append(f"{where}: `{row.name}` has {field!r} where a number must be")
-        values.append(value)
+def _numbers(row: TableRow, count: int, problems: list[str]) -> list[float]:
+    name, *fields = row.fields
+    if len(fields) != count:
+        commas = " (decimal commas? then separate the columns by `;`)" * (len(fields) == 2 * count)
+        problems.append(f"{row.where}: `{name}` has {len(fields)} values for {count} modes{commas}")
+    values = [number(field) for field in fields]
+    for field, value in zip(fields, values, strict=True):
+        if math.isnan(value):
+            problems.append(f"{row.where}: `{name}` has {field!r} where a number must be")
     return values
 
 
-def _dof(name: str) -> tuple[int, int] | None:
-    """Node and component 1..6 of a sensor's name; nothing where it is not a sensor's."""
-    node, _, component = name.partition(".")
-    if not _whole(node) or component not in COMPONENTS:
+def _wrong(row: TableRow, meaning: str, values: list[float], computed: bool) -> list[str]:
+    """Why the values of a quantity cannot be."""
+    if meaning == "frequency_hz":
+        wrong = any(value < 0.0 or (value == 0.0 and not computed) for value in values)
+        return [f"{row.where}: frequencies must be above zero"] if wrong else []
+    if meaning in DEVIATIONS:
+        wrong = any(value <= 0.0 for value in values)
+        least = f"`{meaning}` must be above zero, found {min(values, default=0.0):g}"
+        return [f"{row.where}: {least}"] if wrong else []
+    most = max(values, default=0.0)
+    per_cent = f"{most:g} times critical damping; where it is per cent, write `damping [%]`"
+    return [f"{row.where}: {per_cent}"] if most > 1.0 else []
+
+
+def sensor_of(name: str) -> tuple[tuple[int, int], float] | None:
+    """Node and component 1..6 of a sensor's name, and its sign; nothing where it is not one."""
+    found = _SENSOR.fullmatch(name.casefold())
+    if found is None:
         return None
-    return int(node), COMPONENTS.index(component) + 1
+    sign = -1.0 if "-" in (found[2], found[4]) else 1.0
+    return (int(found[1]), COMPONENTS.index(found[3]) + 1), sign
 
 
 def _whole(text: str) -> bool:

@@ -34,7 +34,9 @@ UNIT_NAMES = {
 
 
 def inspect(
-    files: Annotated[list[Path], typer.Argument(help="Files of one test: UFF, CSV, HDF5.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Files of one test: UFF, CSV, Excel, MATLAB, HDF5.")
+    ],
     write: Annotated[
         Path | None, typer.Option(help="Write the test as .csv, .h5 or .unv, by the suffix.")
     ] = None,

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from modetune.adapters.test_files.geometry_csv import (
-    is_geometry_csv,
+    is_geometry,
     read_geometry_csv,
     write_geometry_csv,
 )
+from modetune.adapters.test_files.tables import read_tables
 from modetune.core.errors import CampaignError
 from tests.adapters.test_files.measured_tests import Wanted, made, wanted_tests
 
@@ -72,7 +73,7 @@ def test_every_problem_is_told_at_once_with_its_line(tmp_path: Path) -> None:
     said = str(raised.value)
     for line, reason in (
         (1, "metres must be above zero"),
-        (4, "node 1 stands on line 3 already"),
+        (4, f"node 1 stands in {path}, line 3 already"),
         (5, "'x' where a number must be"),
         (6, "2 numbers where 3 must be"),
         (7, "node 9 has no row"),
@@ -83,7 +84,7 @@ def test_every_problem_is_told_at_once_with_its_line(tmp_path: Path) -> None:
         assert f"{path}, line {line}: {reason}" in said
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "point,x,y,z\n1,0,0,0\n", "metres,1\n"])
+@pytest.mark.parametrize("text", ["", "# nothing\n", "name,x,y,z\n1,0,0,0\n", "metres,1\n"])
 def test_a_file_without_the_header_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(CampaignError, match="the header must be `node,x,y,z`"):
         read_geometry_csv(saved(tmp_path, text))
@@ -95,8 +96,30 @@ def test_a_file_without_points_is_refused(tmp_path: Path) -> None:
 
 
 def test_points_are_told_from_modes_by_the_first_row(tmp_path: Path) -> None:
-    assert is_geometry_csv(saved(tmp_path, "# hm\nnode,x,y,z\n"))
-    assert is_geometry_csv(saved(tmp_path, "metres,1\n"))
-    assert not is_geometry_csv(saved(tmp_path, "mode,1\nfrequency_hz,5\n"))
-    assert not is_geometry_csv(saved(tmp_path, ""))
-    assert not is_geometry_csv(tmp_path / "none.csv")
+    for text, points in (
+        ("# hm\nnode,x,y,z\n", True),
+        ("metres,1\n", True),
+        ("mode,1\nfrequency_hz,5\n", False),
+        ("", False),
+    ):
+        assert is_geometry(read_tables(saved(tmp_path, text))[0]) is points
+
+
+def test_headings_tell_the_unit_of_length(tmp_path: Path) -> None:
+    path = saved(tmp_path, "Point;X [mm];Y [mm];Z [mm]\n7;1,5;0;-2\n")
+    points = read_geometry_csv(path)
+    assert points.metres == 0.001
+    assert points.coordinates.tolist() == [[1.5, 0.0, -2.0]]
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        ("node,x [mm],y [m],z [mm]", "line 1: the coordinates have different units: mm, m, mm"),
+        ("node,x [mil],y [mil],z [mil]", "line 1: `x` has the unit 'mil'; known are m, cm"),
+        ("metres,1\nnode,x/mm,y/mm,z/mm", "line 2: the unit mm contradicts `metres, 1` above it"),
+    ],
+)
+def test_units_that_cannot_be_are_told(tmp_path: Path, head: str, said: str) -> None:
+    with pytest.raises(CampaignError, match=said):
+        read_geometry_csv(saved(tmp_path, f"{head}\n1,0,0,0\n"))

@@ -64,7 +64,7 @@ def test_a_file_without_a_telling_suffix_is_known_by_its_content(
 def test_a_file_of_no_known_form_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0")
-    with pytest.raises(CampaignError, match="neither a universal file"):
+    with pytest.raises(CampaignError, match=r"is a picture \(PNG\), not a test"):
         read_measurement([path])
     with pytest.raises(CampaignError, match="No such file"):
         read_measurement([tmp_path / "none.dat"])
@@ -171,5 +171,5 @@ def test_what_each_file_is_is_told(tmp_path: Path) -> None:
     files = inspect_files([tmp_path / "a.unv", tmp_path / "b.csv"]).files
     assert [(file.form, file.datasets) for file in files] == [
         ("universal", ("151", "55", "55", "55")),
-        ("points as CSV", ()),
+        ("table", ()),
     ]

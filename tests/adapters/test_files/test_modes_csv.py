@@ -135,14 +135,14 @@ def test_complex_shapes_are_not_written(tmp_path: Path) -> None:
         (TEXT, "", ["1: the first row must be `mode, 1, 2, ...`"]),
         (TEXT, "# nothing\n\n", ["1: the first row must be `mode, 1, 2, ...`"]),
         ("mode, 1, 3\n", "", ["3: the first row must be `mode, 1, 2, ...`"]),
-        ("mode, 1, 3", "mode; 1; 3", ["2: the first row must be `mode, 1, 2, ...`"]),
+        ("mode, 1, 3", "mode; 1; 3", ["4: columns are separated by ',', and by ';' in"]),
         ("1, 3", "1, 1", ["2: mode numbers must be different whole numbers, found 1, 1"]),
         ("1, 3", "1, 3.5", ["2: mode numbers must be different whole numbers, found 1, 3.5"]),
         ("1, 3", "1, ²", ["2: mode numbers must be different whole numbers, found 1, ²"]),
         ("34.8", "34;8", ["4: `frequency_hz` has '34;8' where a number must be"]),
         ("34.8", "nan", ["4: `frequency_hz` has 'nan' where a number must be"]),
         ("-0.25", "inf", ["6: `101.x` has 'inf' where a number must be"]),
-        ("-0.25", "", ["6: `101.x` has '' where a number must be"]),
+        ("-0.25", "", ["6: `101.x` has 1 values for 2 modes"]),
         (", -0.25", "", ["6: `101.x` has 1 values for 2 modes"]),
         ("0.003", "0.003, 0.002", ["5: `damping_ratio` has 3 values for 2 modes"]),
         ("34.8", "0", ["4: frequencies must be above zero"]),
@@ -150,7 +150,8 @@ def test_complex_shapes_are_not_written(tmp_path: Path) -> None:
         ("101.rz", "101.x", ["7: a second row `101.x`"]),
         ("101.rz", "0101.x", ["7: a second row `0101.x`"]),
         ("damping_ratio", "frequency_hz", ["5: a second row `frequency_hz`"]),
-        ("damping_ratio", "damping", ["5: row `damping` is neither frequency_hz, damping_ratio"]),
+        ("damping_ratio", "loss", ["5: row `loss` is neither frequency_hz, damping_ratio"]),
+        ("0.003", "1.5", ["5: 1.5 times critical damping; where it is per cent, write"]),
         ("101.rz", "101.w", ["7: row `101.w` is neither"]),
         ("101.rz", "1²1.z", ["7: row `1²1.z` is neither"]),
         ("101.rz", "mode", ["7: row `mode` is neither"]),
@@ -176,7 +177,7 @@ def test_every_problem_names_file_and_line(
 
 def test_a_file_that_is_no_text_names_its_line(tmp_path: Path) -> None:
     path = tmp_path / "measured.csv"
-    path.write_bytes(b"mode,1\nfrequency_hz,\xff\xfe\n")
+    path.write_bytes(b"mode,1\nfrequency_hz,\x00\x02\n")
     with pytest.raises(CampaignError) as caught:
         read_modes_csv(path)
     assert str(caught.value).startswith(f"test file {path}, line 2: not a text file")

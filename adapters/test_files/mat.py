@@ -1,0 +1,230 @@
+"""A test in a file of MATLAB's: modes and points, known by the names and sizes of variables.
+
+Files of versions 4 to 7 are read by SciPy, those of 7.3, which are HDF5, by a process of their own
+(`adapters/hdf5_reader`). Nothing in them is run. Names are looked at in small letters, those within
+structs by their last part:
+
+    frequencies    fn, f, freq, frequencies, natural_frequencies, ... in Hz; wn, omega in rad/s
+    damping        zeta, xi, dr, damping, damping_ratios, as fractions of critical
+    shapes         phi, psi, ms, shapes, mode_shapes, ...: (n_dof, n_modes), or the other way round
+    dof            n_dof numbers node.0c (12.03: node 12, z), rows [node, component], or names 12:+Z
+    po, res, dof   frequencies with damping, shapes by rows and freedoms, as SDT writes them
+    points         node, nodes, geometry, xyz: rows [node x y z], or [node 0 0 0 x y z]
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
+
+from modetune.adapters.hdf5_reader import ALL, read_hdf5
+from modetune.adapters.regular_file import read_regular
+from modetune.adapters.test_files.modes_csv import sensor_of
+from modetune.core.correlation.complexity import real_shapes
+from modetune.core.errors import CampaignError, ModelError, ModesError
+from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.modes import Floats, Integers, MeasuredModes, mode_set
+
+FREQUENCIES = {
+    **dict.fromkeys(
+        ("fn", "f", "freq", "freqs", "frequency", "frequencies", "frequencies_hz", "frequency_hz",
+         "natural_frequencies", "naturalfrequencies", "natfreq", "eigenfrequencies", "fhz"), 1.0,
+    ),
+    **dict.fromkeys(("wn", "omega", "omegan"), 0.5 / np.pi),
+}  # fmt: skip
+DAMPING = (
+    "zeta",
+    "xi",
+    "dr",
+    "damping",
+    "damping_ratios",
+    "damping_ratio",
+    "dampingratios",
+    "damp",
+)
+SHAPES = ("phi", "psi", "ms", "shapes", "mode_shapes", "modeshapes", "modes", "shape", "v", "res")
+DOFS = ("dof", "dofs", "sensors", "channels", "labels", "names", "channel_names")
+POINTS = ("node", "nodes", "geometry", "points", "xyz", "coordinates", "grid")
+#: What SciPy raises on files that are damaged or something else.
+_BROKEN = (
+    *(MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, EOFError, AttributeError),
+    *(MemoryError, NotImplementedError, OverflowError, struct.error, zlib.error),
+)
+Variables = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """A variable that was taken, and its name in the file."""
+
+    name: str
+    values: NDArray[Any]
+
+
+def read_mat(path: Path, said: str) -> Measurement:
+    """The modes and points of a file; said: what it is. Raises CampaignError with what it holds."""
+    found = _variables(path, said)
+    points = _points(found)
+    modes, taken = _modes(path, found)
+    if modes is None and points is None:
+        raise CampaignError(
+            f"{path} is {said} without modes (frequencies and shapes by names such as fn and phi): "
+            f"it holds {_told(found)}"
+        )
+    note = (f"{path}: {', '.join(taken)}",) if taken else ()
+    return Measurement(modes, points, notes=note)
+
+
+def _variables(path: Path, said: str) -> Variables:
+    """All numbers and texts, by name. Raises CampaignError."""
+    if "7.3" in said:
+        found = read_hdf5(path, (ALL,))[ALL]
+        if isinstance(found, ModelError):
+            raise CampaignError(f"{path} is {said} that cannot be read: {found}")
+        return {name.replace("/", "."): np.atleast_1d(array) for name, array in found.items()}
+    try:
+        data = io.BytesIO(read_regular(path))
+        content = loadmat(data, struct_as_record=True, squeeze_me=False, chars_as_strings=True)  # type: ignore[arg-type]  # any stream
+    except _BROKEN as error:
+        raise CampaignError(f"{path} is {said} that cannot be read: {error}") from error
+    return dict(
+        item for name, value in content.items() if name[:2] != "__" for item in _flat(name, value)
+    )
+
+
+def _flat(name: str, value: object) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Arrays within structs by their path; a cell of texts as an array of them."""
+    if not isinstance(value, np.ndarray):
+        return
+    if value.dtype.names is not None:
+        for field in value.dtype.names if value.size == 1 else ():
+            yield from _flat(f"{name}.{field}", value[field].flat[0])
+    elif value.dtype.kind == "O":
+        texts = [np.ravel(item)[:1].tolist() for item in value.flat]
+        if texts and all(text and isinstance(text[0], str) for text in texts):
+            yield name, np.array([text[0] for text in texts])
+    elif value.dtype.kind in "iufcbU" and value.size:
+        yield name, np.atleast_1d(value)
+
+
+def _choices(found: Variables, names: tuple[str, ...]) -> Iterator[_Choice]:
+    """Variables of these names, in the order of the names."""
+    for name in names:
+        for full, values in found.items():
+            if full.rpartition(".")[2].casefold() == name:
+                yield _Choice(full, values)
+
+
+def _vector(choice: _Choice) -> bool:
+    return choice.values.dtype.kind in "iuf" and choice.values.size == max(choice.values.shape)
+
+
+def _modes(path: Path, found: Variables) -> tuple[MeasuredModes | None, list[str]]:
+    """The modes, and a sentence a variable that was taken. Raises CampaignError."""
+    for choice, frequencies, damping in _frequencies(found):
+        for shapes in _choices(found, SHAPES):
+            if shapes.values.ndim != 2 or frequencies.size not in shapes.values.shape:
+                continue
+            by_rows = shapes.values.shape[1] != frequencies.size or shapes.name.endswith("res")
+            matrix = np.asarray(shapes.values.T if by_rows else shapes.values)
+            taken = [
+                f"frequencies are {choice.name}",
+                f"shapes are {shapes.name}, a {'row' if by_rows else 'column'} a mode",
+            ]
+            nodes, components, signs, named = _dofs(path, found, shapes.name, matrix.shape[0])
+            real = real_shapes(matrix) if np.iscomplexobj(matrix) else matrix.astype(np.float64)
+            try:
+                modes = mode_set(frequencies, signs[:, None] * real, nodes, components, damping)
+            except ModesError as error:
+                raise CampaignError(f"{path}: {error}") from error
+            numbers = tuple(range(1, frequencies.size + 1))
+            return MeasuredModes(numbers, modes), [*taken, f"sensors are {named}"]
+    return None, []
+
+
+def _frequencies(found: Variables) -> Iterator[tuple[_Choice, Floats, Floats]]:
+    """Vectors that may be the frequencies in Hz, with damping where there is as much of it."""
+    for pole in _choices(found, ("po",)):
+        if pole.values.ndim == 2 and pole.values.shape[1] == 2:
+            yield pole, pole.values[:, 0].astype(float), pole.values[:, 1].astype(float)
+    for choice in _choices(found, tuple(FREQUENCIES)):
+        if _vector(choice):
+            scale = FREQUENCIES[choice.name.rpartition(".")[2].casefold()]
+            values = scale * np.ravel(choice.values).astype(np.float64)
+            damping = next(
+                (
+                    np.ravel(other.values).astype(np.float64)
+                    for other in _choices(found, DAMPING)
+                    if _vector(other) and other.values.size == values.size
+                ),
+                np.zeros(0),
+            )
+            if np.isfinite(values).all() and (values > 0.0).all():
+                yield choice, values, damping
+
+
+def _dofs(
+    path: Path, found: Variables, shapes: str, count: int
+) -> tuple[Integers, Integers, Floats, str]:
+    """Nodes, components 1..6 and signs of the rows, and the variable. Raises CampaignError."""
+    for choice in _choices(found, DOFS):
+        values = choice.values
+        if values.dtype.kind == "U" and values.size == count:
+            sensors = [sensor_of(str(name)) for name in np.ravel(values)]
+            dofs = [item for item in sensors if item is not None]
+            table = np.array([[*dof, sign] for dof, sign in dofs]).reshape(-1, 3)
+        elif values.dtype.kind in "iuf" and values.size == count:
+            # SDT: the digits behind the point are a hundred components.
+            node = np.floor(np.ravel(values) + 1e-6)
+            component = np.rint(100.0 * (np.ravel(values) - node))
+            table = np.stack([node, component, np.ones(count)], axis=1)
+        elif values.dtype.kind in "iuf" and values.shape == (count, 2):
+            table = np.column_stack([values[:, 0], np.abs(values[:, 1]), np.sign(values[:, 1])])
+        else:
+            continue
+        if len(table) == count and np.isin(table[:, 1], np.arange(1, 7)).all():
+            ids, components = table[:, :2].astype(np.int64).T
+            return ids, components, table[:, 2], choice.name
+    raise CampaignError(
+        f"{path}: {shapes} has {count} rows and no variable names their nodes and directions; add "
+        "`dof` with node.0c a row (12.03: node 12, z), or with names such as 12:+Z; the file holds "
+        f"{_told(found)}"
+    )
+
+
+def _points(found: Variables) -> TestGeometry | None:
+    """Points with rows [node x y z], or SDT's seven columns."""
+    for choice in _choices(found, POINTS):
+        values = choice.values
+        if values.dtype.kind not in "iuf" or values.ndim != 2 or values.shape[1] not in (4, 7):
+            continue
+        nodes = values[:, 0].astype(np.float64)
+        whole = (nodes == np.rint(nodes)).all() and (nodes >= 0.0).all()
+        if whole and np.unique(nodes).size == nodes.size and np.isfinite(values).all():
+            return TestGeometry(
+                nodes.astype(np.int64),
+                values[:, -3:].astype(np.float64),
+                np.tile(np.eye(3), (nodes.size, 1, 1)),
+                np.zeros((0, 2), dtype=np.int64),
+                np.zeros((0, 3), dtype=np.int64),
+            )
+    return None
+
+
+def _told(found: Variables) -> str:
+    """Names and sizes of what a file holds, the first few."""
+    said = [
+        f"{name} ({'x'.join(map(str, np.atleast_2d(values).shape))})"
+        for name, values in list(found.items())[:8]
+    ]
+    return ", ".join(said) + (", ..." if len(found) > 8 else "") or "nothing that is numbers"
