@@ -47,7 +47,9 @@ def refused(path: Path) -> str:
 
 
 def test_an_empty_file_is_refused(tmp_path: Path) -> None:
-    assert refused(save(tmp_path / "t.unv", "")) == f"test file {tmp_path / 't.unv'} is empty"
+    assert refused(save(tmp_path / "t.unv", "")).startswith(
+        f"{tmp_path / 't.unv'} is an empty file"
+    )
     assert "is empty" in refused(save(tmp_path / "t.unv", "\n \n"))
 
 
