@@ -1,19 +1,21 @@
 """A chart as values: panels with curves, bars and maps on axes, and nothing of how they are drawn.
 
-What is described here once is drawn by `plotly_charts` for a page that turns under the mouse, and
-by `matplotlib_charts` for print. Texts are plain: what a drawing library would take for markup or
-for a formula is escaped where it is drawn. Colours are those of Okabe and Ito (2008), told apart by
+What is described here once is drawn by `charts.js` in a page, which answers the pointer, and by
+`matplotlib_charts` for print. Texts are plain: what a drawing library would take for markup or for
+a formula is escaped where it is drawn. Colours are those of Okabe and Ito (2008), told apart by
 everyone; test, before and after have the same colour everywhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from modetune.core.modes import Floats
+from modetune.core.storage.keys import Json, number_or_null
 
 TEST, BEFORE, AFTER = "#000000", "#56B4E9", "#D55E00"
 PARAMETER_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -159,6 +161,25 @@ class Chart:
     def alone(self, place: int) -> Chart:
         """One of its panels as a chart of its own."""
         return replace(self, panels=(replace(self.panels[place], title=""),), across=1)
+
+
+def told_chart(value: Any) -> Json:
+    """A chart as `charts.js` reads it: objects of the fields with their kind, six digits a number.
+
+    What no axis can show (NaN) is null.
+    """
+    if is_dataclass(value):
+        found = {item.name: told_chart(getattr(value, item.name)) for item in fields(value)}
+        if isinstance(value, HeatMap):
+            found["numbered"] = value.is_numbered
+        return {"kind": type(value).__name__, **found}
+    if isinstance(value, np.ndarray):
+        return told_chart(value.tolist())
+    if isinstance(value, float):
+        return number_or_null(float(f"{value:.6g}"))
+    if isinstance(value, tuple | list):
+        return [told_chart(item) for item in value]
+    return str(value) if value is not None and not isinstance(value, bool | int) else value
 
 
 def names_of(numbers: Sequence[object]) -> tuple[str, ...]:

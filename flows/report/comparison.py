@@ -24,6 +24,8 @@ FALLEN_MAC = 0.05
 ODD_COMAC, GOOD_COMAC = 0.8, 0.95
 #: ... or with an ECOMAC above this: on average it differs by 30 % of the largest motion.
 ODD_ECOMAC = 0.15
+#: Sensors that are named in one sentence, the worst first.
+SENSORS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,20 +207,30 @@ def _sensor_remarks(record: CampaignRecord) -> list[str]:
     test, model = scaled_test(record, item)
     against = np.sum(test * model, axis=1) < 0.0
     low = agreement.after < ODD_COMAC
-    return [
-        f"Sensor {label} {'moves against' if turned else 'does not move as'} the model's"
-        f" (COMAC {value:.2f}, ECOMAC {difference:.2f}): "
-        f"{'turned round' if turned else 'turned round, swapped, or mounted elsewhere'}?"
-        for label, value, difference, turned, odd in zip(
-            agreement.labels,
-            agreement.after,
-            differences,
-            against & ~low,
-            low | (differences > ODD_ECOMAC),
-            strict=True,
-        )
-        if odd
-    ]
+    odd = low | (differences > ODD_ECOMAC)
+    found = []
+    for turned, does, why in (
+        (against & ~low, ("moves", "move", "against"), "turned round"),
+        (
+            ~(against & ~low),
+            ("does not move", "do not move", "as"),
+            "turned round, swapped, or mounted elsewhere",
+        ),
+    ):
+        rows = np.flatnonzero(odd & turned)
+        told = [
+            f"{agreement.labels[row]} (COMAC {agreement.after[row]:.2f}, "
+            f"ECOMAC {differences[row]:.2f})"
+            for row in rows[np.argsort(agreement.after[rows], kind="stable")].tolist()
+        ]
+        if told:
+            more = f" and {len(told) - SENSORS} more" * (len(told) > SENSORS)
+            one = len(told) == 1
+            found.append(
+                f"Sensor{'' if one else 's'} {', '.join(told[:SENSORS])}{more} "
+                f"{does[0] if one else does[1]} {does[2]} the model's: {why}?"
+            )
+    return found
 
 
 def entangled(record: CampaignRecord) -> list[tuple[str, str, float]]:

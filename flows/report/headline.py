@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.report.mode_tables import ModeRow, mode_rows, unmatched_sentence
+from modetune.core.updating.judgement import trust_sentences
+from modetune.flows.report.mode_tables import (
+    ModeRow,
+    mode_rows,
+    unmatched_modes,
+    unmatched_sentence,
+)
+from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows
 from modetune.flows.report.tables import Column, signed
 
 #: How a campaign's end reads.
@@ -27,39 +34,85 @@ NO_NEARER = ("did not come nearer to its test", "outside")
 SAME_MAC = 5e-4
 
 
+#: How each verdict on the parameters looks.
+MOOD = {"trusted": "good", "trusted with reservations": "fair", "not to be trusted": "outside"}
+#: From the best to the worst; what is said of a model as a whole looks like its worst part.
+MOODS = ("good", "fair", "outside")
+#: Parameters that are shown at the top, those that changed the most.
+SHOWN_PARAMETERS = 6
+
+
 @dataclass(frozen=True, slots=True)
-class Tile:
-    """A figure that is looked for first, its name, and what it was before."""
+class Figure:
+    """A figure that is looked for first: its name, what it is, how it looks, what stands below."""
 
     name: str
     value: str
     below: str
+    mood: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TrustWord:
+    """How far the answer can be trusted: in a word, why, and both in a sentence."""
+
+    verdict: str
+    mood: str
+    why: str
+    sentence: str
 
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """ending: what became of the model, with its mood (good, fair, outside); text: in sentences."""
+    """ending: what became of the model, with its mood (good, fair, outside); text: in sentences.
+
+    changed, agrees, trust: what changed, how well it agrees now (agreement: its mood), how far to
+    trust it; more_changed: parameters that are not among those shown; cost: of all that.
+    """
 
     ending: str
     mood: str
     text: str
-    tiles: tuple[Tile, ...]
+    changed: tuple[Figure, ...]
+    more_changed: str
+    agreement: str
+    agrees: tuple[Figure, ...]
+    trust: TrustWord
+    cost: str
 
 
 def headline(record: CampaignRecord) -> Headline:
-    """What stands at the top of a report."""
-    rows, kept = mode_rows(record), record.best
+    """What stands at the top of a report; a model with a doubt is never good."""
+    rows, trust = mode_rows(record), _trust(record)
     ending, mood = _ending(record, rows)
-    stored = (
-        f" ({record.runs.reused} more were answered by the store)" if record.runs.reused else ""
+    if unmatched_modes(record):
+        mood = max(mood, "fair", key=MOODS.index)
+    if record.trust is not None and trust.mood != "good":
+        ending += f"; its parameters are {record.trust.verdict}"
+    worst = max(mood, trust.mood, key=MOODS.index)
+    changed, more = _changed(record)
+    text = f"{_frequencies(rows)}{_shapes(rows)}{_parameters(record)}"
+    return Headline(
+        ending,
+        worst,
+        " ".join(filter(None, (unmatched_sentence(record), text))),
+        changed,
+        more,
+        "" if mood == "good" != worst else mood,
+        _agrees(record, rows),
+        trust,
+        _cost(record),
     )
-    text = (
-        f"{_frequencies(rows)}{_shapes(rows)}{_parameters(record)} It took "
-        f"{_count(kept.number, 'iteration')} and "
-        f"{_count(record.runs.modal + record.runs.sensitivity, 'solver run')}{stored}."
-    )
-    text = " ".join(filter(None, (unmatched_sentence(record), text)))
-    return Headline(ending, mood, text, _tiles(record, rows))
+
+
+def _trust(record: CampaignRecord) -> TrustWord:
+    trust = record.trust
+    if trust is None:
+        why = "No sensitivity was computed, so nothing tells how well the parameters are known."
+        return TrustWord("Not judged", "fair", why, f"How far to trust it was not judged: {why}")
+    sentence = trust_sentences(trust)[0]
+    _, _, why = sentence.partition(": ")
+    return TrustWord(trust.verdict.capitalize(), MOOD[trust.verdict], why, sentence)
 
 
 def _ending(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[str, str]:
@@ -147,29 +200,82 @@ def _parameters(record: CampaignRecord) -> str:
     )
 
 
-def _tiles(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[Tile, ...]:
+def _changed(record: CampaignRecord) -> tuple[tuple[Figure, ...], str]:
+    """The parameters that changed the most, in the campaign's order, and what is said of others."""
+    rows = parameter_rows(record)
+    sizes = [abs(row.change) if np.isfinite(row.change) else np.inf for row in rows]
+    most = sorted(np.argsort(sizes, kind="stable")[::-1][:SHOWN_PARAMETERS].tolist())
+    shown = tuple(
+        Figure(
+            row.name,
+            percent(row.change, 1) if np.isfinite(row.change) else number(row.updated_value),
+            " ".join(
+                filter(
+                    None,
+                    (
+                        f"{_start(row)} \N{RIGHTWARDS ARROW} {number(row.updated_value, '.6g')}",
+                        row.unit,
+                        "(on a bound)" if row.on_bound else "",
+                    ),
+                )
+            ),
+            "outside" if row.on_bound else "",
+        )
+        for row in (rows[place] for place in most)
+    )
+    rest = len(rows) - len(shown)
+    largest = max((sizes[place] for place in range(len(rows)) if place not in most), default=0.0)
+    more = f"{_count(rest, 'more parameter')} changed by at most {percent(largest, 1, sign=False)}."
+    return shown, more if rest else ""
+
+
+def _start(row: ParameterRow) -> str:
+    """The number of the deck that a campaign began with."""
+    return number(row.initial * (row.deck_value if row.values == "relative" else 1.0), ".6g")
+
+
+def _agrees(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[Figure, ...]:
     first, last = record.iterations[0], record.best
-    means = [
-        percent(float(np.mean([abs(error) for error in errors])), sign=False)
-        for errors in zip(*((row.error_initial, row.error_updated) for row in rows), strict=True)
-    ]
-    least = [
-        number(min(macs), ".3f")
-        for macs in zip(*((row.mac_initial, row.mac_updated) for row in rows), strict=True)
-    ]
-    return (
-        Tile(
-            "largest frequency error",
+    before, after = (
+        float(np.mean([abs(getattr(row, f"error_{when}")) for row in rows]))
+        for when in ("initial", "updated")
+    )
+    figures = [
+        Figure(
+            "Largest frequency error",
             percent(last.worst_error, sign=False),
             f"before {percent(first.worst_error, sign=False)}",
+            "outside" if last.worst_error > record.e1_frequency else "",
         ),
-        Tile("mean frequency error", means[1], f"before {means[0]}"),
-        Tile("least MAC", least[1], f"before {least[0]}"),
-        Tile(
-            "solver runs",
-            str(record.runs.modal + record.runs.sensitivity),
-            f"{number(record.runs.core_s / 60.0, '.2g')} core-minutes",
+        Figure(
+            "Mean frequency error",
+            percent(after, sign=False),
+            f"before {percent(before, sign=False)}",
         ),
+    ]
+    if record.test.has_shapes:
+        was, least = (
+            min(getattr(row, f"mac_{when}") for row in rows) for when in ("initial", "updated")
+        )
+        figures.append(
+            Figure(
+                "Least MAC",
+                number(least, ".3f"),
+                f"before {number(was, '.3f')}",
+                "outside" if least < record.e1_mac else "",
+            )
+        )
+    return tuple(figures)
+
+
+def _cost(record: CampaignRecord) -> str:
+    """Iterations, solver runs and time."""
+    runs = record.runs
+    stored = f", {runs.reused} more answered by the store" if runs.reused else ""
+    return (
+        f"It took {_count(record.best.number, 'iteration')}, "
+        f"{_count(runs.modal + runs.sensitivity, 'solver run')}{stored}, "
+        f"{number(runs.core_s / 60.0, '.2g')} core-minutes."
     )
 
 

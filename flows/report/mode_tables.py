@@ -111,7 +111,7 @@ def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
 def mode_table(record: CampaignRecord) -> Table:
     """Frequencies, errors and MAC before and after; what e1 does not allow is outside.
 
-    Weights and deviations are shown where they differ.
+    Weights and deviations are shown where they differ, MAC where shapes were measured.
     """
     rows = mode_rows(record)
     alike = [
@@ -119,6 +119,8 @@ def mode_table(record: CampaignRecord) -> Table:
         for name in ("frequency_weight", "frequency_deviation")
         if np.ptp([getattr(row, name) for row in rows]) <= 1e-9 * getattr(rows[0], name)
     ]
+    if all(np.isnan(row.mac_updated) for row in rows):
+        alike += ["mac_initial", "mac_updated"]
     columns = [column for column in columns_of(ModeRow) if column.name not in alike]
     outside = [
         (place, "error_updated")

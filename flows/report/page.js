@@ -1,77 +1,70 @@
-// Charts are drawn when they come into sight, all of them before printing.
+// The page: charts are drawn when they come into sight, all of them before printing.
 "use strict";
-const modetune = (() => {
+(() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
-  const config = { displaylogo: false, responsive: true, topojsonURL: "", plotlyServerURL: "" };
-  const drawn = new Map();
+  modetune.onTheme = (action) => dark.addEventListener("change", action);
+  const drawn = new Set();
+  const host = document.getElementById("shape-view");
 
-  const colour = (name) =>
-    getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
-
-  const axisLook = () => ({
-    gridcolor: colour("grid"), zerolinecolor: colour("line"), linecolor: colour("line"),
-    tickcolor: colour("line"),
-  });
-
-  // The page's colours over a chart's own layout.
-  function themed(layout) {
-    const out = structuredClone(layout);
-    out.paper_bgcolor = out.plot_bgcolor = "rgba(0,0,0,0)";
-    out.font = { family: getComputedStyle(document.body).fontFamily, size: 12, color: colour("ink") };
-    out.hoverlabel = { bgcolor: colour("paper"), bordercolor: colour("line"), align: "left" };
-    out.autosize = true;
-    for (const key of Object.keys(out)) {
-      if (/^[xy]axis\d*$/.test(key)) {
-        Object.assign(out[key], axisLook());
-      }
-      if (/^scene\d*$/.test(key)) {
-        for (const axis of ["xaxis", "yaxis", "zaxis"]) {
-          out[key][axis] = Object.assign(out[key][axis] || {}, axisLook(),
-            { showbackground: false, color: colour("soft") });
-        }
-      }
-    }
-    return out;
+  // A cell of a MAC matrix shows that pair.
+  function onCell(chart) {
+    if (!modetune.player || !/^mac/.test(chart) || !data.scene.tests.length) return null;
+    return (model, test, state) => {
+      modetune.player.show({ test, model, state });
+      host.scrollIntoView({ behavior: "smooth", block: "center" });
+    };
+  }
+  function draw(place) {
+    if (drawn.has(place)) return;
+    drawn.add(place);
+    const name = place.dataset.chart;
+    modetune.chart(place, data.charts[name], { onCell: onCell(name) });
   }
 
-  // Black is the test's colour; on dark paper it is the ink's.
-  function inked(traces) {
-    return structuredClone(traces).map((trace) => {
-      for (const part of [trace.line, trace.marker, trace.marker && trace.marker.line]) {
-        if (part && part.color === "#000000") part.color = colour("ink");
-      }
-      return trace;
+  // COMAC on the sensors, before beside after.
+  function comac(place) {
+    const { scene, comac: { foot, ...values } } = data, { unpack, rgb, colour } = modetune;
+    const canvas = document.createElement("canvas"), space = modetune.space(canvas);
+    if (!space) return;
+    place.append(canvas);
+    const points = unpack(scene.points, Float32Array);
+    const mesh = space.lines(unpack(scene.coordinates, Float32Array), unpack(scene.edges, Uint32Array));
+    const dots = ["before", "after"].map((state, panel) => {
+      const made = space.points(points, { panels: [panel], size: 11, through: true });
+      made.paint(Float32Array.from(values[state].flatMap((v) => modetune.scaled("viridis", (v - foot) / (1 - foot)))));
+      return made;
+    });
+    space.panels = 2;
+    const dress = () => { space.paper = rgb(colour("paper")); mesh.low = rgb(colour("line")); space.ask(); };
+    modetune.onTheme(dress);
+    dress();
+    modetune.tip(canvas, (x, y) => {
+      const panel = x < space.width / 2 ? 0 : 1, row = space.under(dots[panel], x, y);
+      return row < 0 ? "" : `test point ${scene.nodes[row]}: ${values[panel ? "after" : "before"][row].toFixed(3)}`;
     });
   }
 
-  function draw(place) {
-    if (drawn.has(place)) return drawn.get(place);
-    const figure = data.charts[place.dataset.chart];
-    const done = Plotly.newPlot(place, inked(figure.data), themed(figure.layout), config);
-    drawn.set(place, done);
-    return done;
+  if (host && data.scene) {
+    modetune.player = modetune.shapes(host, data.scene);
+    host.dataset.ready = "true";
   }
-
   const places = [...document.querySelectorAll("[data-chart]")];
-  const watcher = new IntersectionObserver((entries) => {
+  const seen = (action) => new IntersectionObserver((entries, watcher) => {
     for (const entry of entries) {
       if (!entry.isIntersecting) continue;
       watcher.unobserve(entry.target);
-      draw(entry.target);
+      action(entry.target);
     }
   }, { rootMargin: "300px" });
+  const watcher = seen(draw);
   places.forEach((place) => watcher.observe(place));
-
-  dark.addEventListener("change", () => {
-    for (const place of drawn.keys()) {
-      const figure = data.charts[place.dataset.chart];
-      Plotly.react(place, inked(figure.data), themed(figure.layout), config);
-    }
-  });
+  const onSensors = document.getElementById("comac-view");
+  if (onSensors) seen(comac).observe(onSensors);
+  modetune.drawAll = () => places.forEach(draw);
   window.addEventListener("beforeprint", () => {
     document.querySelectorAll("details").forEach((one) => { one.open = true; });
-    places.forEach(draw);
+    modetune.drawAll();
   });
 
   // Which section is being read.
@@ -84,6 +77,4 @@ const modetune = (() => {
     }
   }, { rootMargin: "-10% 0px -80% 0px" });
   document.querySelectorAll("main section").forEach((section) => reader.observe(section));
-
-  return { data, colour, themed, config, dark, drawAll: () => Promise.all(places.map(draw)) };
 })();

@@ -1,29 +1,31 @@
 """The report: one HTML file that holds everything it shows and asks nothing of a network.
 
-The page's policy lets run only the three scripts that are written into it, named by their hashes,
-and forbids every connection. What users wrote (names, reasons, the campaign) goes in as escaped
-text or as JSON, never as markup. Charts are drawn when they come into sight.
+The page's policy lets run only the scripts that are written into it, named by their hashes, and
+forbids every connection. What users wrote (names, reasons, the campaign) goes in as escaped text or
+as JSON, never as markup. Charts and shapes are values that the page's own scripts draw, the charts
+when they come into sight.
 """
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import json
+import re
 import shlex
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.judgement import trust_sentences
+from modetune.flows.report.chart import Chart, told_chart
+from modetune.flows.report.charts import campaign_charts
 from modetune.flows.report.comparison import remarks, sensor_agreement
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.headline import headline, number, percent
@@ -39,22 +41,13 @@ from modetune.flows.report.parameter_tables import (
 from modetune.flows.report.scene import Scene, scene, told_scene
 from modetune.flows.report.tables import signed
 
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
 HERE = Path(__file__).resolve().parent
-#: How each verdict looks.
-MOOD = {"trusted": "good", "trusted with reservations": "fair", "not to be trusted": "outside"}
 
 
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """A chart of the page: its title, what it shows, for who cannot see it, and Plotly's JSON."""
-
-    title: str
-    told: str
-    height: int
-    figure: Json
+#: A hyphen that stands before a number.
+MINUS = re.compile(r"(?<=[\s(])-(?=\d)")
+#: The page's scripts, in the order in which they run; the first four stand on their own.
+SCRIPTS = ("space.js", "charts.js", "gif.js", "shapes.js", "page.js")
 
 
 def write_page(record: CampaignRecord, path: Path) -> Path:
@@ -65,11 +58,24 @@ def write_page(record: CampaignRecord, path: Path) -> Path:
     return path
 
 
+def write_chart(path: Path, chart: Chart) -> Path:
+    """Write one chart as a page that answers the pointer. Raises StorageUnavailable."""
+    scripts = tuple(_asset(name) for name in ("space.js", "charts.js", "chart_page.js"))
+    text = (
+        _templates()
+        .get_template("chart.html")
+        .render(title=chart.title, data=told_chart(chart), **_frame(scripts))
+    )
+    with writing(path) as part:
+        part.write_text(text.lstrip(), encoding="utf-8")
+    return path
+
+
 def page(record: CampaignRecord) -> str:
     """The report of a campaign as HTML."""
     shown = scene(record)
-    charts = _charts(record, shown)
-    scripts = (_plotly(), _asset("page.js"), _asset("shapes.js"))
+    charts, comac = _charts(record, shown), _comac(record, shown)
+    scripts = tuple(_asset(name) for name in SCRIPTS)
     pairing = [pair_table(record, item) for item in record.iterations]
     text = (
         _templates()
@@ -79,7 +85,7 @@ def page(record: CampaignRecord) -> str:
             headline=headline(record),
             points=remarks(record),
             tolerance=_tolerance(record),
-            held_out_lines=[f"{line}." for line in held_out_lines(record.held_out)],
+            held_out_lines=held_out_lines(record.held_out),
             trust=_trust(record),
             tables={
                 "modes": mode_table(record),
@@ -102,13 +108,13 @@ def page(record: CampaignRecord) -> str:
                     *(f"--set {shlex.quote(s)}" for s in record.settings),
                 ]
             ),
+            comac=comac,
             data={
-                "charts": {name: drawn.figure for name, drawn in charts.items()},
+                "charts": {name: told_chart(chart) for name, chart in charts.items()},
                 "scene": told_scene(shown) if shown else None,
+                "comac": comac,
             },
-            style=Markup(_asset("page.css")),
-            scripts=[Markup(script) for script in scripts],
-            policy=Markup(_policy(scripts)),
+            **_frame(scripts),
         )
     )
     return text.lstrip()  # nothing may stand before the document's type
@@ -124,47 +130,43 @@ def _templates() -> Environment:
         lstrip_blocks=True,
     )
     made.filters["signed"] = signed
+    made.filters["prose"] = prose
     return made
 
 
-def _charts(record: CampaignRecord, shown: Scene | None) -> dict[str, Drawn]:
-    """Every chart of the page under its name; those in space one for each state."""
-    from modetune.flows.report.charts import campaign_charts
-    from modetune.flows.report.plotly_charts import plotly_figure, points_in_space
+def prose(text: str) -> Markup:
+    """A sentence as prose: a capital first (but of e1 and e2), a stop last, a real minus; what
+    stands between backticks is code.
+    """
+    if not text[1:2].isdigit():
+        text = text[:1].upper() + text[1:]
+    text = MINUS.sub("\N{MINUS SIGN}", text)
+    if text[-1:] not in ".?!:":
+        text += "."
+    parts = str(escape(text)).split("`")
+    return Markup(
+        "".join(f"<code>{part}</code>" if at % 2 else part for at, part in enumerate(parts))
+    )
 
-    found = {}
-    for name, chart in campaign_charts(record):
-        if name == "mac":
-            for place, panel in enumerate(chart.panels):
-                told = f"MAC {panel.title} as bars"
-                figure = plotly_figure(chart.alone(place))
-                found[f"mac-{panel.title}"] = _drawn(chart.title, told, figure)
-        elif name != "sensor_shapes" or shown is None:
-            found[name] = _drawn(chart.title, chart.told, plotly_figure(chart))
-    agreement = sensor_agreement(record)
-    if "comac" in found and agreement is not None and shown is not None and shown.nodes.size:
-        for state, values in (("before", agreement.before), ("after", agreement.after)):
-            least = agreement.least_of_points(shown.nodes, values)
-            points = [
-                f"test point {node}: {value:.3f}"
-                for node, value in zip(shown.nodes.tolist(), least, strict=True)
-            ]
-            figure = points_in_space(
-                shown.coordinates,
-                shown.edges,
-                shown.points,
-                least,
-                points,
-                "COMAC",
-                agreement.scale_foot,
-            )
-            found[f"comac-{state}"] = _drawn("", f"COMAC {state} updating on the sensors", figure)
+
+def _charts(record: CampaignRecord, shown: Scene | None) -> dict[str, Chart]:
+    """Every chart of the page under its name; shapes over the sensors only without a scene."""
+    found = dict(campaign_charts(record))
+    if shown is not None:
+        found.pop("sensor_shapes", None)
     return found
 
 
-def _drawn(title: str, told: str, figure: go.Figure) -> Drawn:
-    figure.update_layout(template="none")
-    return Drawn(title, told, int(figure.layout.height or 400), json.loads(figure.to_json()))
+def _comac(record: CampaignRecord, shown: Scene | None) -> Json:
+    """The least COMAC of each point of the scene, before and after; null without one."""
+    agreement = sensor_agreement(record) if record.test.has_shapes else None
+    if agreement is None or shown is None or not shown.nodes.size:
+        return None
+    return {
+        "foot": agreement.scale_foot,
+        "before": agreement.least_of_points(shown.nodes, agreement.before),
+        "after": agreement.least_of_points(shown.nodes, agreement.after),
+    }
 
 
 def _tolerance(record: CampaignRecord) -> str:
@@ -178,11 +180,11 @@ def _tolerance(record: CampaignRecord) -> str:
 
 
 def _trust(record: CampaignRecord) -> dict[str, Any] | None:
-    """The verdict with its reasons, and the numbers behind them; None where there is none."""
+    """The verdict's reasons, and the numbers behind them; None where there is none."""
     trust = record.trust
     if trust is None:
         return None
-    verdict, *more = trust_sentences(trust)
+    _, *more = trust_sentences(trust)
     found, form = trust.identifiability, record_verdict(record)
     if form is not None and form.sentence in (*trust.concerns, *trust.notes):
         form = None  # it is among the sentences
@@ -194,8 +196,6 @@ def _trust(record: CampaignRecord) -> dict[str, Any] | None:
         f"{number(found.collinearity.whole, '.3g')}."
     )
     return {
-        "verdict": verdict,
-        "mood": MOOD[trust.verdict],
         "more": more,
         "numbers": numbers,
         "form": form and form.sentence,
@@ -226,6 +226,15 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
     ]
 
 
+def _frame(scripts: tuple[str, ...]) -> dict[str, Any]:
+    """What every page has: style, scripts and policy."""
+    return {
+        "style": Markup(_asset("page.css")),
+        "scripts": [Markup(script) for script in scripts],
+        "policy": Markup(_policy(scripts)),
+    }
+
+
 def _policy(scripts: tuple[str, ...]) -> str:
     hashes = " ".join(
         f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
@@ -235,15 +244,6 @@ def _policy(scripts: tuple[str, ...]) -> str:
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
-
-
-@cache
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs
-
-    text = str(get_plotlyjs()).replace("</script", "<\\/script")
-    # A browser reads CR LF as LF, and the hash is of what it reads.
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 @cache

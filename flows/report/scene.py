@@ -1,9 +1,10 @@
-"""Mode shapes of test and model laid over each other in space, as arrays for an animation.
+"""Mode shapes of test and model laid over each other in space, as arrays for `shapes.js`.
 
 The model is its surface, or where the record has none, the points that the sensors look at. The
 test is a point a test node, moved along the directions in which it was measured; directions that
-were not measured stand still. Both move in the same phase. The test's shape has the modal scale
-of the model's (the factor in which it is nearest), and the largest motion of the model is one.
+were not measured stand still. Any test mode can be seen with any computed mode: those whose motion
+is known on the surface move it, the others move the points. Each motion has a largest length of
+one; the browser gives the test the scale and sign in which it is nearest to the model.
 """
 
 from __future__ import annotations
@@ -15,41 +16,46 @@ import numpy as np
 
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
-from modetune.core.storage.keys import Json
+from modetune.core.storage.keys import Json, number_or_null
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.surface import Surface, display_surface
-from modetune.flows.report.comparison import model_scales, scaled_test
+from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.mode_tables import mode_label
 
+#: Bytes of a page that its shapes may take, in base64; a surface is thinned until they do.
+SHAPE_BYTES = 1_300_000
+#: Of a node: its place, two triangles and an edge and a half; then of each motion.
+NODE_BYTES, MOTION_BYTES = 4 / 3 * (12 + 24 + 12), 4 / 3 * 6
 #: Nodes of a surface that a browser without a graphics card still moves smoothly.
 AT_MOST = 12_000
-#: A test that moves this often farther than the model is drawn no farther: its shape is a mismatch.
-FARTHEST = 2.5
 #: Motions are whole numbers of this many steps, which no eye tells from more.
 STEPS = 32767
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """A mode in one state: its frequency and MAC (may be NaN), and the largest displacements.
+class ShownMode:
+    """A mode of test or model: its name, its frequency, and its motion.
 
-    model: (n, 3) at the scene's nodes. test: (n_points, 3) at its points.
+    points: (n_points, 3) at the scene's points; surface: (n, 3) at its nodes, empty if unknown.
     """
 
+    label: str
     frequency_hz: float
-    mac: float
-    model: Floats
-    test: Floats
+    points: Floats
+    surface: Floats
 
 
 @dataclass(frozen=True, slots=True)
-class SceneMode:
-    """A measured mode before and after updating."""
+class ModelState:
+    """The model's elastic modes in one state.
 
-    label: str
-    test_hz: float
-    before: Motion
-    after: Motion
+    pairs: (n_pairs, 2), places of test modes and of their partners among `modes`;
+    mac: (n_modes, n_test_modes), empty without measured shapes.
+    """
+
+    modes: tuple[ShownMode, ...]
+    pairs: Integers
+    mac: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,7 @@ class Scene:
 
     coordinates: (n, 3); triangles: (n_triangles, 3) and edges: (n_edges, 2), rows of them.
     nodes: (n_points,), test nodes; points: (n_points, 3), where they are; lines: (n_lines, 2),
-    rows of the points. comac: (n_points,), the least of each point's sensors, NaN if unknown.
+    rows of the points. tests: the measured modes; states: of the model, by name.
     """
 
     coordinates: Floats
@@ -67,7 +73,8 @@ class Scene:
     nodes: Integers
     points: Floats
     lines: Integers
-    modes: tuple[SceneMode, ...]
+    tests: tuple[ShownMode, ...]
+    states: dict[str, ModelState]
 
     @property
     def length(self) -> float:
@@ -89,41 +96,34 @@ class _Sensors:
 
 def scene(record: CampaignRecord) -> Scene | None:
     """The scene of a campaign; None where neither model nor sensors have a place in space."""
-    surface, sensors = _thin(record.surface), _sensors(record)
-    if surface is not None and not all(
-        item.field.n_dof for item in (record.iterations[0], record.best)
-    ):
+    first, last = record.iterations[0], record.best
+    motions = first.pairing.measured.size * 2
+    surface = _thin(record.surface, int(SHAPE_BYTES / (NODE_BYTES + motions * MOTION_BYTES)))
+    sensors = _sensors(record)
+    if surface is not None and not (first.field.n_dof and last.field.n_dof):
         surface = None
     if surface is None and sensors is None:
         return None
-    first, last = record.iterations[0], record.best
-    modes = []
-    for pair in range(first.pairing.measured.size):
-        measured = int(first.pairing.measured[pair])
-        before, after = (_motion(record, item, pair, surface, sensors) for item in (first, last))
-        modes.append(
-            SceneMode(
-                mode_label(record, measured),
-                float(record.test.modes.frequencies_hz[measured]),
-                before,
-                _in_phase(after, before),
-            )
-        )
-    coordinates = (
-        surface.coordinates if surface else sensors.points if sensors else np.zeros((0, 3))
-    )
+    before = _state(record, first, surface, sensors)
+    after = _state(record, last, surface, sensors)
+    if sensors is None:
+        after = _in_phase(after, before)
+    points = sensors.points if sensors else np.zeros((0, 3))
+    lines = _lines(record, sensors)
     return Scene(
-        coordinates=coordinates,
+        coordinates=surface.coordinates if surface else points,
         triangles=surface.triangles if surface else np.zeros((0, 3), dtype=np.int64),
-        edges=surface.edges if surface else _lines(record, sensors),
+        edges=surface.edges if surface else lines,
         nodes=sensors.nodes if sensors else np.zeros(0, dtype=np.int64),
-        points=sensors.points if sensors else np.zeros((0, 3)),
-        lines=_lines(record, sensors),
-        modes=tuple(modes),
+        points=points,
+        lines=lines,
+        tests=_tests(record, sensors),
+        states={"before": before, "after": after},
     )
 
 
-def _thin(surface: Surface | None, at_most: int = AT_MOST) -> Surface | None:
+def _thin(surface: Surface | None, at_most: int) -> Surface | None:
+    at_most = min(at_most, AT_MOST)
     if surface is None or surface.nodes.size <= at_most:
         return surface
     blocks = []
@@ -192,48 +192,72 @@ def _lines(record: CampaignRecord, sensors: _Sensors | None) -> Integers:
     return np.array(found, dtype=np.int64) if found else empty
 
 
-def _motion(
-    record: CampaignRecord,
-    item: IterationRecord,
-    pair: int,
-    surface: Surface | None,
-    sensors: _Sensors | None,
-) -> Motion:
-    test = np.zeros((0, 3))
-    model = np.zeros((0, 3))
-    scale = float(model_scales(record, item)[pair]) if record.test.has_shapes else 1.0
-    if sensors is not None:
-        shapes_t, shapes_m = scaled_test(record, item)
-        rows_m, _ = common_dofs(record.test.modes, item.computed)
-        at = np.searchsorted(rows_m, sensors.rows)
-        test = _moved(sensors, shapes_t[at, pair])
-        model = _moved(sensors, shapes_m[at, pair])
-    if surface is not None:
-        model = scale * _field(item.field, surface, pair)
-    largest = float(np.linalg.norm(model, axis=1).max(initial=0.0)) or 1.0
-    lengths = np.linalg.norm(test, axis=1) / largest
-    too_far = np.maximum(lengths.max(initial=0.0) / FARTHEST, 1.0)
-    return Motion(
-        frequency_hz=float(item.computed.frequencies_hz[item.pairing.computed[pair]]),
-        mac=float(item.pairing.mac[pair]),
-        model=model / largest,
-        test=test / largest / too_far,
+def _tests(record: CampaignRecord, sensors: _Sensors | None) -> tuple[ShownMode, ...]:
+    modes, none = record.test.modes, np.zeros((0, 3))
+    return tuple(
+        ShownMode(
+            mode_label(record, place),
+            float(hz),
+            none if sensors is None else _unit(_moved(sensors, modes, sensors.rows, place)),
+            none,
+        )
+        for place, hz in enumerate(modes.frequencies_hz)
     )
 
 
-def _in_phase(after: Motion, before: Motion) -> Motion:
-    """Turned by half a period where the model would start against its motion before.
+def _state(
+    record: CampaignRecord, item: IterationRecord, surface: Surface | None, sensors: _Sensors | None
+) -> ModelState:
+    """The computed modes of an iteration, as many as stand in the table of MAC."""
+    mac = mac_table(record, item) if record.test.has_shapes else np.zeros((0, 0))
+    pairs = np.stack([item.pairing.measured, item.pairing.computed], axis=1)
+    count = mac.shape[0] or 1 + int(pairs[:, 1].max())
+    rows = np.zeros(0, dtype=np.int64)
+    if sensors is not None:
+        rows_m, rows_c = common_dofs(record.test.modes, item.computed)
+        rows = rows_c[np.searchsorted(rows_m, sensors.rows)]
+    of = {int(computed): pair for pair, computed in enumerate(pairs[:, 1])}
+    modes = []
+    for place in range(count):
+        points = field = np.zeros((0, 3))
+        if sensors is not None:
+            points = _moved(sensors, item.computed, rows, place)
+        if surface is not None and place in of:
+            field = _field(item.field, surface, of[place])
+        elif surface is None:
+            field = points
+        largest = max(_largest(points), _largest(field)) or 1.0
+        hz = float(item.computed.frequencies_hz[place])
+        modes.append(ShownMode(str(place + 1), hz, points / largest, field / largest))
+    return ModelState(tuple(modes), pairs, mac)
 
-    Where shapes were measured both follow the test already.
+
+def _in_phase(after: ModelState, before: ModelState) -> ModelState:
+    """Modes turned by half a period where they would start against their motion before.
+
+    Where shapes were measured both follow the test.
     """
-    if after.test.size or float(np.sum(after.model * before.model)) >= 0.0:
-        return after
-    return Motion(after.frequency_hz, after.mac, -after.model, after.test)
+    then = dict(before.pairs.tolist())
+    modes = list(after.modes)
+    for test, place in after.pairs.tolist():
+        mode = modes[place]
+        if float(np.sum(mode.surface * before.modes[then[test]].surface)) < 0.0:
+            modes[place] = ShownMode(mode.label, mode.frequency_hz, mode.points, -mode.surface)
+    return ModelState(tuple(modes), after.pairs, after.mac)
 
 
-def _moved(sensors: _Sensors, values: Floats) -> Floats:
-    """Motion of the points, (n_points, 3), from what each sensor (n,) measures."""
+def _largest(motion: Floats) -> float:
+    return float(np.linalg.norm(motion, axis=1).max(initial=0.0))
+
+
+def _unit(motion: Floats) -> Floats:
+    return motion / (_largest(motion) or 1.0)
+
+
+def _moved(sensors: _Sensors, modes: ModeSet, rows: Integers, mode: int) -> Floats:
+    """Motion of the points, (n_points, 3), from what a mode has at each sensor's row."""
     moved = np.zeros((sensors.nodes.size, 3))
+    values = np.real(modes.mode_shapes[rows, mode])
     np.add.at(moved, sensors.owners, values[:, None] * sensors.directions)
     return moved
 
@@ -258,24 +282,25 @@ def told_scene(shown: Scene) -> dict[str, Json]:
         "nodes": shown.nodes.tolist(),
         "points": _packed(shown.points, "<f4"),
         "lines": _packed(shown.lines, "<u4"),
-        "modes": [
+        "tests": [_told_mode(mode) for mode in shown.tests],
+        "states": [
             {
-                "label": mode.label,
-                "test_hz": mode.test_hz,
-                "before": _told_motion(mode.before),
-                "after": _told_motion(mode.after),
+                "name": name,
+                "models": [_told_mode(mode) for mode in state.modes],
+                "pairs": state.pairs.tolist(),
+                "mac": [[number_or_null(value) for value in row] for row in state.mac.tolist()],
             }
-            for mode in shown.modes
+            for name, state in shown.states.items()
         ],
     }
 
 
-def _told_motion(motion: Motion) -> dict[str, Json]:
+def _told_mode(mode: ShownMode) -> dict[str, Json]:
     return {
-        "hz": motion.frequency_hz,
-        "mac": motion.mac if np.isfinite(motion.mac) else None,
-        "model": _packed(np.rint(STEPS * motion.model), "<i2"),
-        "test": _packed(motion.test, "<f4"),
+        "label": mode.label,
+        "hz": mode.frequency_hz,
+        "points": _packed(np.rint(STEPS * mode.points), "<i2"),
+        "surface": _packed(np.rint(STEPS * mode.surface), "<i2"),
     }
 
 

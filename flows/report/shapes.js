@@ -1,226 +1,289 @@
-// Mode shapes in space: vertices are moved by Plotly, a frame after the other.
+// Mode shapes of test and model: any test mode beside any mode of the model, in motion.
+// `modetune.shapes(host, scene)` builds controls and view into an empty element.
 "use strict";
 (() => {
-  const view = document.getElementById("shape-view");
-  if (!view) return;
-  const { data, colour, themed, config, dark } = modetune;
-  const scene = data.scene;
-  const STEPS = 32767;    // motions of the model are whole numbers of these
-  const SHARE = 0.07;     // largest motion over the length of everything at 100 %
-  const PERIOD = 1800;    // milliseconds
-  const ZOOM = 2.6;       // size in the view; without perspective the camera's distance has no effect
-  const MODEL = 0, EDGES = 1, REST = 2, POINTS = 3, LINES = 4;
+  const STEPS = 32767;     // motions are whole numbers of these
+  const SHARE = 0.07;      // largest motion over the length of everything at 100 %
+  const PERIOD = 1800;     // milliseconds
+  const FARTHEST = 2.5;    // a test that moves this often farther than the model is drawn no farther
+  const FILM = { width: 640, pictures: 24 };
+  const { unpack, colour, rgb } = modetune;
 
-  const unpack = (text, Kind) => {
-    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-    return new Kind(bytes.buffer);
+  const motion = (text) => Float32Array.from(unpack(text, Int16Array), (v) => v / STEPS);
+  const scaled = (values, by) => values.map((v) => v * by);
+  const product = (one, other) => one.reduce((sum, v, i) => sum + v * other[i], 0);
+  const largest = (values) => {
+    let most = 0;
+    for (let i = 0; i < values.length; i += 3) most = Math.max(most, Math.hypot(...values.slice(i, i + 3)));
+    return most;
   };
-  const coordinates = unpack(scene.coordinates, Float32Array);
-  const triangles = unpack(scene.triangles, Uint32Array);
-  const edges = unpack(scene.edges, Uint32Array);
-  const points = unpack(scene.points, Float32Array);
-  const lines = unpack(scene.lines, Uint32Array);
-  const hasTest = points.length > 0;
-  const hasSurface = triangles.length > 0;
 
-  const now = { mode: 0, state: "after", amplitude: 1, phase: 1, playing: false, model: null, test: null };
-
-  // x, y, z of places moved by a factor times a motion.
-  function moved(places, motion, factor) {
-    const n = places.length / 3;
-    const out = [new Float32Array(n), new Float32Array(n), new Float32Array(n)];
-    for (let i = 0; i < n; i++) {
-      for (let k = 0; k < 3; k++) out[k][i] = places[3 * i + k] + factor * motion[3 * i + k];
-    }
-    return out;
-  }
-
-  // The ends of segments in one stroke, with gaps.
-  function stroke(ends, xyz) {
-    return xyz.map((values) => {
-      const out = new Float32Array(1.5 * ends.length);
-      for (let i = 0, j = 0; i < ends.length; i += 2) {
-        out[j++] = values[ends[i]];
-        out[j++] = values[ends[i + 1]];
-        out[j++] = NaN;
+  // Whether a point has the surface on all six sides: then the surface must not hide it.
+  function hasInside(points, places, triangles, length) {
+    const near = 1e-3 * length;
+    const sides = (x, y, z) => {
+      let hit = 0;
+      const at = [x, y, z];
+      for (let t = 0; t < triangles.length && hit !== 63; t += 3) {
+        const [a, b, c] = [0, 1, 2].map((k) => places.subarray(3 * triangles[t + k], 3 * triangles[t + k] + 3));
+        for (let k = 0; k < 3; k++) {
+          if (hit >> (2 * k) === 3) continue;
+          const u = (k + 1) % 3, v = (k + 2) % 3;
+          const cross = (p, q) => (p[u] - at[u]) * (q[v] - at[v]) - (p[v] - at[v]) * (q[u] - at[u]);
+          const [wa, wb, wc] = [cross(b, c), cross(c, a), cross(a, b)], area = wa + wb + wc;
+          if (!area || wa * area < 0 || wb * area < 0 || wc * area < 0) continue;
+          const far = (wa * a[k] + wb * b[k] + wc * c[k]) / area - at[k];
+          if (far > near) hit |= 1 << (2 * k);
+          if (far < -near) hit |= 2 << (2 * k);
+        }
       }
-      return out;
-    });
-  }
-
-  const unpacked = new Map();
-  function motion() {
-    const key = now.mode + now.state;
-    if (!unpacked.has(key)) {
-      const told = scene.modes[now.mode][now.state];
-      const model = Float32Array.from(unpack(told.model, Int16Array), (v) => v / STEPS);
-      unpacked.set(key, { model, test: unpack(told.test, Float32Array) });
+      return hit === 63;
+    };
+    for (let i = 0; i < points.length; i += 3) {
+      if (sides(points[i], points[i + 1], points[i + 2])) return true;
     }
-    return unpacked.get(key);
+    return false;
   }
 
-  function positions() {
-    const { model, test } = motion();
-    const factor = now.phase * now.amplitude * SHARE * scene.length;
-    const nodes = moved(coordinates, model, factor);
-    const sensors = moved(points, test, factor);
-    return [nodes, stroke(edges, nodes), sensors, stroke(lines, sensors)];
-  }
+  const element = (tag, properties = {}, ...children) => {
+    const made = Object.assign(document.createElement(tag), properties);
+    made.append(...children);
+    return made;
+  };
+  const hertz = (value) => value.toPrecision(5) + " Hz";
 
-  function lengths() {
-    const { model } = motion();
-    return Float32Array.from({ length: model.length / 3 }, (_, i) =>
-      Math.hypot(model[3 * i], model[3 * i + 1], model[3 * i + 2]));
-  }
+  modetune.shapes = (host, scene) => {
+    const canvas = element("canvas", { ariaLabel: "mode shape of test and model", role: "img" });
+    const frame = element("div", { className: "frame" }, canvas);
+    const told = element("span", { className: "told", role: "status" });
+    const space = modetune.space(canvas);
+    if (!space) {
+      host.append(element("p", { textContent: "Shapes are drawn by WebGL 2, which is unavailable in this browser." }));
+      return null;
+    }
+    const places = unpack(scene.coordinates, Float32Array), points = unpack(scene.points, Float32Array);
+    const triangles = unpack(scene.triangles, Uint32Array), edges = unpack(scene.edges, Uint32Array);
+    const wires = unpack(scene.lines, Uint32Array);
+    const hasTest = points.length > 0, hasSurface = triangles.length > 0;
+    const states = scene.states.map((state) => state.name);
+    const known = (name) => scene.states[states.indexOf(name)];
+    const inside = hasTest && hasSurface && hasInside(points, places, triangles, scene.length);
+    const now = { test: 0, model: 0, state: states[states.length - 1], amplitude: 1, phase: 1, playing: false };
 
-  function box() {
-    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    for (const places of [coordinates, points]) {
-      for (let i = 0; i < places.length; i++) {
-        low[i % 3] = Math.min(low[i % 3], places[i]);
-        high[i % 3] = Math.max(high[i % 3], places[i]);
+    const rest = space.lines(places, edges, { still: true });
+    const faces = hasSurface ? space.surface(places, triangles, { panels: [1] }) : null;
+    const outline = space.lines(places, edges, { panels: [1], size: hasSurface ? 1 : 3 });
+    const joints = hasSurface ? null : space.points(places, { panels: [1], size: 9 });
+    const wire = hasTest ? space.lines(points, wires, { panels: [0], size: 3.5, through: true }) : null;
+    const dots = hasTest ? space.points(points, { panels: [0], size: 9, through: true }) : null;
+    // A mode of the model whose surface is not known: its motion at the sensors.
+    const ghostWire = hasTest ? space.lines(points, wires, { panels: [1], size: 3.5 }) : null;
+    const ghosts = hasTest ? space.points(points, { panels: [1], size: 9 }) : null;
+    const modelParts = [faces, outline, joints].filter(Boolean);
+
+    // Motions of the chosen pair; the test has the scale in which it is nearest to the model.
+    function chosen() {
+      const { models, mac } = known(now.state);
+      const test = scene.tests[now.test], model = models[now.model];
+      const field = model && model.surface ? motion(model.surface) : null;
+      const seen = model && hasTest ? motion(model.points) : new Float32Array(points.length);
+      let tested = hasTest && test && test.points ? motion(test.points) : new Float32Array(points.length);
+      let sign = 1;
+      const length = Math.sqrt(product(tested, tested)), least = Math.sqrt(product(seen, seen));
+      if (length && least) {
+        const common = product(tested, seen) / length;
+        if (common < 0) sign = -1;
+        // Of shapes with nothing in common the nearest scale is zero: then a tenth is kept.
+        const own = Math.max(Math.abs(common) / least ** 2, 0.1 / least);
+        tested = scaled(tested, 1 / (own * length));
+        tested = scaled(tested, Math.min(1, FARTHEST / (largest(tested) || 1)));
       }
+      return { test, model, tested, seen: scaled(seen, sign), field: field && scaled(field, sign),
+        mac: mac && mac[now.model] ? mac[now.model][now.test] : null };
     }
-    const room = 1.3 * SHARE * scene.length;
-    return [0, 1, 2].map((k) => [low[k] - room, high[k] + room]);
-  }
 
-  const xyz = ([x, y, z]) => ({ x, y, z });
-
-  function traces() {
-    const [nodes, outline, sensors, wires] = positions();
-    const third = (k) => Uint32Array.from({ length: triangles.length / 3 }, (_, i) => triangles[3 * i + k]);
-    const rest = stroke(edges, moved(coordinates, coordinates, 0));
-    const scale = [[0, colour("mesh")], [1, "#0072B2"]];
-    const surface = hasSurface
-      ? { type: "mesh3d", ...xyz(nodes), i: third(0), j: third(1), k: third(2), intensity: lengths(),
-          cmin: 0, cmax: 1, colorscale: scale, showscale: false, flatshading: true, name: "model",
-          lighting: { ambient: 0.85, diffuse: 0.55, specular: 0.08, roughness: 0.9 } }
-      : { type: "scatter3d", mode: "markers", ...xyz(nodes), name: "model",
-          marker: { size: 4, color: "#0072B2" } };
-    return [
-      { ...surface, hoverinfo: "skip", showlegend: true },
-      { type: "scatter3d", mode: "lines", ...xyz(outline), hoverinfo: "skip", showlegend: false,
-        line: { color: hasSurface ? "rgba(20,30,45,0.45)" : "#0072B2", width: hasSurface ? 1 : 2 } },
-      { type: "scatter3d", mode: "lines", ...xyz(rest), hoverinfo: "skip", name: "at rest",
-        line: { color: colour("line"), width: 1 } },
-      { type: "scatter3d", mode: "markers", ...xyz(sensors), name: "test", visible: hasTest,
-        text: scene.nodes.map((node) => "test point " + node), hoverinfo: "text",
-        marker: { size: 5, color: colour("ink") } },
-      { type: "scatter3d", mode: "lines", ...xyz(wires), hoverinfo: "skip", showlegend: false,
-        visible: hasTest, line: { color: colour("ink"), width: 4 } },
-    ];
-  }
-
-  function layout() {
-    const ranges = box();
-    const sizes = ranges.map(([low, high]) => high - low);
-    const largest = Math.max(...sizes);
-    const axis = (k) => ({ range: ranges[k], visible: false, autorange: false });
-    return themed({
-      margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "kept", showlegend: false,
-      scene: {
-        xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), aspectmode: "manual", uirevision: "kept",
-        aspectratio: { x: ZOOM * sizes[0] / largest, y: ZOOM * sizes[1] / largest, z: ZOOM * sizes[2] / largest },
-        camera: { eye: { x: -1.0, y: -1.25, z: 0.85 }, projection: { type: "orthographic" } },
-      },
-    });
-  }
-
-  function tell() {
-    const mode = scene.modes[now.mode];
-    const state = mode[now.state];
-    const off = 100 * (state.hz / mode.test_hz - 1);
-    const mac = state.mac === null ? "" : ", MAC " + state.mac.toFixed(3);
-    document.getElementById("shape-told").textContent =
-      "test " + mode.test_hz.toPrecision(5) + " Hz, model " + state.hz.toPrecision(5) + " Hz (" +
-      (off < 0 ? "−" : "+") + Math.abs(off).toFixed(2) + " %)" + mac;
-  }
-
-  // Straight to what is drawn: a restyle would take the camera from the hand that turns it. Where
-  // Plotly keeps its drawing elsewhere, a restyle does.
-  async function push(which, moving) {
-    const drawing = view._fullLayout.scene._scene;
-    if (!drawing || !drawing.traces || !drawing.glplot) {
-      const [x, y, z] = [0, 1, 2].map((k) => moving.map((places) => places[k]));
-      return Plotly.restyle(view, { x, y, z }, which);
+    function tell({ test, model, mac }) {
+      const parts = [];
+      if (test) parts.push("test mode " + test.label + ": " + hertz(test.hz));
+      if (model) {
+        const off = test ? 100 * (model.hz / test.hz - 1) : null;
+        parts.push("model " + now.state + " (mode " + model.label + "): " + hertz(model.hz) + (off === null ? "" :
+          " (" + (off < 0 ? "−" : "+") + Math.abs(off).toFixed(2) + " %)"));
+      }
+      if (mac !== null && mac !== undefined) parts.push("MAC " + mac.toFixed(3));
+      told.textContent = parts.join(", ");
     }
-    which.forEach((trace, place) => {
-      const full = view._fullData[trace], known = drawing.traces[full.uid];
-      Object.assign(view.data[trace], xyz(moving[place]));
-      Object.assign(full, xyz(moving[place]));
-      if (known) known.update(full);
+
+    function choose() {
+      const pair = chosen();
+      const onSurface = pair.field !== null;
+      for (const part of modelParts) {
+        part.visible = onSurface && boxes.model.checked;
+        part.move(pair.field || new Float32Array(places.length));
+      }
+      if (hasTest) {
+        for (const part of [wire, dots]) { part.visible = boxes.test.checked; part.move(pair.tested); }
+        for (const part of [ghostWire, ghosts]) {
+          part.visible = !onSurface && boxes.model.checked;
+          part.move(pair.seen);
+        }
+      }
+      rest.visible = boxes.rest.checked;
+      if (faces) faces.alpha = boxes.glass.checked ? 0.45 : 1;
+      space.reach = now.amplitude * SHARE * scene.length;
+      tell(pair);
+      move();
+    }
+    function move() {
+      space.factor = now.phase * now.amplitude * SHARE * scene.length;
+      space.ask();
+    }
+    function dress() {
+      const blue = rgb("#0072b2");
+      space.paper = rgb(colour("paper"));
+      rest.low = rgb(colour("line"));
+      if (faces) [faces.low, faces.high] = [rgb(colour("mesh")), blue];
+      outline.low = hasSurface ? rgb(colour("edge")) : blue;
+      for (const part of [ghostWire, ghosts, joints]) {
+        if (part) { part.low = blue; if (part.paint) part.paint(blue); }
+      }
+      if (hasTest) { wire.low = rgb(colour("ink")); dots.paint(wire.low); }
+      space.ask();
+    }
+
+    // Controls.
+    const button = (text, action, pressed) => {
+      const made = element("button", { type: "button", textContent: text });
+      if (pressed !== undefined) made.setAttribute("aria-pressed", String(pressed));
+      made.addEventListener("click", () => action(made));
+      return made;
+    };
+    const group = (label, ...buttons) => {
+      const made = element("span", { className: "group", role: "group" }, ...buttons);
+      made.setAttribute("aria-label", label);
+      return made;
+    };
+    const press = (one) => [...one.parentElement.children].forEach((other) =>
+      other.setAttribute("aria-pressed", String(other === one)));
+    const box = (text, checked) => {
+      const made = element("input", { type: "checkbox", checked });
+      made.addEventListener("change", choose);
+      return [made, element("label", {}, made, " " + text)];
+    };
+    const choice = (label, change) => {
+      const made = element("select", { ariaLabel: label });
+      made.addEventListener("change", () => change(Number(made.value)));
+      return made;
+    };
+    const tests = choice("test mode", (test) => show({ test }));
+    const models = choice("mode of the model", (model) => show({ model }));
+    scene.tests.forEach((mode, place) => tests.add(new Option(mode.label + " – " + hertz(mode.hz), place)));
+    const stateButtons = states.map((name) => {
+      const made = button(name, () => show({ state: name }), name === now.state);
+      made.className = "state";
+      made.dataset.state = name;
+      return made;
     });
-    drawing.glplot.redraw();
-  }
+    const play = button("Play", () => playing(!now.playing));
+    const amplitude = element("input", { type: "range", min: 0, max: 200, value: 100, ariaLabel: "amplitude" });
+    amplitude.addEventListener("input", () => { now.amplitude = amplitude.value / 100; choose(); });
+    const boxes = {}, labels = {};
+    [boxes.model, labels.model] = box("model", true);
+    [boxes.test, labels.test] = box("test", hasTest);
+    [boxes.rest, labels.rest] = box("at rest", true);
+    [boxes.glass, labels.glass] = box("see through", inside);
+    const views = ["isometric", "front", "side", "top"].map((name) =>
+      button(name, () => space.view(name), name === "isometric"));
+    space.onTurn = () => views.forEach((one) =>
+      one.setAttribute("aria-pressed", String(one.textContent === space.name)));
+    const captions = ["test", "model"].map((text) => element("span", { className: "caption", textContent: text, hidden: true }));
+    const beside = (panels) => (one) => {
+      press(one);
+      space.panels = panels;
+      captions.forEach((caption) => { caption.hidden = panels === 1; });
+      space.ask();
+    };
+    const arrangement = group("arrangement", button("overlaid", beside(1), true), button("side by side", beside(2), false));
+    const files = group("pictures", button("PNG", async () => save(await space.png(), "png")),
+      button("GIF", async (one) => {
+        one.disabled = true;
+        await new Promise((done) => setTimeout(done, 30));   // the button shows it first
+        save(film(), "gif");
+        one.disabled = false;
+      }));
 
-  let busy = false, again = false;
-  async function move() {
-    if (!view.dataset.ready) return;
-    if (busy) { again = true; return; }
-    busy = true;
-    await push([MODEL, EDGES, POINTS, LINES], positions());
-    busy = false;
-    if (again) { again = false; move(); }
-  }
-
-  function choose() {
-    tell();
-    if (hasSurface && view.dataset.ready) Plotly.restyle(view, { intensity: [lengths()] }, [MODEL]).then(move);
-    else move();
-  }
-
-  function frame(time) {
-    if (!now.playing) return;
-    now.phase = Math.cos(2 * Math.PI * (time - now.begun) / PERIOD);
-    move().then(() => requestAnimationFrame(frame));
-  }
-
-  function connect() {
-    const by = (id) => document.getElementById(id);
-    const select = by("shape-mode"), play = by("shape-play");
-    scene.modes.forEach((mode, place) => {
-      select.add(new Option(mode.label + "  –  " + mode.test_hz.toPrecision(5) + " Hz", place));
-    });
-    select.addEventListener("change", () => { now.mode = Number(select.value); choose(); });
-    document.querySelectorAll("button.state").forEach((button, _, all) => {
-      button.addEventListener("click", () => {
-        now.state = button.dataset.state;
-        all.forEach((one) => one.setAttribute("aria-pressed", String(one === button)));
-        choose();
+    function save(blob, kind) {
+      const { test, model } = chosen();
+      const name = ["mode", test && test.label, model && "model-" + model.label, now.state].filter(Boolean)
+        .join("-").replace(/[^\w.-]+/g, "_");
+      const link = element("a", { href: URL.createObjectURL(blob), download: name + "." + kind });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    }
+    function film() {
+      const kept = now.phase;
+      const pictures = Array.from({ length: FILM.pictures }, (_, i) => {
+        now.phase = Math.cos(2 * Math.PI * i / FILM.pictures);
+        move();
+        return space.pixels(FILM.width);
       });
-    });
-    play.addEventListener("click", () => {
-      now.playing = !now.playing;
-      play.textContent = now.playing ? "Pause" : "Play";
-      if (!now.playing) return;
-      now.begun = performance.now() - PERIOD * Math.acos(Math.max(-1, Math.min(1, now.phase))) / (2 * Math.PI);
-      requestAnimationFrame(frame);
-    });
-    by("shape-amplitude").addEventListener("input", (event) => {
-      now.amplitude = event.target.value / 100;
-      if (!now.playing) move();
-    });
-    const shown = (id, which) => by(id).addEventListener("change", (event) =>
-      Plotly.restyle(view, { visible: event.target.checked }, which));
-    shown("shape-model", [MODEL, EDGES]);
-    shown("shape-test", [POINTS, LINES]);
-    shown("shape-rest", [REST]);
-    if (!hasTest) by("shape-test").parentElement.hidden = true;
-  }
+      now.phase = kept;
+      move();
+      return modetune.gif(pictures, PERIOD / 1000 / FILM.pictures);
+    }
 
-  function start() {
-    Plotly.newPlot(view, traces(), layout(), config).then(() => { view.dataset.ready = "true"; });
-  }
-  connect();
-  tell();
-  const watcher = new IntersectionObserver((entries) => {
-    if (!entries.some((entry) => entry.isIntersecting)) return;
-    watcher.disconnect();
-    start();
-  }, { rootMargin: "300px" });
-  watcher.observe(view);
-  const redraw = () => view.dataset.ready && Plotly.react(view, traces(), layout(), config);
-  dark.addEventListener("change", redraw);
-  window.addEventListener("beforeprint", () => { if (!view.dataset.ready) start(); });
+    // Shows a test mode, a mode of the model, a state; a test mode alone brings its partner.
+    function show({ test = now.test, model, state = now.state }) {
+      const { models: found, pairs } = known(state);
+      const pair = pairs.find(([one]) => one === test);
+      if (model === undefined) model = pair ? pair[1] : Math.min(now.model, found.length - 1);
+      Object.assign(now, { test, state, model });
+      models.replaceChildren(...found.map((mode, place) => {
+        const option = new Option(mode.label + " – " + hertz(mode.hz), place);
+        option.disabled = !mode.surface && !mode.points;
+        return option;
+      }));
+      tests.value = String(now.test);
+      models.value = String(now.model);
+      stateButtons.forEach((one) => one.setAttribute("aria-pressed", String(one.dataset.state === state)));
+      choose();
+    }
+
+    function playing(on) {
+      now.playing = on;
+      play.textContent = on ? "Pause" : "Play";
+      if (!on) return;
+      const begun = performance.now() - PERIOD * Math.acos(Math.max(-1, Math.min(1, now.phase))) / (2 * Math.PI);
+      const step = (time) => {
+        if (!now.playing) return;
+        now.phase = Math.cos(2 * Math.PI * (time - begun) / PERIOD);
+        move();
+        requestAnimationFrame(step);
+      };
+      requestAnimationFrame(step);
+    }
+
+    labels.test.hidden = arrangement.hidden = !hasTest;
+    labels.glass.hidden = !hasSurface;
+    const labelled = (text, control) => element("label", {}, text + " ", control);
+    const above = element("div", { className: "controls" });
+    if (scene.tests.length) above.append(labelled("Test mode", tests));
+    above.append(labelled("Model", models));
+    if (states.length > 1) above.append(group("state of the model", ...stateButtons));
+    above.append(play, labelled("Amplitude", amplitude), told);
+    const below = element("div", { className: "controls below" },
+      group("view", ...views), arrangement, labels.model, labels.test, labels.rest, labels.glass, files);
+    frame.append(...captions);
+    host.append(above, frame, below);
+    if (dots) {
+      modetune.tip(canvas, (x, y) => {
+        const row = boxes.test.checked && !space.busy ? space.under(dots, x, y) : -1;
+        return row < 0 ? "" : "test point " + scene.nodes[row];
+      });
+    }
+    dress();
+    show({});
+    modetune.onTheme(dress);
+    return { show, playing, space, now, told, dots };
+  };
 })();

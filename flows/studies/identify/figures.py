@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from modetune.core.measurement.stabilisation import OrderPoles, Stability
-from modetune.core.storage.files import writing
 from modetune.flows.report.chart import AFTER, TEST, Axis, Chart, Curve, HeatMap, Panel, Rule
 from modetune.flows.report.charts import responses
 from modetune.flows.report.matplotlib_charts import save
+from modetune.flows.report.page import write_chart
 from modetune.flows.report.responses import ResponseCurve
 from modetune.flows.studies.identify.identify import Identification
 
@@ -93,16 +93,7 @@ def write_figures(folder: Path, title: str, found: Identification) -> tuple[Path
         for word, place in shown.items()
     }
     written = [save(chart, folder / f"{name}.png") for name, chart in charts.items()]
-    return (*written, _write_page(folder / "stabilisation.html", diagram))
-
-
-def _write_page(path: Path, chart: Chart) -> Path:
-    from modetune.flows.report.plotly_charts import plotly_figure
-
-    figure = plotly_figure(chart).update_layout(template="plotly_white")
-    with writing(path) as part:
-        part.write_text(figure.to_html(include_plotlyjs=True, full_html=True), encoding="utf-8")
-    return path
+    return (*written, write_chart(folder / "stabilisation.html", diagram))
 
 
 def _poles(orders: tuple[OrderPoles, ...], stability: Stability) -> Curve:

@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
+import io
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
+from modetune.core.modes import ModeSet, mode_set
 from modetune.core.storage.record import CampaignRecord
+from modetune.core.surface import Surface
 from modetune.flows.report.page import write_page
 
 #: WebGL without a graphics card.
 ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-#: Sum of the heights of the model's vertices as they are drawn now.
-HEIGHTS = "document.getElementById('shape-view').data[0].z.reduce((a, b) => a + b, 0)"
-READY = "document.getElementById('shape-view').dataset.ready === 'true'"
-EYE = (
-    "Object.values(document.getElementById('shape-view')._fullLayout.scene._scene.getCamera().eye)"
+PLAYER = "modetune.player"
+#: The layer that is the model's surface, and the sum of its vertices' motions in z as drawn now.
+SURFACE = f"{PLAYER}.space.layers.find((one) => one.which === 0)"
+HEIGHTS = (
+    f"{PLAYER}.space.factor * {SURFACE}.motion.reduce((a, v, i) => a + (i % 3 === 2 ? v : 0), 0)"
 )
+READY = "document.getElementById('shape-view').dataset.ready === 'true'"
+EYE = f"[{PLAYER}.space.azimuth, {PLAYER}.space.elevation]"
+TOLD = "#shape-view .told"
+#: Pixels of the shapes that are not paper, left and right of the middle.
+INKED = f"""(() => {{
+    const space = {PLAYER}.space, seen = space.pixels(400), found = [0, 0];
+    const paper = space.paper.map((v) => Math.round(255 * v));
+    for (let at = 0; at < seen.data.length; at += 4) {{
+        if (paper.some((v, k) => Math.abs(seen.data[at + k] - v) > 12)) {{
+            found[at / 4 % seen.width < 200 ? 0 : 1]++;
+        }}
+    }}
+    return found;
+}})()"""
 PATIENCE_MS = 60_000
 
 
@@ -83,29 +103,45 @@ def browser() -> Iterator[Any]:
         browser.close()
 
 
+Open = Callable[..., Opened]
+
+
 @pytest.fixture
-def opened(browser: Any, record: CampaignRecord, tmp_path: Path) -> Iterator[Opened]:
-    file = write_page(record, tmp_path / "report.html")
-    page = browser.new_page(viewport={"width": 1200, "height": 800})
-    opened = Opened(page)
-    page.goto(file.as_uri())
-    yield opened
-    page.close()
+def open_page(browser: Any, tmp_path: Path) -> Iterator[Open]:
+    """Opens the report of a record, as a context of the browser is told."""
+    contexts = []
+
+    def opening(record: CampaignRecord, width: int = 1200, **told: Any) -> Opened:
+        file = write_page(record, tmp_path / "report.html")
+        contexts.append(browser.new_context(viewport={"width": width, "height": 800}, **told))
+        opened = Opened(contexts[-1].new_page())
+        opened.page.goto(file.as_uri())
+        return opened
+
+    yield opening
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture
+def opened(open_page: Open, record: CampaignRecord) -> Opened:
+    return open_page(record)
 
 
 def test_all_of_it_is_drawn_without_an_error_and_without_a_request(opened: Opened) -> None:
     opened.to_shapes()
-    opened.value("modetune.drawAll().then(() => true)")
+    opened.value("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    opened.value("modetune.drawAll()")
     drawn = opened.value(
         "[...document.querySelectorAll('[data-chart]')].map("
-        "(one) => [one.dataset.chart, one.querySelector('svg, canvas') !== null])"
+        "(one) => [one.dataset.chart, one.querySelector('svg > g *') !== null])"
     )
     assert [name for name, there in drawn if not there] == []
     assert {name for name, _ in drawn} >= {
         "frequencies",
-        "mac-before",
+        "mac",
         "mac_map",
-        "comac-after",
+        "comac",
         "parameters",
         "sensitivities",
         "convergence",
@@ -120,21 +156,22 @@ def test_another_mode_and_another_state_have_another_shape(opened: Opened) -> No
     # Half a wave each way stays above the plane: its heights add up; two half waves cancel out.
     first = opened.value(HEIGHTS)
     assert abs(first) > 1.0
-    assert "test 10.000 Hz, model 10.010 Hz (+0.10 %)" in opened.page.inner_text("#shape-told")
-    opened.page.select_option("#shape-mode", "1")
+    assert opened.page.inner_text(TOLD).startswith(
+        "test mode 1: 10.000 Hz, model after (mode 1): 10.010 Hz (+0.10 %), MAC 1.000"
+    )
+    opened.page.select_option("select[aria-label='test mode']", "1")
     opened.wait(f"Math.abs({HEIGHTS}) < 1e-3 * {abs(first)}")
     opened.page.click("button[data-state=before]")
-    assert "model 23.100 Hz (+5.00 %)" in opened.page.inner_text("#shape-told")
+    assert "model before (mode 2): 23.100 Hz (+5.00 %)" in opened.page.inner_text(TOLD)
     assert opened.complaints == []
 
 
 def test_play_moves_the_model_and_pause_stops_it(opened: Opened) -> None:
     opened.to_shapes()
     first = opened.value(HEIGHTS)
-    opened.page.click("#shape-play")
+    opened.page.get_by_text("Play", exact=True).click()
     opened.wait(f"Math.abs({HEIGHTS} - {first}) > 0.2 * {abs(first)}")
-    assert opened.page.inner_text("#shape-play") == "Pause"
-    opened.page.click("#shape-play")
+    opened.page.get_by_text("Pause", exact=True).click()
     opened.frames(3)
     stopped = opened.value(HEIGHTS)
     opened.frames(3)
@@ -145,17 +182,17 @@ def test_play_moves_the_model_and_pause_stops_it(opened: Opened) -> None:
 def test_the_amplitude_scales_the_shape(opened: Opened) -> None:
     opened.to_shapes()
     first = opened.value(HEIGHTS)
-    opened.page.locator("#shape-amplitude").fill("200")
+    opened.page.locator("#shape-view input[type=range]").fill("200")
     opened.wait(f"Math.abs({HEIGHTS} - {2 * first}) < 1e-3 * {abs(first)}")
-    opened.page.locator("#shape-amplitude").fill("0")
+    opened.page.locator("#shape-view input[type=range]").fill("0")
     opened.wait(f"Math.abs({HEIGHTS}) < 1e-3")
 
 
 def test_the_shape_turns_with_the_mouse_while_it_moves(opened: Opened) -> None:
     opened.to_shapes()
-    opened.page.click("#shape-play")
+    opened.page.get_by_text("Play", exact=True).click()
     before = opened.value(EYE)
-    box = opened.page.locator("#shape-view").bounding_box()
+    box = opened.page.locator("#shape-view canvas").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     mouse = opened.page.mouse
     mouse.move(x, y)
@@ -166,3 +203,153 @@ def test_the_shape_turns_with_the_mouse_while_it_moves(opened: Opened) -> None:
     mouse.up()
     opened.wait(f"Math.hypot(...{EYE}.map((v, k) => v - {before}[k])) > 0.05")
     assert opened.complaints == []
+
+
+def test_a_click_on_a_cell_of_the_mac_shows_that_pair(opened: Opened) -> None:
+    opened.page.locator("#correlation").scroll_into_view_if_needed()
+    maps = opened.page.locator("#chart-mac_map svg[role=img]")
+    # Rows are computed modes from below, columns test modes; the left map is that of before.
+    cell = maps.nth(0).locator("rect.cell").nth(3 * 2 + 1)
+    cell.click()
+    opened.to_shapes()
+    told = opened.page.inner_text(TOLD)
+    assert told.startswith("test mode 2: 22.000 Hz, model before (mode 3): 32.550 Hz")
+    assert opened.value(f"[{PLAYER}.now.test, {PLAYER}.now.model]") == [1, 2]
+    table = opened.value("JSON.parse(document.getElementById('data').textContent).scene.states")
+    assert told.endswith(f"MAC {table[0]['mac'][2][1]:.3f}")
+    assert opened.complaints == []
+
+
+def test_test_and_model_stand_side_by_side_or_overlaid(opened: Opened) -> None:
+    opened.to_shapes()
+    opened.page.get_by_label("at rest").uncheck()
+    together = opened.value(INKED)
+    opened.page.get_by_text("side by side", exact=True).click()
+    left, right = opened.value(INKED)
+    assert min(together) > 0
+    assert min(left, right) > 0
+    opened.page.get_by_label("model", exact=True).uncheck()
+    assert opened.value(INKED)[1] == 0  # the test is on the left alone
+
+
+@pytest.mark.parametrize(("view", "flat"), [("front", True), ("side", True), ("top", False)])
+def test_standard_views_look_along_the_axes(opened: Opened, view: str, flat: bool) -> None:
+    opened.to_shapes()
+    opened.page.locator("#shape-view input[type=range]").fill("0")
+    opened.page.get_by_text(view, exact=True).click()
+    opened.frames(2)
+    # A plate in x and y, seen along y, x and z: lines but from above.
+    shown = np.array(opened.value(INKED)).sum()
+    assert (shown < 4000) == flat
+    assert shown > 0
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (800, "light"), (1400, "dark")])
+def test_it_fits_any_width_by_day_and_by_night(
+    open_page: Open, record: CampaignRecord, width: int, scheme: str
+) -> None:
+    opened = open_page(record, width, color_scheme=scheme)
+    opened.value("modetune.drawAll()")
+    opened.to_shapes()
+    sizes = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+    scroll, client = opened.value(sizes)
+    assert scroll == client == width
+    wide = opened.value("document.querySelector('#shape-view canvas').clientWidth")
+    assert 0.6 * min(width, 1000) < wide <= width
+    # Everything in all its motion stays within the canvas: no ink on its rim.
+    rim = opened.value(f"""(() => {{
+        const {{ width, height, data }} = {PLAYER}.space.pixels(400), paper = data.slice(0, 3);
+        let found = 0;
+        for (let i = 0; i < width * height; i++) {{
+            const x = i % width, y = Math.floor(i / width);
+            if (x > 1 && x < width - 2 && y > 1 && y < height - 2) continue;
+            found += paper.some((v, k) => Math.abs(v - data[4 * i + k]) > 12);
+        }}
+        return found;
+    }})()""")
+    assert rim == 0
+    assert opened.complaints == []
+
+
+def test_by_night_ink_is_light_on_dark_paper(open_page: Open, record: CampaignRecord) -> None:
+    opened = open_page(record, color_scheme="dark")
+    opened.value("modetune.drawAll()")
+    colours = opened.value(
+        "[getComputedStyle(document.body).backgroundColor, "
+        "getComputedStyle(document.querySelector('#chart-frequencies text')).fill]"
+    )
+    paper, ink = (sum(map(int, one[4:-1].split(","))) for one in colours)
+    assert paper < 150 < 400 < ink
+    assert opened.value(f"{PLAYER}.space.paper")[0] < 0.2
+
+
+def test_pictures_and_films_are_what_is_drawn(opened: Opened) -> None:
+    opened.to_shapes()
+    found = {}
+    for kind in ("PNG", "GIF"):
+        with opened.page.expect_download() as waiting:
+            opened.page.get_by_text(kind, exact=True).click()
+        assert waiting.value.suggested_filename == f"mode-1-model-1-after.{kind.lower()}"
+        found[kind] = Image.open(io.BytesIO(Path(waiting.value.path()).read_bytes()))
+    assert found["PNG"].size[0] == opened.value("document.querySelector('.frame canvas').width")
+    film = found["GIF"]
+    assert sum(1 for _ in ImageSequence.Iterator(film)) == 24
+    assert film.size[0] == 640
+    pictures = []
+    for number in (0, 6, 12):
+        film.seek(number)
+        pictures.append(np.asarray(film.convert("RGB"), dtype=float))
+    # A quarter and half a period later it looks otherwise; the first is the browser's picture.
+    assert np.abs(pictures[0] - pictures[1]).max() > 50
+    assert np.abs(pictures[0] - pictures[2]).max() > 50
+    still = opened.value(f"Array.from({PLAYER}.space.pixels(640).data)")
+    shown = np.array(still, dtype=float).reshape(*pictures[0].shape[:2], 4)[..., :3]
+    # Colours are counted by 5 bits, and there are 256 of them: near, not the same.
+    assert np.abs(shown - pictures[0]).mean() < 4.0
+    assert opened.complaints == []
+
+
+def still_field(surface: Surface, like: ModeSet) -> ModeSet:
+    """As many modes at a surface that does not move."""
+    n = surface.nodes.size
+    shapes = np.zeros((3 * n, like.n_modes))
+    return mode_set(like.frequencies_hz, shapes, np.repeat(surface.nodes, 3), np.tile([1, 2, 3], n))
+
+
+def test_a_surface_round_test_points_is_seen_through(
+    open_page: Open, record: CampaignRecord
+) -> None:
+    glass = f"{PLAYER}.space.layers.find((one) => one.which === 0).alpha"
+    assert open_page(record).value(glass) == 1  # the sensors of the plate lie on it
+    box = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = np.array([[q[0], q[i], q[i + 1]] for q in faces for i in (1, 2)])
+    surface = Surface(np.arange(1, 9), box, triangles, triangles[:, :2])
+    assert record.places is not None
+    inside = replace(record.places, coordinates=0.3 + 0.1 * record.places.coordinates)
+    fields = [
+        replace(item, field=still_field(surface, item.field)) if item.field.n_dof else item
+        for item in record.iterations
+    ]
+    boxed = replace(record, surface=surface, places=inside, iterations=tuple(fields))
+    assert open_page(boxed).value(glass) < 1
+
+
+def test_the_pointer_tells_a_point_and_an_axis_is_drawn_out(opened: Opened) -> None:
+    opened.page.locator("#chart-convergence").scroll_into_view_if_needed()
+    chart = opened.page.locator("#chart-convergence svg[role=img]").first
+    box = chart.bounding_box()
+    mark = chart.locator("circle").first.bounding_box()
+    opened.page.mouse.move(mark["x"] + mark["width"] / 2, mark["y"] + mark["height"] / 2)
+    assert opened.page.inner_text(".tip").startswith("kept, 0: ")
+    ticks = chart.locator("text.tick").all_text_contents()
+    y = box["y"] + box["height"] / 2
+    opened.page.mouse.move(box["x"] + 0.3 * box["width"], y)
+    opened.page.mouse.down()
+    opened.page.mouse.move(box["x"] + 0.5 * box["width"], y)
+    opened.page.mouse.up()
+    again = opened.page.locator("#chart-convergence svg[role=img]").first
+    assert again.locator("text.tick").all_text_contents() != ticks
+    again.dblclick()
+    again = opened.page.locator("#chart-convergence svg[role=img]").first
+    assert again.locator("text.tick").all_text_contents() == ticks

@@ -1,18 +1,19 @@
-"""A chart is described once: both drawings show what it says, and take no text for markup."""
+"""A chart is described once: print and page have what it says, and no text is markup."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.report.chart import Axis, Bars, Chart, Curve, HeatMap, Panel, Rule
+from modetune.flows.report.chart import Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, told_chart
 from modetune.flows.report.charts import campaign_charts
 from modetune.flows.report.matplotlib_charts import matplotlib_figure
-from modetune.flows.report.plotly_charts import plotly_figure
 
 STRANGE = "$x_$ <b>"
 
@@ -32,36 +33,44 @@ def two_panels() -> Chart:
     )
 
 
-def test_both_drawings_show_every_panel_and_its_axes() -> None:
+def told(chart: Chart) -> Any:
+    """What a page's script reads."""
+    return json.loads(json.dumps(told_chart(chart), allow_nan=False))
+
+
+def test_print_and_page_have_every_panel_and_its_axes() -> None:
     chart = two_panels()
-    print_, page = matplotlib_figure(chart), plotly_figure(chart)
-    left, right = print_.axes
-    assert left.get_yscale() == page.layout.yaxis.type == "log"
-    np.testing.assert_array_equal(left.lines[0].get_ydata(), page.data[0].y)
-    assert (
-        [bar.get_width() for bar in right.patches if isinstance(bar, Rectangle)]
-        == list(page.data[1].x)
-        == [1.0, -2.0]
-    )
+    left, right = matplotlib_figure(chart).axes
+    first, second = told(chart)["panels"]
+    assert left.get_yscale() == "log"
+    assert first["y"]["log"] is True
+    np.testing.assert_array_equal(left.lines[0].get_ydata(), first["items"][0]["y"])
+    widths = [bar.get_width() for bar in right.patches if isinstance(bar, Rectangle)]
+    assert widths == second["items"][0]["values"] == [1.0, -2.0]
     assert right.yaxis_inverted()
-    assert page.layout.yaxis2.range[0] > page.layout.yaxis2.range[1]
+    assert second["y"]["turned"] is True
+    assert second["sideways"] is True
+
+
+def test_what_no_axis_can_show_is_null_and_numbers_have_six_digits() -> None:
+    curve = Curve("", np.array([1.0, np.nan]), np.array([np.inf, 1 / 3]), "#000000")
+    found = told(Chart("", "", (Panel((curve,)),)))["panels"][0]["items"][0]
+    assert found["x"] == [1.0, None]
+    assert found["y"] == [None, 0.333333]
 
 
 def test_a_name_of_several_panels_stands_in_the_legend_once() -> None:
-    chart = two_panels()
-    (legend,) = matplotlib_figure(chart).legends
+    (legend,) = matplotlib_figure(two_panels()).legends
     assert [text.get_text() for text in legend.get_texts()] == ["before", r"\$x_\$ <b>"]
-    shown = [item.showlegend for item in plotly_figure(chart).data]
-    assert shown == [True, False]
 
 
-def test_texts_are_taken_neither_for_markup_nor_for_formulas() -> None:
+def test_texts_are_not_taken_for_formulas_in_print_and_stay_as_they_are_for_the_page() -> None:
     chart = two_panels()
-    page = plotly_figure(chart)
-    assert page.data[0].hovertext[2] == "&lt;i&gt;three"
-    assert page.layout.yaxis2.ticktext[1] == "$x_$ &lt;b&gt;"
     names = [text.get_text() for text in matplotlib_figure(chart).axes[1].get_yticklabels()]
     assert names[1] == r"\$x_\$ <b>"
+    first, second = told(chart)["panels"]
+    assert first["items"][0]["told"][2] == "<i>three"  # the page's script sets text, not markup
+    assert second["y"]["names"][1] == STRANGE
 
 
 @pytest.mark.parametrize(("n", "numbered"), [(4, True), (40, False)])
@@ -71,17 +80,15 @@ def test_values_are_written_into_a_map_while_there_is_room(n: int, numbered: boo
     chart = Chart("map", "", (Panel((heat,), Axis(names=names), Axis(names=names)),))
     # Zeros are left out in print: a field of them hides what is to be seen.
     assert len(matplotlib_figure(chart).axes[0].texts) == (n if numbered else 0)
-    drawn = plotly_figure(chart).data[0]
-    assert (drawn.texttemplate is not None) == numbered
-    assert drawn.hovertext[1][2] == "1 with 2: 0.0"
+    assert told(chart)["panels"][0]["items"][0]["numbered"] == numbered
 
 
-def test_every_chart_of_a_campaign_is_drawn_by_both(record: CampaignRecord) -> None:
+def test_every_chart_of_a_campaign_is_for_print_and_page(record: CampaignRecord) -> None:
     charts = dict(campaign_charts(replace(record, name=STRANGE)))
     for name, chart in charts.items():
         figure = matplotlib_figure(chart)
         assert len(figure.axes) >= len(chart.panels), name
-        assert plotly_figure(chart.alone(0)).data, name
+        assert len(told(chart)["panels"]) == len(chart.panels), name
 
 
 def test_errors_of_frequencies_are_those_of_the_record(record: CampaignRecord) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -88,12 +89,47 @@ def test_a_mode_outside_the_tolerance_is_remarked(record: CampaignRecord) -> Non
 def test_model_and_test_move_together(record: CampaignRecord) -> None:
     shown = scene(record)
     assert shown is not None
-    after = shown.modes[0].after
-    assert np.linalg.norm(after.model, axis=1).max() == pytest.approx(1.0)  # by definition
-    at = np.searchsorted(np.arange(1, after.model.shape[0] + 1), shown.nodes)
+    after = shown.states["after"]
+    model, test = after.modes[0], shown.tests[0]
+    assert after.pairs.tolist() == [[0, 0], [1, 1], [2, 2]]
+    # The largest motion is one by definition, here that of a sensor: shapes are bent, not fields.
+    assert max(np.abs(model.surface).max(), np.abs(model.points).max()) == pytest.approx(1.0)
+    assert np.linalg.norm(test.points, axis=1).max() == pytest.approx(1.0)
+    at = np.searchsorted(np.arange(1, model.surface.shape[0] + 1), shown.nodes)
     # The sensors are nodes of the surface, and the best shapes are bent by 1 % of another's.
-    np.testing.assert_allclose(after.test, after.model[at], atol=0.03)
+    np.testing.assert_allclose(model.points, model.surface[at], atol=0.03)
     np.testing.assert_allclose(shown.points, shown.coordinates[at], atol=1e-6)
+    np.testing.assert_allclose(np.diag(after.mac), record.best.pairing.mac)
+
+
+def test_a_computed_mode_without_a_partner_is_seen_at_the_sensors(record: CampaignRecord) -> None:
+    items = []
+    for item in record.iterations:  # the test's second mode is not paired with the model's second
+        first_and_last = np.array([0, 2])
+        pairing = replace(
+            item.pairing,
+            measured=first_and_last,
+            computed=first_and_last,
+            mac=item.pairing.mac[first_and_last],
+            subspace_mac=item.pairing.subspace_mac[first_and_last],
+            reasons=("highest MAC",) * 2,
+        )
+        field = item.field
+        if field.n_dof:
+            field = mode_set(
+                field.frequencies_hz[[0, 2]],
+                field.mode_shapes[:, [0, 2]],
+                field.nodes,
+                field.components,
+            )
+        items.append(replace(item, pairing=pairing, field=field))
+    shown = scene(replace(record, iterations=tuple(items)))
+    assert shown is not None
+    alone = shown.states["after"].modes[1]
+    assert alone.surface.size == 0
+    test = shown.tests[1].points[:, 2]
+    cosine = alone.points[:, 2] @ test / np.linalg.norm(alone.points) / np.linalg.norm(test)
+    assert cosine**2 == pytest.approx(record.best.pairing.mac[1])
 
 
 def test_a_tilted_sensor_moves_its_point_along_its_direction(record: CampaignRecord) -> None:
@@ -101,9 +137,9 @@ def test_a_tilted_sensor_moves_its_point_along_its_direction(record: CampaignRec
     tilted = np.tile([0.6, 0.0, 0.8], (record.places.directions.shape[0], 1))
     shown = scene(replace(record, places=replace(record.places, directions=tilted)))
     assert shown is not None
-    moved = shown.modes[0].after.test
-    np.testing.assert_allclose(moved[:, 0] * 0.8, moved[:, 2] * 0.6)
-    assert not moved[:, 1].any()
+    for moved in (shown.tests[0].points, shown.states["after"].modes[0].points):
+        np.testing.assert_allclose(moved[:, 0] * 0.8, moved[:, 2] * 0.6)
+        assert not moved[:, 1].any()
 
 
 def test_frequencies_alone_keep_the_phase_of_before(record: CampaignRecord) -> None:
@@ -116,9 +152,9 @@ def test_frequencies_alone_keep_the_phase_of_before(record: CampaignRecord) -> N
     assert common_dofs(test.modes, last.computed)[0].size == 0
     shown = scene(bare)
     assert shown is not None
-    mode = shown.modes[0]
-    assert mode.after.test.size == 0
-    np.testing.assert_allclose(mode.after.model, mode.before.model, atol=1e-12)
+    before, after = (shown.states[name].modes[0] for name in ("before", "after"))
+    assert after.points.size == 0
+    np.testing.assert_allclose(after.surface, before.surface, atol=1e-12)
 
 
 def with_shapes(record: CampaignRecord, shapes: Shapes) -> CampaignRecord:
@@ -137,7 +173,8 @@ def test_a_sensor_that_looks_the_other_way_is_named(record: CampaignRecord) -> N
     found = sensor_agreement(with_shapes(record, shapes))
     assert found is not None
     (said,) = of_sensors(with_shapes(record, shapes))
-    assert said.startswith(f"Sensor {found.labels[turned]} moves against the model's")
+    assert said.startswith(f"Sensor {found.labels[turned]} (COMAC ")
+    assert said.endswith(") moves against the model's: turned round?")
     # A sign alone does not show in the COMAC; in the ECOMAC it is the share of the largest motion.
     largest = np.abs(shapes).max(axis=0)
     share = float(np.mean(np.abs(shapes[turned]) / largest))
@@ -156,11 +193,20 @@ def test_a_swapped_pair_of_sensors_is_named(record: CampaignRecord) -> None:
     shapes[[one, other]] = shapes[[other, one]]
     found = sensor_agreement(with_shapes(record, shapes))
     assert found is not None
-    said = of_sensors(with_shapes(record, shapes))
-    assert [line.split()[1] for line in said] == [
-        found.labels[place] for place in sorted((one, other))
-    ]
-    assert all("turned round, swapped, or mounted elsewhere?" in line for line in said)
+    (said,) = of_sensors(with_shapes(record, shapes))
+    names = sorted((one, other), key=lambda place: found.after[place])  # the worst first
+    assert re.findall(r"(\d+\.z) \(COMAC", said) == [found.labels[place] for place in names]
+    assert said.endswith("do not move as the model's: turned round, swapped, or mounted elsewhere?")
+
+
+def test_of_many_sensors_the_worst_are_named_in_one_sentence(record: CampaignRecord) -> None:
+    shapes = record.test.modes.mode_shapes.copy()
+    largest = np.argsort(-np.abs(shapes).mean(axis=1))[:7]
+    shapes[largest] *= -1.0
+    (said,) = of_sensors(with_shapes(record, shapes))
+    assert said.startswith("Sensors ")
+    assert said.count("ECOMAC") == 5
+    assert "and 2 more move against the model's: turned round?" in said
 
 
 def test_where_no_sensor_agrees_none_is_named(record: CampaignRecord) -> None:

@@ -146,7 +146,7 @@ def test_a_held_out_mode_that_got_worse_is_marked_everywhere(
     (line,) = held_out_lines(held)
     assert line.startswith("mode 4, held out, got worse: it was ")
     section = page(record).partition('<section id="held-out">')[2].partition("</section>")[0]
-    assert "mode 4, held out, got worse" in section
+    assert "Mode 4, held out, got worse" in section
     assert 'class="outside"' in section
     console = Console(force_terminal=True, color_system="standard", width=120, record=True)
     with console.capture() as shown:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from html import escape
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from modetune.core.updating.judgement import trust_sentences
 from modetune.core.updating.trust import Trust
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import E1Section, UpdateSection
-from modetune.flows.report.page import page
+from modetune.flows.report.page import page, prose
 from modetune.flows.updating.display import show_run
 from modetune.flows.updating.recording import summary
 from modetune.flows.updating.run import CampaignRun
@@ -105,7 +104,7 @@ def test_what_no_parameter_stands_for_takes_the_trust_away_everywhere(
     for sentence in trust_sentences(found):
         assert sentence in shown
         assert sentence in summed["trust"]["sentences"]
-        assert escape(sentence) in page(told.record)
+        assert prose(sentence) in page(told.record)
     assert summed["trust"]["verdict"] == found.verdict
     kept = read_record(told.folder / "campaign.h5").trust
     assert kept is not None

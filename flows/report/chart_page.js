@@ -1,0 +1,3 @@
+// A page of one chart.
+"use strict";
+modetune.chart(document.getElementById("chart"), JSON.parse(document.getElementById("data").textContent));
