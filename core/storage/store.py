@@ -33,6 +33,7 @@ from modetune.core.updating.results import (
     MatrixResult,
     ModalResult,
     ModeDerivatives,
+    ModesForecast,
     ParameterMatrices,
     ReducedModel,
     ReducedRange,
@@ -53,6 +54,7 @@ KINDS: dict[str, type[Result]] = {
     "parameter_matrices": ParameterMatrices,
     "reduced": ReducedModel,
     "reduced_range": ReducedRange,
+    "modes_forecast": ModesForecast,
 }
 
 

@@ -11,6 +11,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
+from modetune.core.updating.modes_forecast import ModesForecast
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_range import ReducedRange
@@ -20,6 +21,7 @@ __all__ = [
     "MatrixResult",
     "ModalResult",
     "ModeDerivatives",
+    "ModesForecast",
     "ParameterMatrices",
     "ReducedModel",
     "ReducedRange",
@@ -137,7 +139,13 @@ class ModalResult:
 
 #: What a store keeps: what solvers give, and what is made of it at a cost.
 Result = (
-    ModalResult | MatrixResult | ModeDerivatives | ParameterMatrices | ReducedModel | ReducedRange
+    ModalResult
+    | MatrixResult
+    | ModeDerivatives
+    | ParameterMatrices
+    | ReducedModel
+    | ReducedRange
+    | ModesForecast
 )
 
 
@@ -168,3 +176,5 @@ def _numbers(result: Result) -> list[Floats | NDArray[np.complex128]]:
             return [result.modes.mode_shapes, result.eigenvalues]
         case ModeDerivatives():
             return [result.mode_shapes, result.eigenvalues]
+        case ModesForecast():
+            return [np.array([result.matrices_s, result.solver_s, result.run_s])]

@@ -72,7 +72,7 @@ class ModelSection(Section):
     eigensolver: Eigensolver = "auto"
     """Who finds the modes while updating: `solver`, the solver itself; `pardiso`, modetune from the
     matrices that CalculiX or MYSTRAN assembles once, with the solver's own modes at the end;
-    `auto`, the faster of both."""
+    `auto`, what is expected to take less."""
     units: Units
     """The consistent units that the deck is written in."""
     rigid_modes: Literal["auto"] | Annotated[int, Field(ge=0, le=1000)] = "auto"

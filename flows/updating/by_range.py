@@ -159,8 +159,11 @@ class ReducedRanges:
         return None if self._refused else self._evaluator(campaign, in_full)
 
     def _evaluator(self, campaign: Campaign, in_full: bool = True) -> Evaluator:
-        """The evaluator's cases on the ranges, as this campaign compares them."""
-        states = [
+        """The evaluator's cases on the ranges, as this campaign compares them or judges by them."""
+        pairs = zip(self.evaluator.used, self._finders, strict=True)
+        named = {pair[0].case.name: pair for pair in pairs}
+        states = [*self.evaluator.aside]
+        states += [
             replace(
                 state,
                 case=case,
@@ -168,12 +171,9 @@ class ReducedRanges:
                 finder=replace(finder, in_full=in_full),
                 analysis=ModalAnalysis(state.case.n_modes, state.case.nodes),
             )
-            for case, state, finder in zip(
-                (case for case in campaign.cases if not case.aside),
-                self.evaluator.used,
-                self._finders,
-                strict=True,
-            )
+            for case in campaign.cases
+            if case.name in named
+            for state, finder in [named[case.name]]
         ]
         return Evaluator(campaign, states, self.evaluator.execution, self.evaluator.ledger)
 

@@ -45,13 +45,12 @@ from modetune.flows.updating.finders import (
     unless_failed,
 )
 from modetune.flows.updating.holding_out import HoldingOut
+from modetune.flows.updating.modes_choice import MANY
 from modetune.flows.updating.pieces import Pieces
 from modetune.flows.updating.small_matrices import one_thread
 
 logger = logging.getLogger(__name__)
 
-#: So many sets are worth a reduced model that holds for all of them.
-MANY = 16
 #: Sets whose shapes are in memory at once.
 TOGETHER = 256
 

@@ -13,8 +13,9 @@ from modetune.flows.jobs.job import Plans
 from modetune.flows.jobs.limits import CORES, Limit
 from modetune.flows.jobs.work import Execution
 from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.evaluator import MANY, Evaluator
+from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import ModeFinder, by_solver, campaign_analysis
+from modetune.flows.updating.modes_choice import UPDATING, Demand, modes_source
 
 
 def evaluator_of(
@@ -22,11 +23,11 @@ def evaluator_of(
     engine: JobEngine,
     execution: Execution,
     eigensolver: bool = True,
-    sets: int = 0,
+    demand: Demand = UPDATING,
 ) -> Evaluator:
     """What evaluates a campaign's parameter sets.
 
-    sets: how many of them are to be evaluated at once. eigensolver: whether modes come from where
+    demand: how many of them. eigensolver: whether modes come from where
     the campaign says; else from the solver's own runs, as for cases that are only judged by.
     """
     states = []
@@ -35,7 +36,8 @@ def evaluator_of(
         at = engine_of(engine, campaign, case)
         every = range(len(campaign.parameters))
         columns = np.array(every if case.columns is None else case.columns, dtype=np.int64)
-        finder = finder_of(own, at, sets) if eigensolver and not case.aside else by_solver(own, at)
+        chosen = eigensolver and not case.aside
+        finder = finder_of(own, at, demand) if chosen else by_solver(own, at)
         states.append(CaseState(case, own, columns, at, finder, campaign_analysis(own)))
     evaluator = Evaluator(campaign, states, execution, engine.ledger)
     if any(state.finder.name != state.case.solver.program.name for state in states):
@@ -47,14 +49,10 @@ def evaluator_of(
     return evaluator
 
 
-def finder_of(campaign: Campaign, engine: JobEngine, sets: int = 0) -> ModeFinder:
-    """What finds the modes of a campaign's only case, by its `eigensolver`, for so many sets."""
+def finder_of(campaign: Campaign, engine: JobEngine, demand: Demand) -> ModeFinder:
+    """What finds the modes of a campaign's only case, by its `eigensolver`."""
     own = by_solver(campaign, engine)
-    if campaign.case.eigensolver == "solver":
-        return own
-    from modetune.flows.updating.matrix_source import modes_source
-
-    source = modes_source(campaign, engine, sets >= MANY)
+    source = modes_source(campaign, own, demand)
     if source is None:
         return own
     from modetune.flows.updating.by_matrices import ByMatrices

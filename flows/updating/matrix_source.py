@@ -10,7 +10,6 @@ was given as matrices has its own parts, and needs no job.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,9 +18,8 @@ from itertools import combinations
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.solver import MatrixAnalysis, Solver
+from modetune.adapters.solver import MatrixAnalysis
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.algebra.pardiso import is_available
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import ParameterSet
@@ -33,27 +31,19 @@ from modetune.core.updating.parameter_matrices import (
     fit_powers,
     parameter_matrices,
 )
-from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.matrix_plan import (
     MatrixPlan,
     Sampling,
     plan,
     sampling,
     scale_together,
-    unsuitable,
 )
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Work
 
-logger = logging.getLogger(__name__)
-
 #: Raised by hand when the same matrices are taken apart in another way.
 VERSION = 2
-#: Models of fewer elements are solved by the solver itself as fast, where its modes cost one run.
-SMALL = 2000
-#: Runs for modes and for each column's differences that updating takes without matrices.
-RUNS = 4
 #: Upper triangles of stiffness and mass.
 Triangles = tuple[sparse.csr_array, sparse.csr_array]
 NOTHING = sparse.csr_array((0, 0))
@@ -266,46 +256,3 @@ class MatrixSource:
 
     def _result(self, job: Job) -> MatrixResult:
         return self.engine.solve(job).result(MatrixResult)
-
-
-def modes_source(campaign: Campaign, engine: JobEngine, many: bool = False) -> MatrixSource | None:
-    """Where the matrices come from whose modes stand for the solver's; None where none do.
-
-    many: whether so many sets are evaluated at once that even small models' runs count.
-    """
-    if campaign.case.eigensolver == "solver":
-        return None
-    solver, parameters = campaign.case.solver, campaign.parameters
-    source = MatrixSource(engine, parameters, campaign.sensitivity.step)
-    auto = campaign.case.eigensolver == "auto"
-    reason = None
-    if auto:  # first: the rest takes a look at the whole deck
-        reason = _slower(solver, many)
-    if reason is None:
-        reason = unsuitable(solver, parameters.parameters, campaign.sensitivity.method)
-    if reason is None and auto and not many:
-        reason = _more_runs(source, campaign.start)
-    if reason is not None:
-        logger.info("modes are the solver's own: %s", reason)
-        if campaign.update.confirm == "matrices" and not many:
-            logger.warning("`update.confirm: matrices` has nothing to confirm: %s", reason)
-        return None
-    return source
-
-
-def _slower(solver: Solver, many: bool) -> str | None:
-    """Why the solver itself is as fast, None where it is not."""
-    summary, energies = solver.deck.summary, solver.program.capabilities.strain_energies
-    small = summary.n_elements < SMALL
-    if small and energies and not (many and summary.matrices is None):
-        return f"it is as fast below {SMALL} elements"
-    return None if small or is_available() else "MKL's PARDISO is not installed"
-
-
-def _more_runs(source: MatrixSource, theta: Floats) -> str | None:
-    """Why a solver whose derivatives are differences takes no more runs by itself."""
-    columns = range(len(source.parameters))
-    jobs, others = len(source.jobs(theta, columns)), RUNS * (1 + len(columns))
-    if source.engine.solver.program.capabilities.strain_energies or jobs < others:
-        return None
-    return f"its matrices take {jobs} jobs, and differences about {others}"

@@ -52,7 +52,7 @@ def digest(kind: Any) -> str:
     ("kind", "number", "expected"),
     [
         (CAMPAIGN.kind, CAMPAIGN.format, (5, "eec69cee87f8")),
-        (SCREENING.kind, SCREENING.format, (4, "f0077ecdfb79")),
+        (SCREENING.kind, SCREENING.format, (5, "3977d39bdf92")),
         (POSTERIOR.kind, POSTERIOR.format, (4, "adfd7a1f7fe2")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),
         (store.KINDS["matrices"], store.FORMAT, (4, "2a942894df94")),
@@ -60,6 +60,7 @@ def digest(kind: Any) -> str:
         (store.KINDS["parameter_matrices"], store.FORMAT, (4, "bd4ac9a61f4f")),
         (store.KINDS["reduced"], store.FORMAT, (4, "adff64dcddcc")),
         (store.KINDS["reduced_range"], store.FORMAT, (4, "3947a67c6b4b")),
+        (store.KINDS["modes_forecast"], store.FORMAT, (4, "ab1c5574bce3")),
     ],
     ids=lambda item: getattr(item, "__name__", None),
 )

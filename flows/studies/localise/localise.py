@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
@@ -25,6 +26,7 @@ from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.modes_choice import Demand
 from modetune.flows.updating.running import job_engine
 
 
@@ -113,14 +115,15 @@ def localise(
     values = campaign.start if theta is None else theta
     engine = job_engine(campaign, watcher)
     try:
-        threads = ThreadExecution(engine, campaign.parallel)
-        evaluator = evaluator_of(campaign, engine, threads)
+        threads, why = ThreadExecution(engine, campaign.parallel), why_no_maps(campaign)
+        demand = Demand(steps=1, matrices=not why)
+        evaluator = evaluator_of(campaign, engine, threads, demand=demand)
         evaluation, matrix = evaluator.evaluate(0, values, None, alone=False)
         assert matrix is not None
-        why = why_no_maps(campaign)
         maps = None
         if not why:
-            maps, why = error_maps(campaign, evaluator, evaluation.parts[0])
+            with factor_room(engine.room):
+                maps, why = error_maps(campaign, evaluator, evaluation.parts[0])
     except BaseException:
         engine.cancelled.set()  # jobs of other threads end with the command
         raise

@@ -23,8 +23,8 @@ from modetune.flows.studies.sample.learning import Learned, learn
 from modetune.flows.studies.sample.points import PointSolver
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.sampling import Chains, check_walkers, sample
-from modetune.flows.updating.evaluator import MANY
 from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.modes_choice import MANY, Demand
 from modetune.flows.updating.running import solving_engine
 
 #: Without a number: runs over the range and walkers a parameter, and the least of both.
@@ -103,7 +103,7 @@ def sample_campaign(
     with solving_engine(campaign, watcher) as engine:
         try:
             threads = ThreadExecution(engine, campaign.parallel)
-            evaluator = evaluator_of(campaign, engine, threads, sets=asked)
+            evaluator = evaluator_of(campaign, engine, threads, demand=Demand(1, asked))
             evaluator.tell = progress.working
             solver = PointSolver(campaign, evaluator)
             # Where nothing was measured but frequencies, pairs are those that updating begins with.

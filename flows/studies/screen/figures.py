@@ -105,7 +105,7 @@ def morris_chart(screening: Screening) -> Chart:
     found, panels = screening.indices, []
     assert found is not None
     chosen = np.array([item.chosen for item in screening.choice.verdicts])
-    for mode, number in enumerate(screening.numbers):
+    for mode, title in enumerate(screening.modes):
         mean, spread = (found.measure(name)[mode] for name in ("mu_star", "sigma"))
         reach = 1.12 * float(max(mean.max(), spread.max(), 1e-12))
         strong = set(np.argsort(-np.hypot(mean, spread))[:LABELLED].tolist())
@@ -137,7 +137,7 @@ def morris_chart(screening: Screening) -> Chart:
                 (line, *points),
                 Axis("mu*, df/f over the bounds", span=span),
                 Axis("sigma", span=span),
-                f"mode {number}",
+                title,
             )
         )
     return _chart(screening, f"Morris, {found.used} points", panels, (3.4, 2.9))
@@ -152,9 +152,9 @@ def interaction_chart(screening: Screening) -> Chart:
             screening,
             found.interaction_shares[mode] + np.diag(found.measure("main_share")[mode]),
             "Blues",
-            f"mode {number}",
+            name,
         )
-        for mode, number in enumerate(screening.numbers)
+        for mode, name in enumerate(screening.modes)
     ]
     return _chart(screening, "shares of main effects and of interactions", panels, (3.4, 3.0))
 
@@ -212,14 +212,14 @@ def _bars(
     ]
     y = Axis(names=tuple(screening.names[place] for place in order), turned=True)
     panels = []
-    for mode, number in enumerate(screening.numbers[: len(values)]):
+    for mode, name in enumerate(screening.modes[: len(values)]):
         spread = None if first_errors is None else first_errors[mode, order]
         items: list[Item] = [Bars("", values[mode, order], colours, spread)]
         if second is not None:
             spread = None if second_errors is None else second_errors[mode, order]
             items.append(Bars(labels[1], second[mode, order], SECOND, spread))
         items += [Rule("", 0.0, "#404040", "-", upright=True), *legend]
-        panels.append(Panel(tuple(items), Axis(unit), y, f"mode {number}", sideways=True))
+        panels.append(Panel(tuple(items), Axis(unit), y, name, sideways=True))
     made = _chart(screening, title, panels, (3.2, max(1.5, 0.7 + 0.17 * len(order))))
     return replace(made, same_y=True, same_x=True)
 

@@ -28,16 +28,17 @@ def importance(
 
 def loudest(
     campaign: Campaign,
-    numbers: tuple[int, ...],
+    modes: tuple[str, ...],
     design: Design,
     local: LocalSensitivity,
     found: Indices | None,
 ) -> tuple[str, ...]:
-    """The response that each parameter moves most, for people; numbers: of the paired modes."""
+    """The response that each parameter moves most, for people; modes: names of the
+    paired ones."""
     moves = seen_moves(campaign, design, local, found)
-    n = len(numbers)
+    n = len(modes)
     return tuple(
-        f"{'MAC' if row >= n else 'frequency'} of mode {numbers[row % n]}"
+        f"{'MAC' if row >= n else 'frequency'} of {modes[row % n]}"
         for row in moves.argmax(axis=0).tolist()
     )
 
@@ -46,7 +47,7 @@ def seen_moves(
     campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
 ) -> Floats:
     """The same of each response, (n_responses, n_parameters); zero where it is not compared."""
-    weighting, n = campaign.case.weighting, local.frequencies.shape[0]
+    weighting, n = campaign.weighting, local.frequencies.shape[0]
     if found is None:
         slopes = np.abs(np.vstack([local.frequencies, local.mac]))
         moves = slopes * (design.upper - design.lower) / campaign.parameters.initial

@@ -17,7 +17,7 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.screen.record import LocalSensitivity
-from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.evaluation import Evaluation, Matrix, part_rows
 
 
 def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -> LocalSensitivity:
@@ -29,7 +29,7 @@ def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -
     root = np.sqrt(residual.weights)
     return LocalSensitivity(
         frequencies=0.5 * ratio[:, None] * matrix.values[:n] * theta,
-        mac=_mac(residual.values[n:], matrix.values[n:], n, theta),
+        mac=_mac(nominal, matrix.values),
         weighted=root[:, None] * matrix.values * campaign.parameters.standard_deviations,
         weighted_residual=root * residual.values,
         methods=matrix.methods_had,
@@ -40,10 +40,16 @@ def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -
     )
 
 
-def _mac(values: Floats, rows: Floats, n_modes: int, theta: Floats) -> Floats:
-    """dMAC / (dp/p), (n_modes, n_parameters); without rows where shapes are not compared."""
-    if not values.size:
+def _mac(nominal: Evaluation, sensitivity: Floats) -> Floats:
+    """dMAC / (dp/p), (n_modes, n_parameters); without rows where shapes are not compared, zero for
+    modes of a test without shapes beside one that has some."""
+    theta, found = nominal.theta, nominal.residual
+    if found.values.size == found.n_frequencies:
         return np.zeros((0, theta.size))
-    shapes = values.reshape(n_modes, -1)
-    slopes = rows.reshape(n_modes, -1, theta.size)
-    return np.asarray(2.0 * np.einsum("ms,msp->mp", shapes, slopes) * theta)
+    slopes = []
+    for part, rows in zip(nominal.parts, part_rows(nominal.parts), strict=True):
+        n_modes = part.residual.n_frequencies
+        shapes = found.values[rows[n_modes:]].reshape(n_modes, -1)
+        changes = sensitivity[rows[n_modes:]].reshape(n_modes, -1, theta.size)
+        slopes.append(np.einsum("ms,msp->mp", shapes, changes))
+    return np.asarray(2.0 * np.concatenate(slopes) * theta)

@@ -54,8 +54,8 @@ def _fewer_than_asked(screening: Screening) -> list[str]:
 
 def _unexplained(screening: Screening, shares: Floats, what: str) -> list[str]:
     return [
-        f"mode {number}: {what} {100.0 * max(share, 0.0):.0f} % of its variance, {HENCE}"
-        for number, share in zip(screening.numbers, shares.tolist(), strict=False)
+        f"{name}: {what} {100.0 * max(share, 0.0):.0f} % of its variance, {HENCE}"
+        for name, share in zip(screening.modes, shares.tolist(), strict=False)
         if share < LEAST_EXPLAINED  # no number is less
     ]
 
@@ -63,14 +63,14 @@ def _unexplained(screening: Screening, shares: Floats, what: str) -> list[str]:
 def _scattered(screening: Screening, found: Indices) -> list[str]:
     said = []
     sizes, spreads = found.measure("mu_star"), found.measure("sigma")
-    for row, number in enumerate(screening.numbers):
+    for row, name in enumerate(screening.modes):
         heard = sizes[row] >= LEAST_EFFECT * sizes[row].max()
         names = [
             screening.names[place]
             for place in np.flatnonzero(heard & (spreads[row] > sizes[row])).tolist()
         ]
         if names:
-            said.append(f"mode {number}: sigma exceeds mu* of {', '.join(names)}, {HENCE}")
+            said.append(f"{name}: sigma exceeds mu* of {', '.join(names)}, {HENCE}")
     return said
 
 

@@ -5,7 +5,8 @@ values are attributes, arrays datasets, dataclasses groups, each by the name of 
 
 /                     attributes: name, seed, solver, solver_version, units, campaign_text (of the
                       file), wall_s, wanted; datasets: names, deviations, importance
-                      (n_parameters,), numbers, test_hz, nominal_hz, nominal_mac (n_modes,)
+                      (n_parameters,), numbers, test_hz, nominal_hz, nominal_mac (n_modes,),
+                      configurations (n_modes,) where there are several
 design/               points (n_points, n_parameters), blocks (n_points,), lower, upper
                       (n_parameters,); attributes method, levels
 responses/            frequencies_hz, mac (n_points, n_modes), NaN where a point failed; mac
@@ -25,11 +26,12 @@ runs/                 attributes modal, sensitivity, reused, core_s, licence_s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from modetune.core.brief import brief
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, mode_name
 from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import RecordFile
 from modetune.core.updating.reduced_range import RangeUse
@@ -85,6 +87,7 @@ class Screening:
     nominal_mac: (n_modes,), of the pairs at the deck's values. indices: None for `local`.
     importance: (n_parameters,). wanted: how many parameters were asked for, 0 where the choice
     was free. reduced_model: by which the points were found, None where each took a run.
+    configurations: whose test each mode is of, empty where the campaign has one model.
     """
 
     name: str
@@ -109,6 +112,7 @@ class Screening:
     wall_s: float = 0.0
     wanted: int = 0
     reduced_model: RangeUse | None = None
+    configurations: tuple[str, ...] = ()
 
     __repr__ = brief
 
@@ -118,14 +122,25 @@ class Screening:
         return self.reduced_model.sentence if self.reduced_model else ""
 
     @property
+    def modes(self) -> tuple[str, ...]:
+        """Names of the used modes for people."""
+        return mode_names(self.numbers, self.configurations)
+
+    @property
     def response_names(self) -> tuple[str, ...]:
         """Of the rows of the indices: frequencies of all modes, then their MAC."""
-        frequencies = tuple(f"frequency {number}" for number in self.numbers)
-        macs = tuple(f"MAC {number}" for number in self.numbers)
+        modes = [name.removeprefix("mode ") for name in self.modes]
+        frequencies = tuple(f"frequency {name}" for name in modes)
+        macs = tuple(f"MAC {name}" for name in modes)
         return frequencies + (macs if self.responses.mac.shape[1] else ())
 
 
-SCREENING = RecordFile(Screening, "screening", FILE, 4)
+def mode_names(numbers: Sequence[int], configurations: Sequence[str]) -> tuple[str, ...]:
+    """Modes as people call them; configurations: of each, empty where there is one."""
+    return tuple(map(mode_name, numbers, configurations or [""] * len(numbers)))
+
+
+SCREENING = RecordFile(Screening, "screening", FILE, 5)
 
 
 def write_screening(path: Path, screening: Screening) -> None:

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from modetune.core.errors import CampaignError, ModetuneError
+from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import RunCounts
@@ -30,9 +30,10 @@ from modetune.flows.studies.screen.design import Design, Method, make_design
 from modetune.flows.studies.screen.importance import importance, loudest
 from modetune.flows.studies.screen.indices import Indices, design_indices
 from modetune.flows.studies.screen.local import local_sensitivity
-from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening
+from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening, mode_names
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.modes_choice import Demand
 from modetune.flows.updating.pieces import outcomes_count
 from modetune.flows.updating.running import solving_engine
 
@@ -81,11 +82,6 @@ def screen_campaign(
     be), SolverError, ModesError (too few points are left), StoreError.
     """
     started = time.monotonic()
-    if len(campaign.cases) > 1:
-        raise CampaignError(
-            "screen takes one model and one test; this campaign has several configurations, so "
-            "screen each by a campaign file of its own"
-        )
     # One stream for the points and one for the analysis, so that either stays if the other changes.
     at_points, at_indices = np.random.default_rng(request.seed).spawn(2)
     parameters = campaign.parameters
@@ -101,8 +97,9 @@ def screen_campaign(
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign, watcher) as engine, _ended(engine):
         progress.working("deck's values, sensitivities")
-        shown = _Shown(engine, campaign.parallel, progress, len(design.points))
-        evaluator = evaluator_of(campaign, engine, shown, sets=len(design.points))
+        total = len(design.points) * len(campaign.used)
+        shown = _Shown(engine, campaign.parallel, progress, total)
+        evaluator = evaluator_of(campaign, engine, shown, demand=Demand(1, len(design.points)))
         evaluator.tell = progress.working
         nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
         assert matrix is not None
@@ -154,7 +151,10 @@ def _screening(
     wall_s: float,
     use: RangeUse | None,
 ) -> Screening:
-    numbers = tuple(campaign.test.numbers[place] for place in nominal.pairing.measured.tolist())
+    paired = nominal.pairing.measured.tolist()
+    numbers = tuple(campaign.test.numbers[place] for place in paired)
+    names = campaign.configurations
+    configurations = tuple(names[place] for place in paired) if names else ()
     values = importance(campaign, design, local, found)
     parameters, start = campaign.parameters, nominal.theta
     allowed = [
@@ -164,7 +164,7 @@ def _screening(
     candidates = CandidateParameters(
         campaign.parameters.names,
         values,
-        loudest(campaign, numbers, design, local, found),
+        loudest(campaign, mode_names(numbers, configurations), design, local, found),
         local.missing,
         local.weighted,
         local.weighted_residual,
@@ -176,7 +176,7 @@ def _screening(
         seed=request.seed,
         solver=campaign.solver_name,
         solver_version=version,
-        units=campaign.case.units,
+        units=", ".join(dict.fromkeys(case.units for case in campaign.used)),
         campaign_text=campaign.text,
         names=campaign.parameters.names,
         deviations=campaign.parameters.standard_deviations,
@@ -194,6 +194,7 @@ def _screening(
         wall_s=wall_s,
         wanted=request.choose or 0,
         reduced_model=use,
+        configurations=configurations,
     )
 
 
@@ -220,7 +221,9 @@ def _responses(
     for place, item in enumerate(points):
         if isinstance(item, Evaluation):
             frequencies[place] = item.seen.frequencies_hz[item.pairing.computed]
-            macs[place] = item.pairing.judged_mac[:shaped]
+            found = item.pairing.judged_mac[:shaped]
+            # A mode whose test has no shapes, beside others that have some, keeps its own.
+            macs[place] = np.where(np.isnan(found), 1.0, found)
             keys[place] = item.key
         else:
             failures[place] = str(item)
@@ -231,7 +234,7 @@ def _responses(
 class _Shown:
     """An execution that tells how far the points of the design are.
 
-    total: points in all; begun: those that were handed over before, some at a time.
+    total: points of all configurations; begun: those that were handed over before, some at a time.
     """
 
     engine: JobEngine

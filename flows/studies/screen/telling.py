@@ -160,14 +160,14 @@ def tables(screening: Screening) -> list[Table]:
 
 def _local_table(screening: Screening, what: str, rows: Floats) -> Table:
     """Sensitivities (n_modes, n_parameters) at the deck's values."""
-    numbers, methods = screening.numbers[:SHOWN], screening.local.methods
+    modes, methods = screening.modes[:SHOWN], screening.local.methods
     columns = (
         Column("parameter", words=True),
-        *(Column(f"mode {number}", form="+.2f") for number in numbers),
+        *(Column(name, form="+.2f") for name in modes),
         Column("by", words=True),
     )
     lines = tuple(
-        (screening.names[place], *rows[: len(numbers), place].tolist(), methods[place])
+        (screening.names[place], *rows[: len(modes), place].tolist(), methods[place])
         for place in screening.choice.ranking
     )
     return Table(f"At the deck's values: {what} of test modes", columns, lines)
@@ -190,19 +190,19 @@ def _index_table(screening: Screening) -> Table:
     found, method = screening.indices, screening.design.method
     assert found is not None
     main, beside = SHOWN_MEASURES[method]
-    numbers = screening.numbers[:SHOWN]
+    modes = screening.modes[:SHOWN]
     rows = []
     for place in screening.choice.ranking:
-        cells = [f"{value:.3f}" for value in found.measure(main)[: len(numbers), place]]
+        cells = [f"{value:.3f}" for value in found.measure(main)[: len(modes), place]]
         if beside:
-            more = found.measure(beside)[: len(numbers), place]
+            more = found.measure(beside)[: len(modes), place]
             cells = [f"{cell} ({value:.3f})" for cell, value in zip(cells, more, strict=True)]
         rows.append((screening.names[place], *cells))
-    explained = found.explained[: len(numbers)]
+    explained = found.explained[: len(modes)]
     foot = [("explained", *explained)] if np.isfinite(explained).any() else []
     columns = (
         Column("parameter", words=True),
-        *(Column(f"mode {number}", form=".3f") for number in numbers),
+        *(Column(name, form=".3f") for name in modes),
     )
     return Table(HEADINGS[method], columns, tuple(rows), tuple(foot))
 

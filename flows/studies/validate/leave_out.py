@@ -1,9 +1,11 @@
 """Does an updated model hold on what it was not updated with?
 
 Leave-one-out cross-validation: as many updates as there are used modes, each without one of them
-and judged on it. The updates share a store and differ little at first, so most of what they ask
-for is there already. That the parameters of all these updates agree is a second sign of a sound
-answer; where they scatter, single modes decide it.
+and judged on it. Where modes come from matrices all go on one reduced model that holds between the
+bounds and that the solver confirms once, where it was worst; else they go side by side, share a
+store and differ little at first, so most of what they ask for is there already. That the
+parameters of all these updates agree is a second sign of a sound answer; where they scatter, single
+modes decide it.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,9 +30,13 @@ from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.watching import JobWatcher, part_of
 from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import CAMPAIGNS_OWN
+from modetune.flows.updating.modes_choice import STEPS, UPDATING, Demand
 from modetune.flows.updating.running import solving_engine
+from modetune.flows.updating.small_matrices import one_thread
 from modetune.flows.updating.updating import Updating
 
 logger = logging.getLogger(__name__)
@@ -136,7 +143,8 @@ def leave_out(campaign: Campaign, number: int, configuration: str = "") -> Campa
     else:
         changed = replace(case, aside=True)
     cases = tuple(changed if item is case else item for item in campaign.cases)
-    return replace(campaign, cases=cases)
+    # All updates begin where the campaign does, or their spread would tell of starts.
+    return replace(campaign, cases=cases, update=campaign.update.model_copy(update={"starts": 1}))
 
 
 def leave_one_out(
@@ -180,13 +188,19 @@ def _validated(
     campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign, watcher) as engine:
-        workers = min(len(campaigns), campaign.parallel)
+        threads = ThreadExecution(engine, campaign.parallel)
+        several = len(campaigns) > 1
+        demand = Demand(1, STEPS * len(campaigns)) if several else UPDATING
+        whole = evaluator_of(campaign, engine, threads, demand=demand)
+        known = _on_range(campaign, whole) if several else None
+        # What is found within one process goes one after another.
+        workers = 1 if known else min(len(campaigns), campaign.parallel)
         with ThreadPoolExecutor(workers, thread_name_prefix="modetune-fold") as pool:
             futures = []
             for (number, configuration), one in zip(modes, campaigns, strict=True):
                 unknown = np.full(len(campaign.parameters), np.nan)
                 begun = Fold(number, "failed", "", 0, unknown, None, configuration)
-                futures.append(pool.submit(_fold, begun, one, engine, working))
+                futures.append(pool.submit(_fold, begun, one, engine, working, whole, known))
             try:
                 done = [future.result() for future in futures]
             except BaseException:
@@ -194,7 +208,7 @@ def _validated(
                 for future in futures:
                     future.cancel()
                 raise
-        runs = RunCounts()
+        runs = whole.runs
         for _, counted in done:
             runs = runs.plus(replace(counted, core_s=0.0, licence_s=0.0))
         runs = replace(runs, core_s=engine.ledger.core_s, licence_s=engine.ledger.licence_s)
@@ -207,20 +221,43 @@ def _validated(
     )
 
 
+def _on_range(campaign: Campaign, whole: Evaluator) -> Evaluation | None:
+    """A set around which there are reduced models that hold between the bounds; None where there
+    are none."""
+    if whole.ranges is None:
+        return None
+    try:
+        known, _ = whole.evaluate(0, campaign.start, None, alone=True)
+    except (SolverError, ModesError) as error:
+        if isinstance(error, CAMPAIGNS_OWN):
+            raise
+        logger.info("each update goes by itself: %s", error)
+        return None
+    return known if whole.ranges.within(campaign, known) else None
+
+
 def _fold(
     fold: Fold,
     campaign: Campaign,
     engine: JobEngine,
     working: Callable[[str], None],
+    whole: Evaluator,
+    known: Evaluation | None,
 ) -> tuple[Fold, RunCounts]:
     """One update; the fold tells what is left out. Where it fails, the reason stands in place of
-    its end."""
+    its end.
+
+    whole: evaluates the campaign that nothing is left out of; known: a set of it, around which its
+    reduced models are made, None where there are none.
+    """
     engine = replace(engine, watcher=part_of(engine.watcher, fold.name if fold.number else ""))
-    threads = ThreadExecution(engine, campaign.parallel)
-    evaluator = evaluator_of(campaign, engine, threads)
+    evaluator = whole.ranges.within(campaign, known) if whole.ranges and known else None
+    if evaluator is None:
+        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
     updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
     try:
-        record = updating.run()
+        with one_thread() if known else nullcontext():
+            record = updating.run()
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN) or fold.number == 0:
             raise

@@ -329,7 +329,7 @@ def test_matrices_of_a_model_come_from_slurm_and_modes_are_found_here(
     """By `auto`: two matrix jobs and the last modal one go through srun, and end where jobs of
     this machine do."""
     monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
-    monkeypatch.setattr("modetune.flows.updating.matrix_source.SMALL", 0)
+    monkeypatch.setattr("modetune.flows.updating.modes_choice.RUN_S", 10.0)
     file = written(BAR, tmp_path / "bar")
     here = update(file, tmp_path / "here", watcher)
     there = update(file, tmp_path / "there", watcher, "run.engine=slurm")

@@ -24,8 +24,10 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.store import Store
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.work import solved
+from modetune.flows.updating.finders import by_solver
 from modetune.flows.updating.foresight import ReducedForesight
-from modetune.flows.updating.matrix_source import modes_source
+from modetune.flows.updating.modes_choice import Demand, modes_forecast, modes_source
 from modetune.flows.updating.running import job_engine, update_campaign
 from modetune.flows.updating.stored_modes import MatrixModes
 from tests.adapters.ccx_decks import bar, plate, wall
@@ -273,7 +275,9 @@ def test_matrices_of_the_jobs_do_not_stay_beside_what_was_made_of_them(
         load_campaign(bar_file, [f"store={folder / 'store'}", STORED])
         for folder in (tmp_path, bar_file.parent)
     )
-    source, kept = (modes_source(item, job_engine(item)) for item in (fresh, store))
+    source, kept = (
+        modes_source(item, by_solver(item, job_engine(item))) for item in (fresh, store)
+    )
     assert source is not None
     assert kept is not None
     start, columns = fresh.start, range(3)
@@ -350,6 +354,38 @@ def test_auto_takes_the_solver_for_a_small_model_without_a_word(
     assert not [entry for entry in caplog.records if entry.levelname == "WARNING"]
 
 
+def test_the_way_that_takes_less_is_taken_told_and_kept(
+    bar_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    campaign = load_campaign(bar_file, [f"store={tmp_path / 'store'}"])
+    own = by_solver(campaign, job_engine(campaign))
+    caplog.set_level("INFO")
+    assert modes_source(campaign, own) is None
+    few = "by the solver's own runs: 2 matrix jobs, about [0-9.]+ s in all, against 4 runs, about"
+    assert re.search(few, caplog.text)
+    assert "judged by the number of elements" in caplog.text
+    (outcome,) = solved(own.source.engine, [own.job(campaign.start, ModalAnalysis(6, ()))])
+    entry, holding = campaign.store.get(outcome.key), campaign.store.holding(outcome.key)
+    assert entry is not None
+    assert holding is not None
+    # A run that took half a minute makes matrices worth their while, but not where it was chosen.
+    campaign.store.put(replace(entry, wall_s=30.0), holding.asked, holding.note)
+    assert modes_source(campaign, own) is None
+    once = Demand(1, 2)
+    assert modes_source(campaign, own, once) is not None
+    assert re.search(r"by matrices: 2 matrix jobs.* against 3 runs.*30 s, as measured", caplog.text)
+    assert modes_forecast(campaign, own, once) == modes_forecast(campaign, own, once)
+
+
+def test_a_choice_that_nothing_may_be_kept_of_is_made_all_the_same(
+    bar_file: Path, tmp_path: Path
+) -> None:
+    campaign = load_campaign(bar_file, [f"store={tmp_path / 'store'}"])
+    engine = replace(job_engine(campaign), may_run=False)
+    assert modes_source(campaign, by_solver(campaign, engine)) is None
+    assert not (tmp_path / "store").exists()
+
+
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
@@ -376,7 +412,7 @@ def test_stored_matrices_that_cannot_be_had_are_refused_in_one_sentence(
     assert "part.yaml" in problem
     # The same campaign is fine by `auto`, which takes the solver.
     campaign = load_campaign(bar_file, [store, setting])
-    assert modes_source(campaign, job_engine(campaign)) is None
+    assert modes_source(campaign, by_solver(campaign, job_engine(campaign))) is None
 
 
 @dataclass(frozen=True)
@@ -549,7 +585,10 @@ def test_confirming_by_matrices_where_modes_are_the_solvers_own_is_refused_or_to
         load_campaign(bar_file, [by, "model.eigensolver=solver"])
     settings = (by, "model.eigensolver=auto", "update.max_iterations=0")
     update(bar_file, tmp_path, watcher, *settings)  # of so few elements, by itself
-    assert "`update.confirm: matrices` has nothing to confirm: it is as fast below" in caplog.text
+    assert (
+        "`update.confirm: matrices` has nothing to confirm: by the solver's own runs: 2"
+        in caplog.text
+    )
 
 
 @dataclass(frozen=True)

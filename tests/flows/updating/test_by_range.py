@@ -16,10 +16,21 @@ from modetune.flows.studies.sample import density, sampling
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
 from modetune.flows.updating import by_range
 from modetune.flows.updating.starts import update_from_starts
 from tests.adapters.ccx_decks import bar
-from tests.flows.updating.test_by_matrices import BAR, OWN, SKEW, THICKNESS, Case, written
+from tests.flows.updating.test_by_matrices import (
+    BAR,
+    JOINT,
+    OWN,
+    SKEW,
+    STORED,
+    THICKNESS,
+    Case,
+    side_by_side,
+    written,
+)
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
 
@@ -177,3 +188,52 @@ def test_starts_that_were_asked_for_cost_no_runs_of_their_own(tmp_path: Path) ->
     assert len(record.trust.spread.starts) == 6
     assert set(record.trust.spread.minima.tolist()) == {0}  # all lead to the answer
     assert record.runs.modal == 1
+
+
+@pytest.mark.parametrize(
+    "case",
+    [BAR, CASES["skew shells"], JOINT],
+    ids=["bar", "skew shells", "joint with shapes"],
+)
+def test_one_reduced_model_stands_for_the_runs_of_leaving_each_mode_out(
+    case: Case, tmp_path: Path
+) -> None:
+    file = written(case, tmp_path / "case")
+
+    def left_out(eigensolver: str) -> Validation:
+        place = f"store={tmp_path / eigensolver[-6:]}"
+        return leave_one_out(load_campaign(file, [place, eigensolver]), lambda text: None)
+
+    ranged, own = left_out(STORED), left_out(OWN)
+    assert ranged.status == own.status == "good"
+    assert len(ranged.folds) == case.n_modes
+    # Besides the matrices' jobs the solver confirms the reduced model once, where it was worst.
+    assert ranged.runs.modal == 1
+    assert own.runs.modal > 3 * case.n_modes
+    # e1 is 1e-6, moduli follow with twice that and a condition of some ten.
+    for spread in ranged.spread:
+        np.testing.assert_allclose(spread, case.truth, rtol=1e-4)
+    assert ranged.held_out is not None
+    np.testing.assert_allclose(ranged.held_out.error_updated, 0.0, atol=1e-5)
+    again = left_out(STORED)
+    assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
+    np.testing.assert_array_equal(again.spread, ranged.spread)
+
+
+def test_each_configuration_is_screened_on_a_reduced_model_of_its_own(tmp_path: Path) -> None:
+    def both(eigensolver: str) -> Screening:
+        campaign = load_campaign(side_by_side(tmp_path / eigensolver, eigensolver))
+        return screen_campaign(campaign, ScreeningRequest("lhs", points=24), Watched())
+
+    ranged, own = both("pardiso"), both("solver")
+    assert set(ranged.modes) == {
+        f"mode {n} of {name}" for n in range(1, 7) for name in ("plain", "sprung")
+    }
+    # Both models at each of 24 points and at the start, against a word on each where it was worst.
+    assert own.runs.modal == 2 * 25
+    assert (ranged.runs.sensitivity, ranged.runs.modal) == (2 + 3, 2)
+    # ccx prints frequencies' squares with seven digits.
+    np.testing.assert_allclose(
+        ranged.responses.frequencies_hz, own.responses.frequencies_hz, rtol=1e-6
+    )
+    assert ranged.choice.ranking == own.choice.ranking

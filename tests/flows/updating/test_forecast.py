@@ -14,16 +14,14 @@ from modetune.core.storage.store import Entry
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs.job import Job, read_note
+from modetune.flows.jobs.job_prices import Price, job_prices, side_by_side
 from modetune.flows.jobs.limits import Limit
 from modetune.flows.updating.forecast import (
     Cost,
     Forecast,
-    Price,
     cost_text,
     forecast_text,
     job_cost,
-    job_prices,
-    side_by_side,
     told_forecast,
 )
 from modetune.flows.updating.running import job_engine, update_campaign

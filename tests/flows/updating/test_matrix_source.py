@@ -17,8 +17,9 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.matrix_source import MatrixSource, modes_source
+from modetune.flows.updating.finders import by_solver, campaign_analysis
+from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.modes_choice import modes_source
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.semi_analytic import SemiAnalytic, UnlikeMatrices
 from tests.flows.updating.test_by_matrices import row_of_materials
@@ -134,14 +135,19 @@ def test_sums_of_powers_are_known_everywhere_from_the_same_jobs(file: Path) -> N
 def test_jobs_on_other_machines_bring_matrices_as_those_here_do(
     file: Path, eigensolver: str, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("modetune.flows.updating.matrix_source.SMALL", 0)
+    monkeypatch.setattr("modetune.flows.updating.modes_choice.RUN_S", 10.0)
     settings = [
         f"model.eigensolver={eigensolver}",
         f"run.engine={place}",
         "parameters=[{name: E_1, quantity: youngs_modulus, material: A1}]",
     ]
     engine = job_engine(load_campaign(file))
-    assert modes_source(load_campaign(file, settings), engine) is not None
+    assert (
+        modes_source(
+            load_campaign(file, settings), by_solver(load_campaign(file, settings), engine)
+        )
+        is not None
+    )
 
 
 def test_matrices_that_do_not_fit_are_refused_with_what_needs_none(
@@ -161,4 +167,9 @@ def test_matrices_that_do_not_fit_are_refused_with_what_needs_none(
         source.matrices(THETA, [1])
     # The advice is one that the campaign can follow.
     settings = ["sensitivity.method=finite_difference", "model.eigensolver=solver"]
-    assert modes_source(load_campaign(file, settings), engine) is None
+    assert (
+        modes_source(
+            load_campaign(file, settings), by_solver(load_campaign(file, settings), engine)
+        )
+        is None
+    )

@@ -21,7 +21,8 @@ from modetune.core.parameters import Parameter
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.matrix_source import modes_source
+from modetune.flows.updating.finders import by_solver
+from modetune.flows.updating.modes_choice import modes_source
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.adapters.mystran_decks import AVERAGED, CARRIED, bracket, frame, plate
 from tests.adapters.test_solver_contract import run
@@ -175,10 +176,10 @@ def test_what_takes_fewer_runs_is_chosen(
     )
     campaign = load_campaign(tmp_path / "part.yaml")
     with caplog.at_level("INFO"):
-        source = modes_source(campaign, job_engine(campaign))
+        source = modes_source(campaign, by_solver(campaign, job_engine(campaign)))
     if jobs is None:
         assert source is None
-        assert "its matrices take 13 jobs, and differences about 12" in caplog.text
+        assert "by the solver's own runs: 13 matrix jobs, about" in caplog.text
     else:
         assert source is not None
         assert len(source.jobs(campaign.start, range(len(parts)))) == jobs

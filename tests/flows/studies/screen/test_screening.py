@@ -290,14 +290,34 @@ def test_every_damage_to_the_record_is_refused_before_hdf5_sees_it(
     refused_when_damaged(tmp_path / "screening.h5", read_screening)
 
 
-def test_several_configurations_are_refused_with_a_remedy(bench: Bench) -> None:
-    campaign = bench.campaign({"k1": 1.2}, modes=(1, 2))
-    joint = replace(
-        campaign, cases=tuple(replace(campaign.case, name=name) for name in ("full", "empty"))
+@pytest.mark.parametrize("shapes", [(True, True), (True, False), (False, False)])
+def test_two_configurations_of_one_model_say_what_it_says_twice(
+    bench: Bench, tmp_path: Path, shapes: tuple[bool, bool]
+) -> None:
+    full, empty = (
+        bench.campaign({"k1": 1.3, "k3": 0.9}, modes=(1, 2), shapes=one).case for one in shapes
     )
-    with pytest.raises(CampaignError, match="screen each by a campaign file of its own"):
-        screened(joint, "local")
-    assert bench.runs() == 0
+    alone = bench.campaign({"k1": 1.3, "k3": 0.9}, modes=(1, 2), shapes=shapes[0])
+    cases = (replace(full, name="full"), replace(empty, name="empty"))
+    one, both = (screened(item, "lhs", points=12) for item in (alone, replace(alone, cases=cases)))
+    assert both.modes == ("mode 1 of full", "mode 2 of full", "mode 1 of empty", "mode 2 of empty")
+    np.testing.assert_array_equal(
+        both.responses.frequencies_hz, np.tile(one.responses.frequencies_hz, 2)
+    )
+    np.testing.assert_allclose(
+        both.local.frequencies, np.tile(one.local.frequencies, (2, 1)), rtol=1e-12
+    )
+    if shapes[0]:
+        again = one.local.mac if shapes[1] else np.zeros(one.local.mac.shape)
+        np.testing.assert_allclose(both.local.mac, np.vstack([one.local.mac, again]), atol=1e-12)
+    # Each response counts twice, where the second test has it too.
+    if shapes[0] == shapes[1]:
+        np.testing.assert_allclose(both.importance, np.sqrt(2.0) * one.importance, rtol=1e-9)
+    assert both.choice.ranking == one.choice.ranking
+    write_screening(tmp_path / "screening.h5", both)
+    read = read_screening(tmp_path / "screening.h5")
+    assert read.configurations == ("full", "full", "empty", "empty")
+    assert write_figures(read, tmp_path / "figures")
 
 
 def test_a_file_that_is_no_screening_is_told(tmp_path: Path) -> None:
