@@ -12,7 +12,7 @@ Nothing is skipped: sensitivities follow from the reduced model, which the step 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +21,6 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModetuneError, NoResult
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.reduced import ReducedModel
-from modetune.core.updating.reduced_range import ReducedRange
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
@@ -66,13 +65,13 @@ class ByMatrices:
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
-        return self._stored(done).modal(theta, analysis)
+        return self.stored(done).modal(theta, analysis)
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         return self.works(theta, analysis)
 
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
-        return reduced_columns(self._stored(done).reduced(point, analysis), point)
+        return reduced_columns(self.stored(done).reduced(point, analysis), point)
 
     def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
         return True
@@ -82,32 +81,15 @@ class ByMatrices:
         self.release()
         return self.solver
 
-    def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:
-        """The reduced model around a point. Raises ModelError, UnlikeMatrices."""
-        return self._stored(()).reduced(point, analysis)
-
-    def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
-        """As `modes`, by the newest reduced model. Raises ModesError where it has no such modes."""
-        return self._stored(()).foreseen(theta, analysis)
-
-    def over(
-        self,
-        point: Point,
-        thetas: Floats,
-        analysis: ModalAnalysis,
-        accuracy: float,
-        tell: Callable[[int, float], None],
-    ) -> tuple[str, ReducedRange]:
-        """The key and a reduced model for all these sets (n_sets, n_parameters), from an evaluated
-        one on; tell: as of `reduce_over`. Raises ModelError, ModesError, UnlikeMatrices."""
-        return self._stored(()).over(point, thetas, analysis, accuracy, tell)
-
     def release(self) -> None:
         """Leave the factors' memory to others."""
         self._modes = None
 
-    def _stored(self, done: Sequence[Done]) -> MatrixModes:
-        """Modes by the matrices of all values, once their jobs are done."""
+    def stored(self, done: Sequence[Done] = ()) -> MatrixModes:
+        """Modes and reduced models by the matrices of all values, once their jobs are done.
+
+        Raises UnlikeMatrices, ModelError; so does what it is asked for.
+        """
         for item in done:
             if isinstance(item, NoResult):
                 raise UnlikeMatrices(str(item)) from item

@@ -215,7 +215,8 @@ class ReducedRanges:
             self.evaluator.carry_out("range", state.finder.works(part.theta, analysis), state)
             try:
                 with doing("range"):
-                    made = state.finder.over(part.point, own, analysis, self.asked, self._told)
+                    modes = state.finder.stored()
+                    made = modes.over(part.point, own, analysis, self.asked, self._told)
             except (UnlikeMatrices, ModelError) as error:
                 state.finder = state.finder.instead(error)
                 return []

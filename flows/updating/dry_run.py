@@ -30,7 +30,7 @@ from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.lookup import Explanation
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.starting import read_earlier, start_of
-from modetune.flows.updating.updating import Updating
+from modetune.flows.updating.updating import Unwatched, Updating
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,16 +103,6 @@ class Replay:
         pass
 
 
-class _NoProgress:
-    """Progress that nobody watches."""
-
-    def working(self, text: str) -> None:
-        pass
-
-    def iteration(self, record: IterationRecord) -> None:
-        pass
-
-
 def planned_job(engine: JobEngine, iteration: str, name: str, job: Job) -> PlannedJob:
     """A job and whether the store has its result."""
     key = engine.key(job)
@@ -133,7 +123,7 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
     while True:
         replay = Replay(engine)
         evaluator = evaluator_of(campaign, engine, replay)
-        updating = Updating(campaign, evaluator, _NoProgress(), lambda record: None)
+        updating = Updating(campaign, evaluator, Unwatched(), lambda record: None)
         ended = None
         try:
             ended = updating.run()

@@ -80,7 +80,7 @@ class ReducedForesight:
             if not isinstance(state.finder, ByMatrices):
                 return None
             try:
-                reduced = ByReduced(state.finder.reduced(part.point, state.analysis), part)
+                reduced = ByReduced(state.finder.stored().reduced(part.point, state.analysis), part)
             except (UnlikeMatrices, ModelError) as error:
                 state.finder = state.finder.instead(error)
                 return None
@@ -119,7 +119,7 @@ class ReducedForesight:
                 if not isinstance(state.finder, ByMatrices):
                     return None
                 own = state.own(theta)
-                key, modal = state.finder.foreseen(own, state.analysis)
+                key, modal = state.finder.stored().foreseen(own, state.analysis)
                 parts.append(compare(state.case, own, key, modal, before, REDUCED))
         except ModesError as error:
             logger.debug("nothing is foreseen: %s", error)

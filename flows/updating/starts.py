@@ -22,7 +22,7 @@ from pathlib import Path
 
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats
-from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.core.storage.record_file import write_record
 from modetune.core.updating.trust import StartSpread, with_spread
 from modetune.flows.campaign.campaign import Campaign
@@ -45,25 +45,9 @@ from modetune.flows.updating.start_ends import (
     tolerated,
 )
 from modetune.flows.updating.starting import read_earlier, start_of
-from modetune.flows.updating.updating import Progress, Updating
+from modetune.flows.updating.updating import Progress, Unwatched, Updating
 
 logger = logging.getLogger(__name__)
-
-
-class _Quiet:
-    """Watches an update whose iterations are not shown, and keeps its newest record."""
-
-    def __init__(self) -> None:
-        self.record: CampaignRecord | None = None
-
-    def working(self, text: str) -> None:
-        pass
-
-    def iteration(self, record: IterationRecord) -> None:
-        pass
-
-    def save(self, record: CampaignRecord) -> None:
-        self.record = record
 
 
 def update_from_starts(
@@ -158,19 +142,20 @@ def _run_starts(
 
 def _run_start(campaign: Campaign, engine: JobEngine, start: Floats, share: int) -> StartEnd:
     own = replace(campaign, begin=tuple(start.tolist()))
-    execution, quiet, around = ThreadExecution(engine, share), _Quiet(), None
+    execution, around = ThreadExecution(engine, share), None
+    records: list[CampaignRecord] = []
     try:
         if _paired_once(campaign) and start.tolist() != campaign.start.tolist():
             first = evaluator_of(campaign, engine, execution)
             around = first.evaluate(0, campaign.start, None, alone=True)[0]
         evaluator = evaluator_of(own, engine, execution)
-        return end_of(start, Updating(own, evaluator, quiet, quiet.save, around).run())
+        return end_of(start, Updating(own, evaluator, Unwatched(), records.append, around).run())
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):
             engine.cancelled.set()
             raise
         logger.warning("an update from another start failed: %s", error)
-        return StartEnd(start, error=error, record=quiet.record)
+        return StartEnd(start, error=error, record=records[-1] if records else None)
 
 
 def _paired_once(campaign: Campaign) -> bool:

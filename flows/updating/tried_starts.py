@@ -147,14 +147,14 @@ def reduced_states(
 def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
     """Modes of a model of matrices: of all unknowns where they are few, else reduced."""
     if isinstance(state.finder, ByMatrices):
-        return ByReduced(state.finder.reduced(part.point, state.analysis), part)
+        return ByReduced(state.finder.stored().reduced(part.point, state.analysis), part)
     if not isinstance(state.finder, BySolver):
         return state.finder
     source = MatrixSource(state.engine, state.campaign.parameters, state.campaign.sensitivity.step)
     given = source.matrices(part.theta, range(part.theta.size))
     if given.base.nodes.size > DENSE:
         finder = ByMatrices(state.campaign, state.engine, source, state.finder)
-        return ByReduced(finder.reduced(part.point, state.analysis), part)
+        return ByReduced(finder.stored().reduced(part.point, state.analysis), part)
     modes = part.modal.modes
     seen = state.case.solver.deck.observation(given.base, modes.nodes, modes.components)
     return ByReduced(unreduced(given, _shift(part), seen.matrix), part)
