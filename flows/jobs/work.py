@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from modetune.core.errors import ModetuneError
@@ -29,6 +29,8 @@ class Work:
     engine: JobEngine | None = None
 
 
+#: Of more pieces at once those that the store answers are told as one.
+TOLD_EACH = 100
 #: What became of a piece of work: an outcome a job, or the error that ended it.
 Done = tuple[JobOutcome, ...] | ModetuneError
 
@@ -68,11 +70,36 @@ def solved(engine: JobEngine, jobs: Sequence[Job], name: str = "modal") -> tuple
 
 
 @dataclass(frozen=True, slots=True)
+class _Batch:
+    """Pieces of many that the store answers: one for whoever watches, or each would be a row of a
+    server's database."""
+
+    engine: JobEngine
+    iteration: str
+    size: int
+    outcomes: list[JobOutcome] = field(default_factory=list)
+
+    def has(self, work: Work) -> bool:
+        engine = work.engine or self.engine
+        return self.size > TOLD_EACH and all(engine.key(job) in engine.store for job in work.jobs)
+
+    def add(self, done: Done) -> Done:
+        if not isinstance(done, ModetuneError):
+            self.outcomes.extend(done)
+        return done
+
+    def tell(self) -> None:
+        if self.outcomes and self.engine.watcher is not None:
+            name = f"{len(self.outcomes)} results of the store"
+            self.engine.watcher.began(self.iteration, name)(self.outcomes)
+
+
+@dataclass(frozen=True, slots=True)
 class ThreadExecution:
     """A bounded pool of threads; each waits for its external solver.
 
     told: hears what became of each piece, in the order of the work; the engine's watcher hears of
-    each as it begins and ends.
+    each as it begins and ends, and of many that the store answers as one.
     """
 
     engine: JobEngine
@@ -81,13 +108,15 @@ class ThreadExecution:
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
         with ThreadPoolExecutor(self.parallel, thread_name_prefix="modetune") as pool:
-            futures = [pool.submit(self._solve, iteration, piece) for piece in work]
+            batch = _Batch(self.engine, iteration, len(work))
+            futures = [pool.submit(self._solve, iteration, piece, batch) for piece in work]
             done: list[Done] = []
             try:
                 for future in futures:
                     done.append(future.result())
                     if self.told is not None:
                         self.told(done[-1])
+                batch.tell()
                 return done
             except BaseException:
                 self.engine.cancelled.set()
@@ -101,9 +130,11 @@ class ThreadExecution:
         if self.engine.watcher is not None:
             self.engine.watcher.skipped(iteration, names, reason, state)
 
-    def _solve(self, iteration: str, work: Work) -> Done:
+    def _solve(self, iteration: str, work: Work, batch: _Batch) -> Done:
         if self.engine.watcher is None:
             return solve_work(self.engine, work)
+        if batch.has(work):
+            return batch.add(solve_work(self.engine, work))
         ended = self.engine.watcher.began(iteration, work.name)
         done = solve_work(self.engine, work)
         ended(done)

@@ -46,6 +46,8 @@ END_S = 2.0
 FIRST_WORD_S = 1.0
 #: ... which tells what it found in the server's place.
 FOUND = (b"up\n", b"waiting\n", b"warning ")
+#: Keys that a task names.
+SHOWN = 8
 #: Bytes that may wait for a process that does not read.
 MOST_WAITING = 16_000_000
 
@@ -301,7 +303,9 @@ def became(done: Ended) -> tuple[str, str, str]:
         return "FAILED", "Failed", str(done)
     if not done:
         return "COMPLETED", "Derived", "no job was needed"
-    keys = ", ".join(outcome.key[:12] for outcome in done)
+    keys = ", ".join(outcome.key[:12] for outcome in done[:SHOWN])
+    if len(done) > SHOWN:
+        keys += f" and {len(done) - SHOWN} more"
     if all(outcome.reused for outcome in done):
         return "COMPLETED", "Cached", keys
     return "COMPLETED", "Completed", f"{keys} in {sum(item.wall_s for item in done):.1f} s"

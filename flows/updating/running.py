@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -110,15 +110,18 @@ def update_campaign(
 @contextmanager
 def solving_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> Iterator[JobEngine]:
     """The engine that solves a campaign's jobs where the campaign says; the store keeps what it has
-    meanwhile."""
-    with in_use(campaign.store):
-        if campaign.run.engine != "dask":
-            yield job_engine(campaign, watcher)
-            return
+    meanwhile, and jobs of other threads end with what is done in here."""
+    made: AbstractContextManager[JobEngine] = nullcontext(job_engine(campaign))
+    if campaign.run.engine == "dask":
         from modetune.flows.updating.dask import on_dask
 
-        with on_dask(campaign, job_engine) as engine:
+        made = on_dask(campaign, job_engine)
+    with in_use(campaign.store), made as engine:
+        try:
             yield replace(engine, watcher=watcher)
+        except BaseException:
+            engine.cancelled.set()
+            raise
 
 
 def _update(
@@ -139,37 +142,33 @@ def _update(
         write_record(unfinished, record)
         logged = log_iterations(record, logged)
 
-    try:
-        if pages is not None:
-            engine = _counted(engine, campaign, pages)
-            progress = PagesProgress(progress, pages, campaign.tolerances)
-        execution: Execution = ThreadExecution(engine, campaign.parallel)
-        if executes is not None:
-            execution = executes(engine, campaign.parallel)
-        if campaign.sensitivity.method == "auto":
-            solvers = [case.solver for case in campaign.cases]
-            told = [tell(solver) for solver in solvers for tell in (not_linear, not_confirmed)]
-            for said in dict.fromkeys(filter(None, told)):
-                logger.warning("%s", said)
-        for case in campaign.cases:
-            doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
-            if doubt:
-                logger.warning("%s; `model.checks: [units]` accepts that", doubt)
-        # What several models cost side by side nobody has worked out yet.
-        if len(campaign.cases) > 1:
-            forecast = None
-        forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
-        updating = Updating(
-            campaign,
-            evaluator_of(campaign, engine, execution),
-            forecaster or progress,
-            keep,
-        )
-        record = updating.run()
-        logger.info("%s: %s", record.status, record.reason)
-    except BaseException:
-        engine.cancelled.set()  # jobs of other threads end with the campaign
-        raise
+    if pages is not None:
+        engine = _counted(engine, campaign, pages)
+        progress = PagesProgress(progress, pages, campaign.tolerances)
+    execution: Execution = ThreadExecution(engine, campaign.parallel)
+    if executes is not None:
+        execution = executes(engine, campaign.parallel)
+    if campaign.sensitivity.method == "auto":
+        solvers = [case.solver for case in campaign.cases]
+        told = [tell(solver) for solver in solvers for tell in (not_linear, not_confirmed)]
+        for said in dict.fromkeys(filter(None, told)):
+            logger.warning("%s", said)
+    for case in campaign.cases:
+        doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
+        if doubt:
+            logger.warning("%s; `model.checks: [units]` accepts that", doubt)
+    # What several models cost side by side nobody has worked out yet.
+    if len(campaign.cases) > 1:
+        forecast = None
+    forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
+    updating = Updating(
+        campaign,
+        evaluator_of(campaign, engine, execution),
+        forecaster or progress,
+        keep,
+    )
+    record = updating.run()
+    logger.info("%s: %s", record.status, record.reason)
     for case in campaign.cases:
         engine_of(engine, campaign, case).keep_text()
     values = campaign.parameters.values(record.updated)

@@ -27,7 +27,7 @@ from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.modes_choice import Demand
-from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.running import solving_engine
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -113,8 +113,7 @@ def localise(
     """
     updated = theta is not None
     values = campaign.start if theta is None else theta
-    engine = job_engine(campaign, watcher)
-    try:
+    with solving_engine(campaign, watcher) as engine:
         threads, why = ThreadExecution(engine, campaign.parallel), why_no_maps(campaign)
         demand = Demand(steps=1, matrices=not why)
         evaluator = evaluator_of(campaign, engine, threads, demand=demand)
@@ -124,9 +123,6 @@ def localise(
         if not why:
             with factor_room(engine.room):
                 maps, why = error_maps(campaign, evaluator, evaluation.parts[0])
-    except BaseException:
-        engine.cancelled.set()  # jobs of other threads end with the command
-        raise
     numbers = tuple(campaign.test.numbers[place] for place in evaluation.pairing.measured.tolist())
     found = evaluation.residual
     singles, pairs = removals(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -95,7 +94,7 @@ def screen_campaign(
     )
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
-    with solving_engine(campaign, watcher) as engine, _ended(engine):
+    with solving_engine(campaign, watcher) as engine:
         progress.working("deck's values, sensitivities")
         total = len(design.points) * len(campaign.used)
         shown = _Shown(engine, campaign.parallel, progress, total)
@@ -125,16 +124,6 @@ def screen_campaign(
         time.monotonic() - started,
         use,
     )
-
-
-@contextmanager
-def _ended(engine: JobEngine) -> Iterator[None]:
-    """Jobs of other threads end with the screening."""
-    try:
-        yield
-    except BaseException:
-        engine.cancelled.set()
-        raise
 
 
 def _screening(

@@ -15,6 +15,7 @@ import pytest
 from modetune.core.errors import ModesError, SolverCancelled
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.watching import Derivation, Ended, doing, part_of, told
+from modetune.flows.jobs.work import TOLD_EACH
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.updating.prefect import became
 from modetune.flows.updating.starts import update_from_starts
@@ -121,3 +122,18 @@ def test_a_piece_that_breaks_off_has_ended(tmp_path: Path) -> None:
 )
 def test_only_what_has_a_result_is_green(done: Ended, kind: str) -> None:
     assert became(done)[0] == kind
+
+
+def test_many_points_that_the_store_answers_are_one_piece(bench: Bench) -> None:
+    campaign = bench.campaign({"k1": 1.2, "k2": 0.8}, modes=(1, 2, 3))
+    request = ScreeningRequest("lhs", points=TOLD_EACH + 20)
+    first, again = Heard(), Heard()
+    for heard in (first, again):
+        found = screen_campaign(campaign, request, Watched(), heard)  # type: ignore[arg-type]  # no end
+        assert found.responses.n_failed == 0
+    assert first.states("points of the design / modal") == {"Completed": TOLD_EACH + 20}
+    assert bench.runs("modal") == TOLD_EACH + 21
+    assert again.states(f"points of the design / {TOLD_EACH + 20} results of the store") == {
+        "Cached": 1
+    }
+    assert again.begun < 10
