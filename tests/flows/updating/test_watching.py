@@ -129,7 +129,7 @@ def test_many_points_that_the_store_answers_are_one_piece(bench: Bench) -> None:
     request = ScreeningRequest("lhs", points=TOLD_EACH + 20)
     first, again = Heard(), Heard()
     for heard in (first, again):
-        found = screen_campaign(campaign, request, Watched(), heard)  # type: ignore[arg-type]  # no end
+        found = screen_campaign(campaign, request, Watched(), heard)
         assert found.responses.n_failed == 0
     assert first.states("points of the design / modal") == {"Completed": TOLD_EACH + 20}
     assert bench.runs("modal") == TOLD_EACH + 21
