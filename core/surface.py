@@ -13,6 +13,7 @@ integers, so that the same mesh gives the same nodes on every machine.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,19 @@ SHELLS = ("triangle", "quad")
 QUADRATIC: dict[CellKind, CellKind] = {
     "tetra10": "tetra", "pyramid13": "pyramid", "wedge15": "wedge", "hexahedron20": "hexahedron",
     "triangle6": "triangle", "quad8": "quad", "line3": "line",
+}  # fmt: skip
+#: Corners between which their midside nodes lie, in the order of these.
+SIDES: dict[CellKind, tuple[tuple[int, int], ...]] = {
+    "line": ((0, 1),),
+    "triangle": ((0, 1), (1, 2), (2, 0)),
+    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
+    "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
+    "hexahedron": (
+        (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4),
+        (0, 4), (1, 5), (2, 6), (3, 7),
+    ),
 }  # fmt: skip
 
 
@@ -83,6 +97,65 @@ def display_surface(mesh: Mesh, at_most: int = 4000) -> Surface:
     else:
         edges = _distinct(np.concatenate([lines, _sides(faces)[0]]))
     return Surface(mesh.nodes[used], mesh.coordinates[used], _distinct(triangles), edges)
+
+
+def facets(mesh: Mesh) -> Floats:
+    """The whole surface as triangles (n, 3, 3): corners, x y z, global axes, the deck's length.
+
+    Faces with midside nodes are cut at these, which follows a curved surface. A beam is a triangle
+    with two corners in one place, a node without elements one with all three.
+    """
+    middle = _middles(mesh)
+    faces, lines = _outer_faces(mesh), _lines(mesh)
+    alone = (
+        np.setdiff1d(
+            np.arange(mesh.nodes.size),
+            np.concatenate([mesh.rows(c.nodes).ravel() for c in mesh.cells]),
+        )
+        if mesh.cells
+        else np.arange(mesh.nodes.size)
+    )
+    pieces = [np.repeat(alone[:, None], 3, axis=1)]
+    between = middle(lines)
+    for ends in (np.column_stack([lines[:, 0], between]), np.column_stack([between, lines[:, 1]])):
+        pieces.append(ends[:, [0, 1, 1]])
+    for n in (3, 4):
+        polygon = faces[(faces[:, 3] >= 0) == (n == 4)][:, :n]
+        sides = middle(np.stack([polygon, np.roll(polygon, -1, axis=1)], axis=2))
+        halved = (sides != polygon).any(axis=1)  # no midside nodes: the side's first corner
+        pieces += [polygon[~halved][:, [0, i, i + 1]] for i in range(1, n - 1)]
+        corner, side = polygon[halved], sides[halved]
+        pieces += [np.column_stack([corner[:, i], side[:, i], side[:, i - 1]]) for i in range(n)]
+        pieces += [side[:, [0, i, i + 1]] for i in range(1, n - 1)]
+    found = np.concatenate(pieces)
+    return np.asarray(mesh.coordinates[found])
+
+
+def _middles(mesh: Mesh) -> Callable[[Integers], Integers]:
+    """Takes sides (..., 2), rows of the mesh, to the rows of their midside nodes.
+
+    A side without one is taken to its first end.
+    """
+    ends, middles = [np.zeros((0, 2), np.int64)], [np.zeros(0, np.int64)]
+    for cells in mesh.cells:
+        if cells.kind in QUADRATIC:
+            rows, first = mesh.rows(cells.nodes), CORNERS[cells.kind]
+            for place, side in enumerate(SIDES[QUADRATIC[cells.kind]], start=first):
+                ends.append(rows[:, side])
+                middles.append(rows[:, place])
+    size = mesh.nodes.size
+    key = np.sort(np.concatenate(ends), axis=1) @ np.array([size, 1])
+    key, first_of = np.unique(key, return_index=True)
+    at = np.concatenate(middles)[first_of]
+
+    def of(sides: Integers) -> Integers:
+        if key.size == 0:
+            return np.asarray(sides[..., 0])
+        wanted = np.sort(sides, axis=-1) @ np.array([size, 1])
+        place = np.minimum(np.searchsorted(key, wanted), key.size - 1)
+        return np.where(key[place] == wanted, at[place], sides[..., 0])
+
+    return of
 
 
 def _corner_rows(mesh: Mesh, kinds: tuple[CellKind, ...]) -> list[tuple[CellKind, Integers]]:

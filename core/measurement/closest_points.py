@@ -1,202 +1,161 @@
-"""A test laid over a model without knowing which node each point belongs to.
+"""The points of a surface that are closest to some places.
 
-Iterative closest point (Besl and McKay 1992): each point is paired with the node next to it, then
-all are fitted as known partners (alignment), until the pairs stay. It finds the minimum near its
-start, so it is started from all 24 proper ways to lay the points' principal axes on the model's,
-and test axes on model axes, boxes centred. Few points and nodes choose among these starts. Pairs
-farther than three times the median distance have no partner and do not take part (compare the
-trimmed form of Chetverikov et al. 2002). A free scale is held within a factor 1.4 of what the boxes
-say, since all points shrunk onto one node would fit best of all. Starts are compared by the root
-mean square distance per test size, each distance cut at a tenth of the size so that a stray point
-counts once. Where several are about as good, the structure is symmetric as far as its points tell:
-the smallest rotation is taken, and a note says so.
+A surface is triangles; a beam is a triangle with two corners in one place, a node alone one with
+all three. The closest point of a triangle is the foot of the perpendicular where that lies inside,
+else the closest of its three sides' points. Which triangles are asked is found by samples: every
+triangle is covered by samples no farther apart than its class allows (classes of size, each an
+octave of four), and those whose samples are next to a place are asked, of each class.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from modetune.core.measurement.alignment import Alignment, degrees_of, require_spread, umeyama
 from modetune.core.modes import Floats, Integers
 
-#: Points that decide between starts, and nodes that find them; all of them finish the fit.
-SEARCHED, COARSE = 300, 4000
-#: Distinct rotations that are compared on all nodes.
-FINALISTS = 8
-ITERATIONS = 40
-#: All points pull at first; what they reach shrinks by this in each iteration.
-NARROWING = 0.85
-#: How far, as a factor, a fitted scale may go from the ratio of the boxes.
-SCALE_RANGE = 1.4
-#: Distances count up to this part of the test's size when starts are compared.
-CUT = 0.1
-#: Fits this near the best are equal: placement of sensors is no better known (part of the size).
-EQUAL, SIMILAR = 1e-3, 1e-2
-#: Rotations closer than this are the same fit.
-SAME_DEGREES = 20.0
-
-
-def fit_nearest(points: Floats, nodes: Floats, scale: float | None = None) -> Alignment:
-    """The alignment that lays test points on a model without knowing which node each belongs to.
-
-    points: (n_points, 3) of the test. nodes: (n_nodes, 3), points on the model. scale: model
-    lengths a test length where the units tell; None fits it too. Points without partner are left
-    out. Notes tell them, and other rotations that fit about as well.
-    Raises ModesError for fewer than three points and points on one line.
-    """
-    require_spread(points, "the test's points")
-    require_spread(nodes, "the model's nodes")
-    search = _Search(points, nodes, KDTree(nodes), scale)
-    few = _spread(points, SEARCHED)
-    fits = [search.settled(start, few) for start in _promising(points, nodes, scale)]
-    errors = np.array([search.error(fit, few) for fit in fits])
-    order = _distinct([fits[place].rotation for place in np.argsort(errors)])
-    places = np.argsort(errors)[order]
-    equal = places[errors[places] <= 1.1 * errors.min() + EQUAL]
-    chosen = int(min(equal, key=lambda place: fits[place].degrees))
-    rivals = [
-        fits[place].rotation
-        for place in places
-        if place != chosen and errors[place] <= 1.5 * errors[chosen] + SIMILAR
-    ]
-    best = search.settled(fits[chosen], points)
-    distances, _ = search.next_to(best.apply(points))
-    used = _partnered(distances, SIMILAR * best.scale * search.size)
-    return Alignment(
-        best.scale, best.rotation, best.translation, distances, used, _fit_notes(best, rivals, used)
-    )
+#: Triangles of a class that are asked for a place.
+ASKED = 8
+#: No sample stands for more than this part of the surface's extent.
+COARSEST = 0.02
+#: Places that are asked at a time: some 100 MB.
+AT_A_TIME = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class _Search:
+class Feet:
+    """Closest points of a surface.
+
+    points: (n, 3). distances: (n,). free: (n, 3, 3), projectors on the directions along which the
+    foot may move: the triangle's plane, an edge, or none at a corner.
+    """
+
     points: Floats
-    nodes: Floats
-    tree: KDTree
-    scale: float | None
-
-    @property
-    def size(self) -> float:
-        """Diagonal of the points' box, the test's length."""
-        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
-
-    def next_to(self, places: Floats) -> tuple[Floats, Integers]:
-        """Distance (n,) to the next node of each place, and that node's row (n,)."""
-        distances, rows = self.tree.query(places)
-        return np.asarray(distances, np.float64), np.asarray(rows, np.int64)
-
-    def settled(self, start: Alignment, points: Floats) -> Alignment:
-        """Pair each point with its next node and fit, until the pairs stay."""
-        fit, pairs = start, np.zeros((0, 2), np.int64)
-        for iteration in range(ITERATIONS):
-            reach = max(SIMILAR, CUT * NARROWING**iteration) * fit.scale * self.size
-            distances, partners = self.next_to(fit.apply(points))
-            kept = np.flatnonzero(_partnered(distances, reach))
-            present = np.column_stack([kept, partners[kept]])
-            if np.array_equal(present, pairs) and reach <= SIMILAR * fit.scale * self.size:
-                break
-            pairs, where, targets = present, points[kept], self.nodes[partners[kept]]
-            if self.scale is not None:
-                fit = umeyama(where, targets, self.scale)
-                continue
-            fit = umeyama(where, targets, None)
-            low, high = _box_ratio(points, self.nodes, fit.rotation) * np.array(
-                [1.0 / SCALE_RANGE, SCALE_RANGE]
-            )
-            if not low <= fit.scale <= high:
-                fit = umeyama(where, targets, float(np.clip(fit.scale, low, high)))
-        return fit
-
-    def error(self, fit: Alignment, points: Floats) -> float:
-        """Root mean square distance as a part of the test's size, each cut at CUT."""
-        distances, _ = self.next_to(fit.apply(points))
-        return float(np.sqrt(np.mean(np.minimum(distances / (fit.scale * self.size), CUT) ** 2)))
+    distances: Floats
+    free: Floats
 
 
-def _starts(points: Floats, nodes: Floats, scale: float | None) -> list[Alignment]:
-    """Principal axes on principal axes and axes on axes, boxes centred; and the test as it is."""
-    of_points, of_nodes = (
-        np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2].T for x in (points, nodes)
-    )
-    of_points, of_nodes = (axes * np.sign(np.linalg.det(axes)) for axes in (of_points, of_nodes))
-    found = []
-    for turn in _quarter_turns():
-        for rotation in (turn, of_nodes @ turn @ of_points.T):
-            ratio = scale if scale is not None else _box_ratio(points, nodes, rotation)
-            translation = _centre(nodes) - ratio * _centre(points @ rotation.T)
-            found.append(Alignment(ratio, rotation, translation))
-    ratio = scale if scale is not None else _box_ratio(points, nodes, np.eye(3))
-    return [Alignment(ratio, np.eye(3), np.zeros(3)), *found]
+@dataclass(frozen=True, slots=True)
+class SurfacePoints:
+    """A surface that tells its closest points.
+
+    corners: (n, 3, 3). samples: (n_samples, 3), all over it. classes: a tree of samples and the
+    triangle of each, for each class of size.
+    """
+
+    corners: Floats
+    samples: Floats
+    classes: tuple[tuple[KDTree, Integers], ...]
+
+    @classmethod
+    def of(cls, corners: Floats) -> SurfacePoints:
+        """The surface of triangles (n, 3, 3), at least one."""
+        places = corners.reshape(-1, 3)
+        coarsest = COARSEST * float(np.linalg.norm(np.ptp(places, axis=0)))
+        sizes = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        floor = max(coarsest / 4.0**4, float(np.finfo(float).tiny))
+        level = np.ceil(np.log(np.maximum(np.minimum(sizes, coarsest), floor) / floor) / np.log(4))
+        classes, samples = [], []
+        for this in np.unique(level):
+            rows = np.flatnonzero(level == this)
+            # Triangles below the coarsest are one sample each, larger ones are cut.
+            points, owner = _cover(corners[rows], coarsest)
+            classes.append((KDTree(points), rows[owner]))
+            samples.append(points)
+        return cls(corners, np.concatenate(samples), tuple(classes))
+
+    def closest(self, places: Floats) -> Feet:
+        """The closest points of places (n, 3)."""
+        parts = [
+            self._closest(places[first : first + AT_A_TIME])
+            for first in range(0, max(len(places), 1), AT_A_TIME)
+        ]
+        return Feet(*(np.concatenate(found) for found in zip(*parts, strict=True)))
+
+    def _closest(self, places: Floats) -> tuple[Floats, Floats, Floats]:
+        asked = []
+        for tree, owner in self.classes:
+            k = min(ASKED, owner.size)
+            rows = np.asarray(tree.query(places, k=k)[1], np.int64).reshape(len(places), k)
+            asked.append(owner[rows])
+        triangles = np.concatenate(asked, axis=1)
+        corners = self.corners[triangles]
+        feet, features = closest_of(corners, places[:, None, :])
+        distances = np.linalg.norm(feet - places[:, None, :], axis=2)
+        best = np.argmin(distances, axis=1)
+        each = np.arange(len(places))
+        chosen, feature = corners[each, best], features[each, best]
+        return feet[each, best], distances[each, best], _free(chosen, feature)
 
 
-def _promising(points: Floats, nodes: Floats, scale: float | None) -> list[Alignment]:
-    """The best distinct fits of few points to few nodes, from all starts."""
-    few, coarse = _spread(points, SEARCHED // 2), _spread(nodes, COARSE)
-    search = _Search(points, coarse, KDTree(coarse), scale)
-    fits = [search.settled(start, few) for start in _starts(few, coarse, scale)]
-    order = np.argsort([search.error(fit, few) for fit in fits])
-    distinct = _distinct([fits[place].rotation for place in order])[:FINALISTS]
-    return [fits[order[place]] for place in distinct]
+def closest_of(corners: Floats, places: Floats) -> tuple[Floats, Integers]:
+    """Closest points (..., 3) of triangles (..., 3, 3) to places (..., 3), and where they lie.
+
+    0, 1, 2: on the side from that corner to the next; 3: at a corner; 4: inside.
+    """
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+    best = np.full(np.broadcast_shapes(a.shape, places.shape)[:-1], np.inf)
+    feet = np.zeros((*best.shape, 3))
+    feature = np.full(best.shape, 3)
+    for number, (first, second) in enumerate(((a, b), (b, c), (c, a))):
+        along, apart = second - first, places - first
+        length = np.einsum("...i,...i", along, along)
+        part = np.einsum("...i,...i", apart, along) / np.where(length > 0.0, length, 1.0)
+        inside = (part > 0.0) & (part < 1.0)
+        foot = first + np.clip(part, 0.0, 1.0)[..., None] * along
+        square = np.einsum("...i,...i", places - foot, places - foot)
+        nearer = square < best
+        best = np.where(nearer, square, best)
+        feet = np.where(nearer[..., None], foot, feet)
+        feature = np.where(nearer, np.where(inside, number, 3), feature)
+    u, v, w = b - a, c - a, places - a
+    uu, uv, vv = (np.einsum("...i,...i", x, y) for x, y in ((u, u), (u, v), (v, v)))
+    wu, wv = np.einsum("...i,...i", w, u), np.einsum("...i,...i", w, v)
+    area = uu * vv - uv * uv
+    flat = area <= 1e-14 * uu * vv  # sides in one line to 1e-7: rounding would decide
+    area = np.where(flat, 1.0, area)
+    s, t = (wu * vv - wv * uv) / area, (wv * uu - wu * uv) / area
+    within = ~flat & (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
+    feet = np.where(within[..., None], a + s[..., None] * u + t[..., None] * v, feet)
+    return feet, np.where(within, 4, feature)
 
 
-def _spread(points: Floats, at_most: int) -> Floats:
-    """So many of the points, all over them: multiples of the golden ratio miss no row of a grid."""
-    if len(points) <= at_most:
-        return points
-    rows = (np.arange(at_most) * (np.sqrt(5.0) - 1.0) / 2.0 % 1.0 * len(points)).astype(np.int64)
-    return np.asarray(points[np.unique(rows)])
+def _free(corners: Floats, feature: Integers) -> Floats:
+    """Projectors (n, 3, 3) on the directions in which feet may move."""
+    along = np.roll(corners, -1, axis=1) - corners
+    each = np.arange(len(corners))
+    side = along[each, np.minimum(feature, 2)]
+    normal = np.cross(along[:, 0], along[:, 1])
+    direction = np.where((feature == 4)[:, None], normal, side)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
+    outer = direction[:, :, None] * direction[:, None, :]
+    inside, corner = (feature == 4)[:, None, None], (feature == 3)[:, None, None]
+    return np.where(inside, np.eye(3) - outer, np.where(corner, 0.0, outer))
 
 
-def _quarter_turns() -> list[Floats]:
-    """The 24 proper rotations that take axes to axes."""
-    turns = [
-        np.eye(3)[list(order)] * np.array(signs)
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return [turn for turn in turns if np.linalg.det(turn) > 0.0]
-
-
-def _partnered(distances: Floats, reach: float) -> NDArray[np.bool_]:
-    # Where nearly all points lie on nodes the median is rounding; the reach keeps the rest in.
-    return np.asarray(distances <= max(3.0 * float(np.median(distances)), reach))
-
-
-def _distinct(rotations: list[Floats]) -> list[int]:
-    """Places of rotations that none before them is the same as."""
-    found: list[int] = []
-    for place, rotation in enumerate(rotations):
-        if all(degrees_of(rotation @ rotations[other].T) > SAME_DEGREES for other in found):
-            found.append(place)
-    return found
-
-
-def _fit_notes(best: Alignment, rivals: list[Floats], used: NDArray[np.bool_]) -> tuple[str, ...]:
-    notes = []
-    if rivals:
-        many = f"{len(rivals)} other rotations fit" if len(rivals) > 1 else "another rotation fits"
-        turns = ", ".join(f"{degrees_of(rotation):.0f}" for rotation in rivals[:4])
-        notes.append(
-            f"{many} about as well as that of {best.degrees:.0f} degrees which was taken, the "
-            f"smallest ({turns} degrees): the points are symmetric; give partners or a rotation "
-            "if the picture shows the test turned over"
+def _cover(corners: Floats, apart: float) -> tuple[Floats, NDArray[np.int64]]:
+    """Points all over triangles (n, 3, 3), none of it farther from one than about `apart`."""
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    cuts = np.maximum(np.ceil(sides / max(apart, 1e-300)), 1).astype(np.int64)
+    beams = (corners[:, 1] == corners[:, 2]).all(axis=1)
+    points, owners = [], []
+    for n, is_beam in {*zip(cuts.tolist(), beams.tolist(), strict=True)}:
+        rows = np.flatnonzero((cuts == n) & (beams == is_beam))
+        i, j = (grid.ravel() for grid in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+        # Middles of the n^2 equal triangles that a triangle is cut into: upright, then turned.
+        upright = (i + j < n)[:, None]
+        parts = np.where(
+            upright,
+            np.column_stack([i, j]) + 1 / 3,
+            np.column_stack([n - 1 - i, n - 1 - j]) + 2 / 3,
         )
-    if not used.all():
-        notes.append(
-            f"{int((~used).sum())} of {used.size} test points lie far from the model and took no "
-            "part in the fit"
-        )
-    return tuple(notes)
-
-
-def _centre(points: Floats) -> Floats:
-    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2.0)
-
-
-def _box_ratio(points: Floats, nodes: Floats, rotation: Floats) -> float:
-    sizes = [np.linalg.norm(np.ptp(x, axis=0)) for x in (nodes, points @ rotation.T)]
-    return float(sizes[0] / sizes[1])
+        if is_beam:
+            parts = np.column_stack([np.arange(n) + 0.5, np.zeros(n)])
+        spans = corners[rows, 1:] - corners[rows, :1]
+        found = corners[rows, :1] + np.einsum("ks,nsx->nkx", parts / n, spans)
+        points.append(found.reshape(-1, 3))
+        owners.append(np.repeat(rows, len(parts)))
+    return np.concatenate(points), np.concatenate(owners)

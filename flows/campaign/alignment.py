@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import isnan
 
 import numpy as np
 
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.alignment import Alignment, fit_similarity
-from modetune.core.measurement.closest_points import fit_nearest
+from modetune.core.measurement.closest_points import SurfacePoints
 from modetune.core.measurement.measurement import TestGeometry
+from modetune.core.measurement.registration import Registration, register
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
+from modetune.core.surface import facets
 from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.units import LENGTH_METRES
 
 #: Boxes of test and model that differ by more than this factor are hardly of one structure.
 SIZES = 3.0
-#: A fitted scale this near to one of units may be it.
-UNIT_RANGE = 0.15
+#: A unit is tried where the test spans at least this part of the model in it.
+LEAST_PART = 0.3
+#: Parts of the size: what a fit in the right unit leaves; what landmarks must tell poses apart by.
+GOOD_FIT, TOLD_APART = 0.02, 0.02
 
 
 def unit_name(metres: float) -> str:
@@ -34,22 +38,38 @@ def diagonal(coordinates: Floats) -> float:
     return float(np.linalg.norm(np.ptp(coordinates, axis=0))) if coordinates.size else 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class Laid:
+    """How a test is laid over a model.
+
+    poses: ways that cannot be told apart, the one that is taken first. misfits: (n_points,), how
+    far each point of the test is from the surface, the model's length; empty where nothing was
+    fitted to it. notes: what is to be known; doubts: why the alignment is not certain.
+    """
+
+    poses: tuple[Alignment, ...]
+    misfits: Floats = field(default_factory=lambda: np.zeros(0))
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
 def align_test(
-    geometry: TestGeometry, mesh: Mesh, settings: SensorSection, metres: float
-) -> tuple[Alignment, tuple[str, ...]]:
+    geometry: TestGeometry, mesh: Mesh, settings: SensorSection, metres: float, tolerance: float
+) -> Laid:
     """Where the test's points lie in the model, and what is to be known of it.
 
-    metres: of the model's length. All points of the geometry take part in a fit.
-    Raises CampaignError where partners are not there or the points allow no fit.
+    metres: of the model's length. tolerance: the model's length, within which places count as
+    found. All points of the geometry take part in a fit.
+    Raises CampaignError where landmarks are not there or the points allow no fit.
     """
     known = not isnan(geometry.metres)
     scale = settings.scale or (geometry.metres / metres if known else None)
     if settings.fits:
-        found = _fitted(geometry, mesh, settings, scale, metres)
+        laid = _fitted(geometry, mesh, settings, scale, metres, tolerance)
     else:
         translation = np.array(settings.translation or (0.0, 0.0, 0.0))
-        found = Alignment(scale or 1.0, settings.matrix(), translation)
-    notes = list(found.notes)
+        laid = Laid((Alignment(scale or 1.0, settings.matrix(), translation),))
+    notes = list(laid.notes)
     if scale is None and not settings.fits:
         notes.append(
             f"the test does not tell its unit of length; taken as the model's"
@@ -62,7 +82,8 @@ def align_test(
                 f"`scale` is {settings.scale:.6g}, the units of test and model give "
                 f"{from_units:.6g}; `scale` is taken"
             )
-    return found, (*notes, *_size_doubts(found, geometry, mesh, metres))
+    notes += _size_doubts(laid.poses[0], geometry, mesh, metres)
+    return replace(laid, notes=tuple(notes))
 
 
 def _fitted(
@@ -71,58 +92,129 @@ def _fitted(
     settings: SensorSection,
     scale: float | None,
     metres: float,
-) -> Alignment:
+    tolerance: float,
+) -> Laid:
     try:
-        if not settings.match:
-            return _laid(geometry.coordinates, _targets(mesh), scale, metres)
-        at = {node: row for row, node in enumerate(geometry.nodes.tolist())}
-        lost = [str(node) for node in settings.match if node not in at]
-        if lost:
-            raise CampaignError(
-                f"`match` names test point {', '.join(lost)}, which has no coordinates"
-            )
-        rows = [at[node] for node in settings.match]
-        partners = mesh.rows(np.array(list(settings.match.values()), dtype=np.int64))
-        return fit_similarity(geometry.coordinates[rows], mesh.coordinates[partners], scale)
+        points, targets = _landmarks(geometry, mesh, settings)
+        if settings.align != "fit":
+            by_hand = fit_similarity(points, targets, scale)
+            return Laid((by_hand,), notes=by_hand.notes)
+        try:
+            near = fit_similarity(points, targets, scale) if len(points) > 2 else None
+        except ModesError:  # on one line: they choose among poses all the same
+            near = None
+        surface = SurfacePoints.of(facets(mesh))
+        found, notes = _registered(geometry.coordinates, surface, mesh, scale, metres, near)
     except ModesError as error:
         raise CampaignError(
             f"the test cannot be laid over the model: {error}; give `scale`, `rotation` and "
             "`translation` instead of a fit"
         ) from error
+    if near is not None and found.slides > tolerance:  # the surface says less than landmarks do
+        away = surface.closest(near.apply(geometry.coordinates)).distances
+        found = Registration(replace(near, residuals=away, used=np.ones(away.size, bool)))
+    size = diagonal(found.best.apply(geometry.coordinates))
+    poses = _nearest((found.best, *found.others), points, targets, settings, size)
+    best = poses[0]
+    if not best.used.all():
+        notes.append(
+            f"{int((~best.used).sum())} of {best.used.size} test points lie far from the model and "
+            "took no part in the fit"
+        )
+    if len(points):
+        away = np.linalg.norm(best.apply(points) - targets, axis=1)
+        notes.append(f"landmarks are left {away.max():.4g}{_in(unit_name(metres))} away at most")
+    doubts = _doubts(found, best, tolerance, unit_name(metres))
+    return Laid(poses, best.residuals, tuple(notes), doubts)
 
 
-def _laid(points: Floats, targets: Floats, scale: float | None, metres: float) -> Alignment:
+def _landmarks(
+    geometry: TestGeometry, mesh: Mesh, settings: SensorSection
+) -> tuple[Floats, Floats]:
+    """Test points (n, 3) with partners, and these partners (n, 3) in the model."""
+    at = {node: row for row, node in enumerate(geometry.nodes.tolist())}
+    lost = [str(node) for node in settings.match if node not in at]
+    if lost:
+        raise CampaignError(f"`match` names test point {', '.join(lost)}, which has no coordinates")
+    targets = [
+        mesh.coordinates[mesh.rows(np.array([to]))[0]] if isinstance(to, int) else to
+        for to in settings.match.values()
+    ]
+    rows = [at[node] for node in settings.match]
+    return geometry.coordinates[rows], np.array(targets, dtype=np.float64).reshape(-1, 3)
+
+
+def _nearest(
+    poses: tuple[Alignment, ...],
+    points: Floats,
+    targets: Floats,
+    settings: SensorSection,
+    size: float,
+) -> tuple[Alignment, ...]:
+    """Of several poses those that what the user gave is nearest to: one, but for ties."""
+
+    def distance(pose: Alignment) -> float:
+        far = float(np.sum((pose.apply(points) - targets) ** 2))
+        if settings.rotation is not None:
+            far += size**2 * float(np.sum((pose.rotation - settings.matrix()) ** 2))
+        if settings.translation is not None:
+            far += float(np.sum((pose.translation - np.array(settings.translation)) ** 2))
+        return far
+
+    far = np.sqrt([distance(pose) for pose in poses])
+    # Landmarks on an axis of symmetry do not tell what turns about it.
+    alike = np.flatnonzero(far <= far.min() + TOLD_APART * size)
+    return tuple(poses[row] for row in alike[np.argsort(far[alike], kind="stable")])
+
+
+def _registered(
+    points: Floats,
+    surface: SurfacePoints,
+    mesh: Mesh,
+    scale: float | None,
+    metres: float,
+    near: Alignment | None,
+) -> tuple[Registration, list[str]]:
     """A fit without partners, of a scale that is one of units where one will do.
 
-    Next nodes pull points inwards: a free scale is some percent small where nodes are coarse.
+    Of units in which the test fits the largest is taken: a part of the model fits anything small.
     """
-    found = fit_nearest(points, targets, scale)
     if scale is not None:
-        return found
-    near = {
-        name: size / metres
-        for name, size in LENGTH_METRES.items()
-        if abs(size / metres / found.scale - 1.0) < UNIT_RANGE
-    }
-    for name, of_units in near.items():
-        fixed = fit_nearest(points, targets, of_units)
-        size = diagonal(points) * of_units
-        if fixed.rms <= 1.5 * found.rms + 0.005 * size and fixed.used.sum() >= found.used.sum():
-            told = (
-                f"the test does not tell its unit of length; taken as {name}, which fits the model"
-            )
-            return replace(fixed, notes=(*fixed.notes, told))
-    told = (
-        f"the test does not tell its unit of length and fits in none; the scale {found.scale:.6g} "
-        "was fitted"
-    )
-    return replace(found, notes=(*found.notes, told))
+        return register(points, surface, mesh.coordinates, scale, near), []
+    told = "the test does not tell its unit of length"
+    ratio = diagonal(mesh.coordinates) / max(diagonal(points), 1e-300)
+    units = {name: size / metres for name, size in LENGTH_METRES.items()}
+    for name, of_units in sorted(units.items(), key=lambda item: -item[1]):
+        if not LEAST_PART * ratio <= of_units <= ratio / LEAST_PART**0.25:
+            continue
+        fixed = register(points, surface, mesh.coordinates, of_units, near)
+        if fixed.best.rms <= GOOD_FIT * diagonal(points) * of_units and fixed.best.used.all():
+            return fixed, [f"{told}; taken as {name}, which fits the model"]
+    free = register(points, surface, mesh.coordinates, None, near)
+    return free, [f"{told} and fits in none; the scale {free.best.scale:.6g} was fitted"]
 
 
-def _targets(mesh: Mesh) -> Floats:
-    """Nodes and middles of elements: between coarse nodes a fit would catch on the nodes."""
-    middles = [mesh.coordinates[mesh.rows(cells.nodes)].mean(axis=1) for cells in mesh.cells]
-    return np.concatenate([mesh.coordinates, *middles])
+def _doubts(found: Registration, best: Alignment, tolerance: float, unit: str) -> tuple[str, ...]:
+    """Why an alignment that was fitted is not certain, without what other poses there are."""
+    said = []
+    if found.mirrored:
+        said.append(
+            "the test's points fit far better as their own mirror image: its axes are left-handed "
+            "(one axis looks the other way), which no rotation mends"
+        )
+    if found.slides > tolerance:
+        said.append(
+            f"points may slide by up to {found.slides:.3g}{_in(unit)} along the model's surface "
+            "with as good a fit: they do not say where along it they are"
+        )
+    if best.rms > tolerance / 2.0:
+        said.append(
+            f"the fit leaves its points {best.rms:.4g}{_in(unit)} (root mean square) from the "
+            "model, which is much: look at the picture"
+        )
+    if best.used.mean() < 0.7:
+        said.append(f"only {best.used.sum()} of {best.used.size} test points lie on the model")
+    return tuple(said)
 
 
 def _size_doubts(

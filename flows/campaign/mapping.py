@@ -9,7 +9,7 @@ coordinates a sensor is the model's node of the same number, along the axes of t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -26,6 +26,17 @@ from modetune.flows.campaign.sensors_section import SensorSection
 
 Verdict = Literal["good", "doubtful", "left out"]
 
+#: What a user may do about an alignment that is not certain.
+REMEDY = (
+    "Look at it (`modetune sensors --picture`); in test.sensors name three or more landmarks in "
+    "`match` without `align`, or give `rotation` and `translation` with `align: none`"
+)
+CHOICE = (
+    "In test.sensors put one of these beside `align: fit`, or a landmark into `match` "
+    "(test node: model node)"
+)
+#: Poses that are told of many.
+TOLD = 6
 #: Part of the model's box diagonal that a sensor may be away from its node.
 TOLERANCE = 0.02
 
@@ -34,7 +45,8 @@ TOLERANCE = 0.02
 class SensorRow:
     """One sensor: where it is read in the model, and how sure that is.
 
-    model_node: None where left out; distance: the model's length, NaN where not known.
+    model_node: None where left out; distance: from it, misfit: of its place from the surface of a
+    model that the test was fitted to, the model's length, NaN where not known.
     direction: unit vector in the model's global axes, or in the node's where mapped by number.
     """
 
@@ -45,6 +57,7 @@ class SensorRow:
     direction: tuple[float, float, float]
     verdict: Verdict
     reason: str = ""
+    misfit: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +69,8 @@ class Mapping:
     places: (n_rows, 3), where those of the table are, in the model's axes and length: as the test
     says, or the nodes where sensors go by number; NaN where not known.
     tolerance: the model's length, which `unit` names ("" where it has no name).
-    notes: what is to be known, a sentence each.
+    notes: what is to be known, a sentence each. doubts: why the alignment is not certain. others:
+    the same sensors at poses that cannot be told from this one.
     """
 
     sensors: SensorMap
@@ -67,6 +81,20 @@ class Mapping:
     tolerance: float
     unit: str = ""
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    others: tuple[Mapping, ...] = ()
+
+    @property
+    def uncertain(self) -> tuple[tuple[str, str], ...]:
+        """Why the alignment is not certain, and what to do, a sentence each; mostly none."""
+        said = [(doubt, REMEDY) for doubt in self.doubts]
+        if self.others:
+            poses = "; ".join(pose_of(item) for item in (self, *self.others)[:TOLD])
+            more = len(self.others) + 1 - TOLD
+            poses += f" and {more} more" if more > 0 else ""
+            many = f"{1 + len(self.others)} poses of the test fit alike"
+            said.append((f"{many} and places cannot tell them apart: {poses}", CHOICE))
+        return tuple(said)
 
     @property
     def doubtful(self) -> tuple[SensorRow, ...]:
@@ -75,6 +103,19 @@ class Mapping:
     @property
     def left_out(self) -> tuple[SensorRow, ...]:
         return tuple(row for row in self.table if row.verdict == "left out")
+
+
+def pose_of(mapping: Mapping) -> str:
+    """The pose of an alignment as a campaign has it."""
+    assert mapping.alignment is not None
+    from scipy.spatial.transform import Rotation  # few campaigns turn their sensors
+
+    pose = mapping.alignment
+    angles = Rotation.from_matrix(pose.rotation).as_euler("xyz", degrees=True)
+    turned = ", ".join(f"{angle + 0.0:.4g}" for angle in np.round(angles, 2))
+    digits = 4 - int(np.floor(np.log10(mapping.tolerance)))
+    moved = ", ".join(f"{value + 0.0:.7g}" for value in np.round(pose.translation, digits))
+    return f"rotation: [{turned}], translation: [{moved}]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +143,15 @@ def map_sensors(
     components: 1..6, those that the model's results have.
     Raises CampaignError, all problems at once, for sensors that cannot be mapped.
     """
-    lost = sorted(set(settings.match.values()) - set(mesh.nodes.tolist()))
+    by_hand = {point: node for point, node in settings.match.items() if isinstance(node, int)}
+    lost = sorted(set(by_hand.values()) - set(mesh.nodes.tolist()))
     if lost:
         raise CampaignError(f"`match` names model node {listed(lost)}, which carries no results")
     tolerance = settings.tolerance
     if tolerance is None:
         tolerance = max(TOLERANCE * diagonal(mesh.coordinates), mean_edge(mesh) / 2.0)
     unit = unit_name(metres_per_model_length)
-    node_mapping = NodeMapping(mesh, settings.match, tolerance, unit)
+    node_mapping = NodeMapping(mesh, by_hand, tolerance, unit)
     task = _Task(modes, settings, components, node_mapping)
     if geometry is not None and settings.by == "position" and modes.n_dof:
         return _by_position(task, geometry, metres_per_model_length)
@@ -136,7 +178,27 @@ def _by_number(task: _Task) -> Mapping:
 
 
 def _by_position(task: _Task, geometry: TestGeometry, metres: float) -> Mapping:
-    alignment, notes = align_test(geometry, task.mesh, task.settings, metres)
+    laid = align_test(geometry, task.mesh, task.settings, metres, task.node_mapping.tolerance)
+    best = _at_pose(task, geometry, laid.poses[0], laid.misfits, laid.notes)
+    others = []
+    for pose in laid.poses[1:]:
+        try:
+            other = _at_pose(task, geometry, pose, pose.residuals, ())
+        except CampaignError:  # a pose whose sensors find no nodes is none
+            continue
+        if np.array_equal(other.rows, best.rows):
+            others.append(other)
+    return replace(best, doubts=laid.doubts, others=tuple(others))
+
+
+def _at_pose(
+    task: _Task,
+    geometry: TestGeometry,
+    alignment: Alignment,
+    misfits: Floats,
+    notes: tuple[str, ...],
+) -> Mapping:
+    """The sensors where an alignment puts them; misfits: (n_points,) of the geometry, or empty."""
     at = {node: row for row, node in enumerate(geometry.nodes.tolist())}
     mapped_nodes = task.node_mapping.by_position(
         task.modes.nodes, geometry.nodes, alignment.apply(geometry.coordinates)
@@ -148,15 +210,15 @@ def _by_position(task: _Task, geometry: TestGeometry, metres: float) -> Mapping:
     )
     turned = result_directions(nodes, directions, task.mesh)
     table = _table(task, mapped_nodes, directions, turned)
+    if misfits.size:
+        table = tuple(
+            replace(row, misfit=float(misfits[at[row.test_node]])) if row.test_node in at else row
+            for row in table
+        )
     places = alignment.apply(geometry.coordinates)[rows]
     places[~np.isin(task.modes.nodes, geometry.nodes)] = np.nan
     _require_spread(task, places, notes)
     notes += _refused(task, table, notes)
-    if alignment.rms > task.node_mapping.tolerance / 2.0:
-        notes += (
-            f"the fit leaves its points {task.node_mapping.length(alignment.rms)} (root mean "
-            "square) from the model, which is much: look at the picture",
-        )
     return _mapping(task, table, turned, places, alignment, notes)
 
 

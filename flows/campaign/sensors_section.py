@@ -22,9 +22,9 @@ class SensorSection(Section):
     """`position` finds nodes by the test's coordinates, `number` takes the node of the same number;
     so does a test without coordinates."""
     align: Literal["none", "fit"] | None = None
-    """`fit` finds rotation and translation, and the scale where no unit tells it; `none` takes
-    those given here, and else the model's axes. Without it: `fit` where `match` is all that is
-    given, else `none`."""
+    """`fit` finds rotation and translation, and the scale where no unit tells it; those given here
+    choose then among fits that cannot be told apart. `none` takes those given here, and else the
+    model's axes. Without it: `match` alone fixes the alignment, else `none`."""
     scale: Annotated[Number, Field(gt=0.0)] | None = None
     """Model lengths a test length; without it from the units of both."""
     rotation: Triple | tuple[Triple, Triple, Triple] | None = None
@@ -32,8 +32,9 @@ class SensorSection(Section):
     matrix, three rows."""
     translation: Triple | None = None
     """Where the test's origin lies in the model, in the model's length."""
-    match: dict[Node, Node] = Field(default={})
-    """Test node to model node, by hand. Three or more, not on one line, fix the fit."""
+    match: dict[Node, Node | Triple] = Field(default={})
+    """Landmarks by hand: test node to model node, or to a place in the model's axes and length.
+    Three or more, not on one line, fix the alignment; with `align: fit` fewer do, which choose."""
     tolerance: Annotated[Number, Field(gt=0.0)] | None = None
     """How far a sensor may be from its node, in the model's length; without it 2 % of the model's
     box diagonal, or half the mean element edge where that is more."""
@@ -43,9 +44,6 @@ class SensorSection(Section):
 
     @model_validator(mode="after")
     def _sound(self) -> SensorSection:
-        given = self.rotation is not None or self.translation is not None
-        if self.align == "fit" and given:
-            raise ValueError("`align: fit` finds rotation and translation; leave them out")
         if self.by == "number" and self.places:
             raise ValueError(
                 "sensors by number have no place; leave out align, scale, rotation, translation"

@@ -6,6 +6,7 @@ Heavy packages are imported where they are needed.
 from __future__ import annotations
 
 import json
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,10 +50,12 @@ def sensors(
 
 def sensor_table(mapping: Mapping) -> Table:
     """Every sensor of the test with its node; those left out or in doubt are outside."""
+    fitted = any(isfinite(row.misfit) for row in mapping.table)
     columns = (
         Column("sensor"),
         Column("node", unknown="-"),
         Column("distance", mapping.unit, ".4g"),
+        *((Column("off the surface", mapping.unit, ".4g"),) if fitted else ()),
         Column("direction in the model", form="+.3f"),
         Column("verdict", words=True, name="verdict"),
         Column("why", words=True),
@@ -62,6 +65,7 @@ def sensor_table(mapping: Mapping) -> Table:
             f"{row.test_node}.{row.component}",
             row.model_node,
             row.distance,
+            *((row.misfit,) if fitted else ()),
             row.direction,
             row.verdict,
             row.reason,
@@ -82,6 +86,7 @@ def sensor_lines(mapping: Mapping) -> list[str]:
         f"{counts[2]} left out; tolerance {mapping.tolerance:.4g} {mapping.unit}".rstrip(),
         alignment_line(mapping),
         *(f"note: {note}" for note in mapping.notes),
+        *(f"not certain: {what}. {remedy}" for what, remedy in mapping.uncertain),
     ]
 
 
@@ -118,7 +123,8 @@ def told_sensors(mapping: Mapping, picture: Path | None = None) -> dict[str, Jso
     return json_object(
         mapping,
         "tolerance unit notes",
-        status="doubtful" if mapping.doubtful or mapping.left_out else "good",
+        status="doubtful" if mapping.doubtful or mapping.left_out or mapping.uncertain else "good",
+        uncertain=[what for what, _ in mapping.uncertain],
         sensors=mapping.table,
         alignment=alignment,
         picture=picture,

@@ -33,6 +33,7 @@ from modetune.flows.report.drawing import draw_report
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.forecast import Forecast
+from modetune.flows.updating.poses import settled
 from modetune.flows.updating.prefect import Pages
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.running import job_engine, solving_engine, update_campaign
@@ -64,6 +65,7 @@ def update_from_starts(
     at the others too where sets cost little. Where updates from some starts fail the others stand;
     raises where all fail.
     """
+    campaign = settled(campaign, pages)
     n = campaign.update.starts or 1
     if n == 1:
         return update_campaign(campaign, folder, progress, pages, forecast, executes)

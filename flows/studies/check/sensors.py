@@ -22,6 +22,7 @@ def sensor_findings(campaign: Campaign) -> list[Finding]:
     mapping = campaign.case.mapping
     found = (
         [_of_note(note) for note in (*campaign.case.measurement.notes, *mapping.notes)]
+        + [Finding("doubtful", "sensors", what, "", remedy) for what, remedy in mapping.uncertain]
         + _by_reason(mapping.doubtful)
         + _by_reason(mapping.left_out, "left out: ")
     )

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from modetune.core.errors import ModesError
 from modetune.core.measurement.alignment import Alignment, fit_similarity
-from modetune.core.measurement.closest_points import fit_nearest
 from modetune.core.modes import Floats
 
 angles = st.tuples(*[st.floats(-180.0, 180.0)] * 3)
@@ -34,22 +33,6 @@ def angle(first: Floats, second: Floats) -> float:
 
 def grid(x: Floats, y: Floats, z: float = 0.0) -> Floats:
     return np.array([(a, b, z) for a in x for b in y])
-
-
-def aircraft(size: float) -> Floats:
-    """Points of an aircraft like the GARTEUR one, metres: fuselage, wing on top, fin, tailplane."""
-    fuselage = grid(np.arange(0, 1.501, size), np.zeros(1), 0.0)
-    wing = grid(np.arange(0.5, 0.741, size), np.arange(-1.0, 1.001, size), 0.09)
-    tail = grid(np.array([1.4, 1.5]), np.arange(-0.2, 0.201, size), 0.45)
-    fin = np.array([(1.45, 0.0, z) for z in np.arange(0.0, 0.45, size)])
-    return np.concatenate([fuselage, wing, tail, fin])
-
-
-AIRCRAFT_SENSORS = np.array(
-    [(x, 0.0, 0.0) for x in (0.0, 0.3, 0.9, 1.5)]
-    + [(x, y, 0.09) for y in (-1.0, -0.6, -0.2, 0.2, 0.6, 1.0) for x in (0.5, 0.7)]
-    + [(1.4, -0.2, 0.45), (1.4, 0.2, 0.45), (1.5, 0.0, 0.45)]
-)
 
 
 @settings(deadline=None)
@@ -121,15 +104,12 @@ def test_a_mirrored_test_is_told_and_not_mirrored_back() -> None:
 def test_fewer_than_three_points_are_refused(points: Floats) -> None:
     with pytest.raises(ModesError, match=f"are {len(points)}; a fit takes three or more"):
         fit_similarity(points, points)
-    with pytest.raises(ModesError, match=f"are {len(points)}; a fit takes three or more"):
-        fit_nearest(points, CORNERS)
 
 
 def test_points_on_a_line_are_refused() -> None:
     line = np.linspace(0, 1, 7)[:, None] * np.array([1.0, 2.0, 3.0])
-    for fit in (fit_similarity, fit_nearest):
-        with pytest.raises(ModesError, match=r"one line.*cannot be fitted"):
-            fit(line, line)
+    with pytest.raises(ModesError, match=r"one line.*cannot be fitted"):
+        fit_similarity(line, line)
 
 
 def test_three_times_the_same_point_is_refused() -> None:
@@ -140,62 +120,6 @@ def test_three_times_the_same_point_is_refused() -> None:
 def test_points_and_partners_must_be_as_many() -> None:
     with pytest.raises(ModesError, match="3 points cannot be fitted to 4 partners"):
         fit_similarity(CORNERS[:3], CORNERS[:4])
-
-
-@settings(max_examples=15, deadline=None)
-@given(angles, shifts)
-def test_a_test_in_any_axes_is_found_without_partners(
-    degrees: tuple[float, ...], shift: tuple[float, ...]
-) -> None:
-    # Sensors at nodes of the aircraft, metres against millimetres: an exact fit exists.
-    rotation = turned(degrees)
-    test = (AIRCRAFT_SENSORS - np.array(shift)) @ rotation
-    nodes = 1000.0 * np.concatenate([aircraft(0.05), AIRCRAFT_SENSORS])
-    found = fit_nearest(test, nodes, scale=1000.0)
-    # Port and starboard are alike, but no proper rotation exchanges them.
-    assert angle(found.rotation, rotation) < 1e-4
-    np.testing.assert_allclose(found.apply(test), 1000.0 * AIRCRAFT_SENSORS, atol=1e-6)
-    assert found.used.all()
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_scale_too_is_found_with_sensors_placed_by_hand(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    rotation = Rotation.random(random_state=seed).as_matrix()
-    placed = AIRCRAFT_SENSORS + rng.normal(0.0, 0.003, AIRCRAFT_SENSORS.shape)
-    test = (placed - np.array([3.0, -1.0, 7.0])) @ rotation
-    found = fit_nearest(test, 1000.0 * aircraft(0.05))
-    # 3 mm over an aircraft of 2 m, 19 sensors: some tenths of a degree, of a percent.
-    assert angle(found.rotation, rotation) < 0.6
-    assert found.scale == pytest.approx(1000.0, rel=0.005)
-    assert found.rms < 3.0 * np.sqrt(3.0) * 1.5
-
-
-def test_a_point_far_from_the_model_takes_no_part() -> None:
-    stray = np.vstack([AIRCRAFT_SENSORS, [0.7, 0.1, 1.4]])
-    rotation = turned((25, -10, 70))
-    found = fit_nearest(stray @ rotation, np.vstack([aircraft(0.05), AIRCRAFT_SENSORS]), 1.0)
-    assert angle(found.rotation, rotation) < 1e-4
-    assert found.used.sum() == len(AIRCRAFT_SENSORS)
-    assert "1 of 20 test points lie far from the model" in found.notes[-1]
-
-
-def test_a_symmetric_plate_is_told_and_turned_least() -> None:
-    # A rectangle comes to itself by half turns about each of its three axes.
-    nodes = grid(np.linspace(-2, 2, 17), np.linspace(-1, 1, 9))
-    sensors = grid(np.linspace(-2, 2, 5), np.linspace(-1, 1, 3))
-    small = turned((3, -4, 12))
-    found = fit_nearest(sensors @ small + 5.0, nodes, 1.0)
-    assert angle(found.rotation, small) < 1e-4
-    assert "3 other rotations fit about as well" in found.notes[0]
-    assert "give partners" in found.notes[0]
-
-
-def test_an_aircraft_upside_down_is_known_by_its_tail() -> None:
-    rotation = turned((180, 0, 0))
-    found = fit_nearest(AIRCRAFT_SENSORS @ rotation, aircraft(0.05), 1.0)
-    assert angle(found.rotation, rotation) < 0.5
-    assert found.degrees == pytest.approx(180.0, abs=0.5)
 
 
 def test_a_given_alignment_has_no_residual() -> None:

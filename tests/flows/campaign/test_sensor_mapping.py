@@ -377,16 +377,102 @@ def test_a_test_of_frequencies_alone_has_nothing_to_map() -> None:
 
 
 def test_a_fit_that_stays_far_from_the_model_is_told() -> None:
-    rng = np.random.default_rng(5)
-    places = at_nodes(plate(), MAPPED_NODES) + rng.normal(0.0, 25.0, (8, 3))
-    found = mapped(places, align="fit", tolerance=40.0, unmapped="leave_out")
-    assert any("which is much: look at the picture" in note for note in found.notes)
+    places = at_nodes(plate(), MAPPED_NODES)
+    places[:, 2] += 35.0 * np.array([1, -1, 1, 1, -1, -1, 1, -1])
+    found = mapped(places, align="fit", tolerance=60.0)
+    assert any("which is much: look at the picture" in what for what, _ in found.uncertain)
+    # What it leaves is told of each sensor, and as its root mean square.
+    assert found.alignment is not None
+    misfits = np.array([row.misfit for row in found.table])
+    assert found.alignment.rms == pytest.approx(np.sqrt(np.mean(misfits**2)))
+
+
+def rectangle() -> Mesh:
+    """A flat plate in mm of 8 by 4 elements, 100 by 100 each; half turns take it to itself."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(9.0), np.arange(5.0), indexing="ij"))
+    places = np.column_stack([100.0 * x, 100.0 * y, np.zeros(45)])
+    return Mesh(np.arange(1, 46), places, plate().cells)
+
+
+def on_rectangle(**keys: Any) -> Mapping:
+    mesh = rectangle()
+    places = mesh.coordinates[[0, 4, 22, 40, 44, 8, 31, 13]]
+    turned = places @ Rotation.from_euler("z", 20, degrees=True).as_matrix()
+    return map_sensors(
+        sensors(NAMES, [3] * 8), geometry(NAMES, turned), mesh, section(align="fit", **keys), MM
+    )
+
+
+def test_poses_that_cannot_be_told_apart_are_shown_and_asked_about() -> None:
+    found = on_rectangle()
+    assert len(found.others) == 3  # half turns about x, y and z
+    ((what, remedy),) = found.uncertain
+    assert what.startswith("4 poses of the test fit alike and places cannot tell them apart")
+    assert "rotation: [0, 0, 20], translation: [0, 0, 0]" in what
+    assert "rotation: [0, 0, -160], translation: [800, 400, 0]" in what
+    assert "beside `align: fit`" in remedy
+    assert "not certain: 4 poses" in sensor_lines(found)[-1]
+    assert told_sensors(found)["status"] == "doubtful"
+
+
+@pytest.mark.parametrize(
+    ("keys", "node"),
+    [
+        ({"rotation": [0, 0, 15]}, 1),
+        ({"rotation": [0, 0, -150]}, 45),
+        ({"translation": [790, 390, 0], "rotation": [0, 0, -160]}, 45),
+        ({"match": {201: 45}}, 45),
+        ({"match": {201: 5}}, 5),
+        ({"match": {201: [810.0, 5.0, 0.0]}}, 41),
+    ],
+)
+def test_a_rotation_or_one_landmark_chooses_among_poses(keys: dict[str, Any], node: int) -> None:
+    found = on_rectangle(**keys)
+    assert found.uncertain == ()
+    assert found.sensors.model_nodes[0] == node  # of the first sensor, at a corner
+    np.testing.assert_allclose(found.sensors.distances, 0.0, atol=1e-9)
+
+
+def test_landmarks_may_be_places_of_the_model() -> None:
+    test = at_nodes(plate(), MAPPED_NODES) / 1000.0
+    marks = {201: [0.0, 0.0, 0.0], 203: [0.0, 400.0, 0.0], 206: [800.0, 0.0, 0.0]}
+    found = mapped(test + 3.0, metres=1.0, match=marks)
+    assert found.sensors.model_nodes.tolist() == MAPPED_NODES
+    assert found.uncertain == ()
+
+
+def test_sensors_amid_a_flat_plate_may_slide_and_it_is_said() -> None:
+    mesh = rectangle()
+    rng = np.random.default_rng(1)
+    places = np.column_stack([rng.uniform([200, 150], [600, 250], (8, 2)), np.zeros(8)])
+    found = map_sensors(
+        sensors(NAMES, [3] * 8),
+        geometry(NAMES, places),
+        mesh,
+        section(align="fit", tolerance=75.0),
+        MM,
+    )
+    what, remedy = found.uncertain[0]
+    assert what.startswith("points may slide by up to ")
+    assert "three or more landmarks" in remedy
+
+
+def test_left_handed_axes_are_told() -> None:
+    # Not flat: the raised tip tells left from right where a sensor beside it is raised half way.
+    places = at_nodes(plate(), [*MAPPED_NODES, 44])
+    places[8] = (places[7] + places[8]) / 2.0
+    mirrored = places * [1.0, -1.0, 1.0]
+    names = [*NAMES, 209]
+    found = map_sensors(
+        sensors(names, [3] * 9), geometry(names, mirrored), plate(),
+        section(align="fit", unmapped="leave_out"), MM,
+    )  # fmt: skip
+    assert any("left-handed" in what for what, _ in found.uncertain)
 
 
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"align": "fit", "rotation": [0, 0, 90]}, "leave them out"),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "is not a rotation"),
         ({"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}, "is not a rotation"),
         ({"by": "number", "scale": 3.0}, "sensors by number have no place"),
@@ -418,7 +504,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
     assert told["sensors"][1] == {
         "test_node": 202, "component": "z", "model_node": None, "distance": 60.0,
         "direction": [0.0, 0.0, 1.0], "verdict": "left out",
-        "reason": "the next node, 3, is 60 mm away",
+        "reason": "the next node, 3, is 60 mm away", "misfit": None,
     }  # fmt: skip
     assert told["alignment"]["residual_rms"] is None
 

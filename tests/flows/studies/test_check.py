@@ -660,6 +660,15 @@ def test_doubtful_sensors_and_those_left_out_are_named_by_their_reason(bench: An
     assert ": fitted to 2 mm" in at("good", report.findings)
 
 
+def test_an_alignment_that_is_not_certain_is_doubted_with_what_helps(bench: Any) -> None:
+    campaign = remapped(bench.campaign(TRUTH, shapes=True), doubts=("points may slide",))
+    (found,) = (
+        item for item in check_campaign(campaign, run=False).findings if "slide" in item.what
+    )
+    assert found.level == "doubtful"
+    assert "landmarks in `match`" in found.remedy
+
+
 def test_a_note_that_begins_with_doubt_is_filed_so(bench: Any) -> None:
     campaign = bench.campaign(TRUTH, shapes=True)
     notes = ("doubtful: modes 2 are far from real", "12 rows were read")

@@ -1,0 +1,89 @@
+"""Which of several poses of a test the measured shapes speak for, where places cannot tell.
+
+Each pose reads the same computed modes at nodes of its own. Measured and computed modes are paired
+so that the sum of their MAC is largest; the mean of these is the pose's. A structure that is
+symmetric itself has the same modes at all of its poses, which shapes cannot tell apart either.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from modetune.core.correlation.pairing import mac_or_zero
+from modetune.core.errors import CampaignError
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
+from modetune.flows.campaign.mapping import Mapping, pose_of
+from modetune.flows.campaign.measured import pairing_nodes
+from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.jobs.work import solved
+from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.running import job_engine
+
+logger = logging.getLogger(__name__)
+
+#: The best pose must lead by this much of MAC, and leave at most half of what the next one leaves
+#: of 1: what noise and errors of a model take from MAC they take from every pose.
+LEAD, LEFT = 0.05, 0.5
+
+
+def settled(campaign: Campaign, watcher: JobWatcher | None = None) -> Campaign:
+    """The campaign with each test in the pose that is certain.
+
+    Poses that places cannot tell apart cost a modal run, whose shapes may. Raises CampaignError for
+    an alignment that is not certain all the same; SolverError.
+    """
+    cases, problems = [], []
+    for case in campaign.cases:
+        found = case
+        if case.mapping.others and not case.mapping.doubts and case.test.has_shapes:
+            found, said = by_shapes(campaign.alone(case), watcher)
+            logger.info("%s", said)
+            if found.mapping.uncertain:
+                problems.append(f"{case.of('the test')}: {said}")
+        problems += [
+            f"{case.of('the alignment of the test')} is not certain: {what}. {remedy}"
+            for what, remedy in found.mapping.uncertain
+        ]
+        cases.append(found)
+    if problems:
+        raise CampaignError(problems)
+    return replace(campaign, cases=tuple(cases))
+
+
+def by_shapes(campaign: Campaign, watcher: JobWatcher | None = None) -> tuple[Case, str]:
+    """The campaign's only case at the pose its shapes speak for, and what they say of each.
+
+    The case stays where they speak for none.
+    """
+    case = campaign.case
+    mappings = (case.mapping, *case.mapping.others)
+    nodes = np.unique(np.concatenate([item.sensors.model_nodes for item in mappings]))
+    analysis = replace(campaign_analysis(campaign), nodes=tuple(nodes.tolist()))
+    job = Job(campaign.parameters.values(campaign.start), analysis)
+    (outcome,) = solved(job_engine(campaign, watcher), [job])
+    result = outcome.result(ModalResult)
+    macs = np.array([_mean_mac(case, item, result) for item in mappings])
+    order = np.argsort(-macs, kind="stable")
+    told = "; ".join(f"{pose_of(mappings[row])}: mean MAC {macs[row]:.3f}" for row in order)
+    best, next_best = macs[order[:2]]
+    if best - next_best < LEAD or 1.0 - best > LEFT * (1.0 - next_best):
+        return case, f"measured shapes cannot tell its poses apart: {told}"
+    chosen = replace(mappings[order[0]], doubts=(), others=())
+    settled_case = replace(
+        case, mapping=chosen, nodes=pairing_nodes(case.test, chosen.sensors, case.solver)
+    )
+    return settled_case, f"of poses that places cannot tell apart measured shapes choose: {told}"
+
+
+def _mean_mac(case: Case, mapping: Mapping, result: ModalResult) -> float:
+    seen = mapping.sensors.observe(result.elastic)
+    table = mac_or_zero(case.test.modes.mode_shapes, seen.mode_shapes)
+    rows, columns = linear_sum_assignment(-table)
+    return float(table[rows, columns].mean())

@@ -1,0 +1,66 @@
+"""Poses that places cannot tell apart: chosen by measured shapes, or refused with what helps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modetune.core.errors import CampaignError
+from modetune.core.measurement.alignment import Alignment
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.updating.poses import settled
+from modetune.flows.updating.starts import update_from_starts
+from modetune.flows.updating.updating import Unwatched
+from tests.flows.conftest import recased
+
+TRUTH = {"k1": 1.1, "k4": 0.9}
+HERE = Alignment(1.0, np.eye(3), np.zeros(3))
+#: The chain the other way round.
+TURNED = Alignment(1.0, np.diag([-1.0, -1.0, 1.0]), np.array([5.0, 0.0, 0.0]))
+
+
+def of_two_poses(bench: Any, taken: str, other: str) -> Campaign:
+    """A campaign whose sensors stand as the chain does ("straight"), or the other way round."""
+    campaign: Campaign = bench.campaign(TRUTH, shapes=True)
+    straight = replace(campaign.case.mapping, alignment=HERE)
+    sensors = straight.sensors
+    back = replace(sensors, model_nodes=sensors.model_nodes[::-1].copy())
+    poses = {"straight": straight, "back": replace(straight, sensors=back, alignment=TURNED)}
+    return recased(campaign, mapping=replace(poses[taken], others=(poses[other],)))
+
+
+@pytest.mark.parametrize(("taken", "other"), [("straight", "back"), ("back", "straight")])
+def test_measured_shapes_choose_the_pose(bench: Any, taken: str, other: str) -> None:
+    found = settled(of_two_poses(bench, taken, other))
+    # The springs of the chain are not symmetric; its own sensors are nodes in ascending order.
+    assert (np.diff(found.case.sensors.model_nodes) > 0).all()
+    assert found.case.mapping.uncertain == ()
+    assert bench.runs() == 1
+
+
+def test_poses_that_shapes_cannot_tell_apart_stop_the_update(bench: Any, tmp_path: Path) -> None:
+    campaign = of_two_poses(bench, "straight", "straight")
+    with pytest.raises(CampaignError) as raised:
+        update_from_starts(campaign, tmp_path / "run", Unwatched())
+    assert raised.value.exit_code == 2
+    assert "measured shapes cannot tell its poses apart" in str(raised.value)
+    assert "beside `align: fit`" in str(raised.value)
+    assert bench.runs() == 1
+
+
+def test_an_alignment_in_doubt_stops_the_update_before_any_run(bench: Any, tmp_path: Path) -> None:
+    campaign = bench.campaign(TRUTH, shapes=True)
+    doubted = recased(campaign, mapping=replace(campaign.case.mapping, doubts=("points slide",)))
+    with pytest.raises(CampaignError, match=r"not certain: points slide.*landmarks in `match`"):
+        update_from_starts(doubted, tmp_path / "run", Unwatched())
+    assert bench.runs() == 0
+
+
+def test_a_certain_alignment_costs_nothing(bench: Any) -> None:
+    campaign = bench.campaign(TRUTH, shapes=True)
+    assert settled(campaign).cases == campaign.cases
+    assert bench.runs() == 0
