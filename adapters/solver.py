@@ -21,7 +21,7 @@ from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh, shortest_length
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, Values, reached
+from modetune.core.parameters import Parameter, TargetKind, Values, reached
 from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation, nothing_known
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -174,6 +174,21 @@ class AffectedElements:
     related: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Something of a deck that parameters may name: a material, a property, a set, elements.
+
+    names: several where there are so many that they are taken together. kind: the card that it is;
+    n_elements: of how many elements; title: what a comment of the deck calls it, mostly nothing.
+    """
+
+    by: TargetKind
+    names: tuple[str, ...]
+    kind: str
+    n_elements: int
+    title: str = ""
+
+
 #: A deck at some parameter values: what an adapter's deck makes for its program.
 Edited = Any
 
@@ -251,9 +266,21 @@ class Deck(Protocol):
         """The relative value that an edited deck really holds; fields may have few digits."""
         return value
 
+    def targets(self) -> tuple[Target, ...]:
+        """What parameters may name, in the deck's order; that of a kind without numbers may be in.
+
+        Which quantities it has, `problems` tells.
+        """
+        return ()
+
+    def elastic_constants(self) -> dict[str, tuple[float, float]]:
+        """E and density (0 where there is none) of each material that elements use."""
+        return {}
+
     def wave_speeds(self) -> dict[str, float]:
         """Root of E over density of each material that has both, in the deck's units."""
-        return {}
+        known = self.elastic_constants().items()
+        return {name: (young / density) ** 0.5 for name, (young, density) in known if density}
 
     def material_masses(self) -> dict[str, float]:
         """About the mass of each material of `wave_speeds`; empty where nothing tells it."""

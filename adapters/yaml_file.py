@@ -37,7 +37,9 @@ class YamlFile:
     words: dict[Place, tuple[int, int]]
 
     def where(self, place: Place) -> str:
-        """File and line of a value, or of the nearest thing around it."""
+        """File and line of a value, or of the nearest thing around it; what is no file has none."""
+        if not self.lines:
+            return str(self.path)
         while place and place not in self.lines:
             place = place[:-1]
         return f"{self.path}, line {self.lines.get(place, 1)}"

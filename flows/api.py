@@ -19,12 +19,14 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.objects import write_campaign
 from modetune.flows.campaign.schema import CampaignFile, ModelFile
+from modetune.flows.campaign.sketch import looked_at
 from modetune.flows.campaign.terminal import terminal
 from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
 from modetune.flows.studies.correlate.correlate import Correlation
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
 from modetune.flows.studies.identify.identify import identify as identify_modes
+from modetune.flows.studies.init.draft import Draft, draft_campaign
 from modetune.flows.studies.localise.localise import Localisation, place_of
 from modetune.flows.studies.localise.localise import localise as localise_error
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
@@ -86,22 +88,54 @@ def update(
             return run
 
 
-def modes(
-    campaign: CampaignLike, at: Mapping[str, float] | None = None, *, settings: Settings = ()
-) -> ModalResult:
-    """The model's modes, rigid ones included, at the sensors and the nodes that are shown.
+def init(
+    deck: StrPath,
+    test: StrPath | Sequence[StrPath] = (),
+    out: StrPath | None = None,
+    *,
+    force: bool = False,
+    settings: Settings = (),
+) -> Draft:
+    """Write a campaign file for a deck: its test, and what could be updated, with reasons.
 
-    at: parameters' values relative to the deck, by name; the initial ones unless named. Raises
-    CampaignError, SolverError, StoreError.
+    test: its files; out: the file, `campaign.yaml` beside the deck unless named; one that is there
+    stays unless force. settings: `model.solver` and `model.units`, which are found in the deck
+    unless given. Raises CampaignError, ModelError.
     """
-    loaded = campaign_of(campaign, settings)
+    place = None if out is None else Path(out)
+    return draft_campaign(Path(deck), _paths(test), _texts(settings), place, force)
+
+
+def modes(
+    campaign: CampaignLike,
+    at: Mapping[str, float] | None = None,
+    *,
+    number: int | None = None,
+    settings: Settings = (),
+) -> ModalResult:
+    """The modes of a campaign's model or of a deck, rigid ones included, at the sensors and the
+    nodes that are shown.
+
+    at: parameters' values relative to the deck, by name; the initial ones unless named. number: how
+    many modes. Raises CampaignError, SolverError, StoreError.
+    """
+    loaded = _looked_at(campaign, settings)
     asked = [f"{name}={float(value)!r}" for name, value in (at or {}).items()]
-    return model_modes(loaded, parse_values(loaded, asked))
+    return model_modes(loaded, parse_values(loaded, asked), number)
 
 
-def check(campaign: CampaignLike, *, run: bool = True, settings: Settings = ()) -> PreCheckReport:
-    """Judge campaign, test and model before updating; run: with one modal run beside the test."""
-    return check_campaign(campaign_of(campaign, settings), run=run)
+def check(
+    campaign: CampaignLike,
+    test: StrPath | Sequence[StrPath] = (),
+    *,
+    run: bool = True,
+    settings: Settings = (),
+) -> PreCheckReport:
+    """Judge campaign, test and model before updating, or a deck, alone or with a test's files.
+
+    run: with one modal run beside the test.
+    """
+    return check_campaign(_looked_at(campaign, settings, test), run=run)
 
 
 def screen(
@@ -199,7 +233,7 @@ def correlate(
     settings: Settings = (),
     orthogonality: Literal["guyan", "serep"] | None = None,
 ) -> Correlation:
-    """Pairs, MAC and COMAC of two campaigns, records or tests; of one, beside its own test.
+    """Pairs, MAC and COMAC of two campaigns, decks, records or tests; of one, beside its own test.
 
     state: which model of a record. Raises CampaignError, SolverError, StoreError.
     """
@@ -224,8 +258,7 @@ def identify(
 
 def read_test(paths: StrPath | Sequence[StrPath]) -> Measurement:
     """A test from its file, or from files that belong together (modes, geometry, functions)."""
-    several = [paths] if isinstance(paths, str | Path) else paths
-    return read_measurement([Path(path) for path in several])
+    return read_measurement(_paths(paths))
 
 
 def read_record(path: StrPath) -> CampaignRun:
@@ -240,6 +273,21 @@ def campaign_of(campaign: CampaignLike, settings: Settings = ()) -> Campaign:
             raise CampaignError("the campaign is loaded already; give the settings to load")
         return campaign
     return load(campaign, settings)
+
+
+def _looked_at(
+    campaign: CampaignLike, settings: Settings, test: StrPath | Sequence[StrPath] = ()
+) -> Campaign:
+    """A campaign, which may lack test and parameters, or that of a deck. Raises CampaignError."""
+    if isinstance(campaign, str | Path):
+        return looked_at(Path(campaign), _texts(settings), _paths(test))
+    if test:
+        raise CampaignError("a test stands beside the path of a deck or of a campaign file")
+    return campaign_of(campaign, settings)
+
+
+def _paths(paths: StrPath | Sequence[StrPath]) -> list[Path]:
+    return [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
 
 
 def _load(

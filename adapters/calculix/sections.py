@@ -9,7 +9,9 @@ from contextlib import suppress
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name
 from modetune.adapters.calculix.model import CalculixModel, read_number
 from modetune.adapters.calculix.places import find_density, first_value, of_elastic
+from modetune.adapters.solver import Target
 from modetune.core.errors import ModelError
+from modetune.core.parameters import TargetKind
 
 
 def point_mass(model: CalculixModel, changed: dict[int, str]) -> float:
@@ -40,22 +42,36 @@ def least_thickness(model: CalculixModel) -> float:
     return min(value for value in found if value > 0.0)
 
 
-def wave_speeds(model: CalculixModel) -> dict[str, float]:
-    """Root of E, the largest one, over density of each material that has both."""
-    speeds = {}
+def elastic_constants(model: CalculixModel) -> dict[str, tuple[float, float]]:
+    """E, the largest one, and density (0 without) of each material that elements use."""
+    found = {}
     for card in model.deck.named("*MATERIAL"):
-        name = card.option("NAME")
-        try:
-            moduli, density = (
-                of_elastic("youngs_modulus")(model, name),
-                find_density(model, name)[0],
-            )
-        except ModelError:
-            continue  # not used, or no such card
-        modulus = max(field.value for field in moduli)
-        if modulus > 0.0 and density.value > 0.0:
-            speeds[name] = (modulus / density.value) ** 0.5
-    return speeds
+        name, density = card.option("NAME"), 0.0
+        with suppress(ModelError):  # a material without density has stiffness alone
+            density = find_density(model, name)[0].value
+        with suppress(ModelError):  # not used, or no such card
+            modulus = max(field.value for field in of_elastic("youngs_modulus")(model, name))
+            if modulus > 0.0:
+                found[name] = modulus, max(density, 0.0)
+    return found
+
+
+#: Sections whose numbers parameters name by their element set.
+BY_SET = ("*SHELL SECTION", "*BEAM SECTION", "*SPRING", "*MASS")
+
+
+def targets(model: CalculixModel) -> tuple[Target, ...]:
+    """Materials and sections with elements, each once."""
+    found: dict[tuple[str, str], Target] = {}
+    for card in model.deck.named("*MATERIAL", *BY_SET):
+        by_set = card.is_one_of(*BY_SET)
+        name = card.option("ELSET" if by_set else "NAME")
+        sections = [card] if by_set else model.users({name})
+        count = len(frozenset[int]().union(*map(model.members, sections)))
+        if name and count:
+            by: TargetKind = "elset" if by_set else "material"
+            found.setdefault((by, name), Target(by, (name,), card.keyword, count))
+    return tuple(found.values())
 
 
 def material_masses(model: CalculixModel, sizes: Mapping[int, float]) -> dict[str, float]:

@@ -33,10 +33,11 @@ from modetune.adapters.calculix.results import (
     read_version,
 )
 from modetune.adapters.calculix.sections import (
+    elastic_constants,
     least_thickness,
     material_masses,
     point_mass,
-    wave_speeds,
+    targets,
 )
 from modetune.adapters.calculix.spare_unknowns import modes_at_most
 from modetune.adapters.calculix.splitting import split_model
@@ -54,6 +55,7 @@ from modetune.adapters.solver import (
     ModelSummary,
     Rendered,
     Solver,
+    Target,
 )
 from modetune.core.algebra.rigid_modes import STRAINED
 from modetune.core.errors import (
@@ -130,8 +132,11 @@ class CalculixDeck(Deck):
     def splits(self) -> tuple[str, ...]:
         return self.model.split
 
-    def wave_speeds(self) -> dict[str, float]:
-        return wave_speeds(self.model)
+    def targets(self) -> tuple[Target, ...]:
+        return targets(self.model)
+
+    def elastic_constants(self) -> dict[str, tuple[float, float]]:
+        return elastic_constants(self.model)
 
     def material_masses(self) -> dict[str, float]:
         return material_masses(self.model, cell_sizes(self.mesh()))

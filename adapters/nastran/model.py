@@ -28,8 +28,9 @@ from modetune.adapters.nastran.places import ValuePlace as ValuePlace
 from modetune.adapters.nastran.places import find_places
 from modetune.adapters.nastran.splitting import split_materials, split_properties
 from modetune.adapters.nastran.structure import Structure
+from modetune.adapters.nastran.targets import targets
 from modetune.adapters.numbers import Number, moved_numbers
-from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary
+from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary, Target
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
@@ -47,6 +48,8 @@ LINEAR = (
 WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
 #: Cards that reduce a model: what is left of its matrices is linear in nothing.
 REDUCTIONS = ("ASET", "ASET1", "OMIT", "OMIT1")
+#: pyNastran's name of the modulus that tells a material's size, by its card.
+YOUNG = {"MAT1": "e", "MAT8": "e11"}
 #: K1 and K2, the shear stiffness factors of a PBAR.
 SHEAR_FACTORS = (17, 18)
 
@@ -131,15 +134,20 @@ class NastranModel(Deck):
                 return self.structure.number(card, 2) or 1.0
         return 1.0
 
-    def wave_speeds(self) -> dict[str, float]:
-        """Root of E over density of each isotropic material that has both, by `MAT1 30`."""
-        speeds = {}
-        for number, material in self.bulk.materials.items():
-            if material.type == "MAT1" and material.e and material.rho:
-                ratio = material.e / (material.rho * self.wtmass)
-                if ratio > 0.0:
-                    speeds[f"MAT1 {number}"] = float(ratio**0.5)
-        return speeds
+    def targets(self) -> tuple[Target, ...]:
+        return targets(self.structure)
+
+    def elastic_constants(self) -> dict[str, tuple[float, float]]:
+        """E (of a ply the one along its fibres) and density of each material, by `MAT1 30`."""
+        used = set(self.structure.rods_of).union(*self.structure.materials_of.values())
+        found = {}
+        for number in sorted(used & self.bulk.materials.keys()):
+            material = self.bulk.materials[number]
+            modulus = getattr(material, YOUNG.get(material.type, ""), None)
+            density = (getattr(material, "rho", None) or 0.0) * self.wtmass
+            if modulus and modulus > 0.0 and density >= 0.0:
+                found[f"{material.type} {number}"] = float(modulus), float(density)
+        return found
 
     def material_masses(self) -> dict[str, float]:
         """About the mass of each material, by `MAT1 30`; plies share that of their element."""
@@ -153,14 +161,14 @@ class NastranModel(Deck):
                     strict=False,
                 )
             )
-            parts = [(ply, ply.rho * thickness) for ply, thickness in plies if ply.type == "MAT1"]
+            parts = [(ply, ply.rho * thickness) for ply, thickness in plies if ply.type in YOUNG]
             single = getattr(section, "mid1_ref", None) or getattr(section, "mid_ref", None)
-            if not plies and single is not None and single.type == "MAT1":
+            if not plies and single is not None and single.type in YOUNG:
                 parts = [(single, 1.0)]
             whole = sum(share for _, share in parts)
             mass = element.Mass() if whole > 0.0 else 0.0
             for material, share in parts if mass else ():
-                name = f"MAT1 {material.mid}"
+                name = f"{material.type} {material.mid}"
                 found[name] = found.get(name, 0.0) + mass * share / whole
         return found
 

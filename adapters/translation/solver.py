@@ -27,7 +27,7 @@ from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.patch import edited_bulk
 from modetune.adapters.numbers import Number
-from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary, Solver
+from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary, Solver, Target
 from modetune.adapters.translation.bricks import WrittenShells
 from modetune.adapters.translation.shells import KINDS
 from modetune.adapters.translation.translate import Translation, translate
@@ -94,8 +94,11 @@ class TranslatedDeck(Deck):
     def written(self, parameter: Parameter, value: float) -> float:
         return self.model.written(parameter, value)
 
-    def wave_speeds(self) -> dict[str, float]:
-        return self.model.wave_speeds()
+    def targets(self) -> tuple[Target, ...]:
+        return self.model.targets()
+
+    def elastic_constants(self) -> dict[str, tuple[float, float]]:
+        return self.model.elastic_constants()
 
     def material_masses(self) -> dict[str, float]:
         return self.model.material_masses()

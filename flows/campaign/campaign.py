@@ -186,10 +186,16 @@ def cores() -> int:
 
 
 def load_campaign(
-    path: Path, settings: list[str] | None = None, form: type[CampaignFile] = CampaignFile
+    path: Path | YamlFile,
+    settings: list[str] | None = None,
+    form: type[CampaignFile] = CampaignFile,
+    solver: Solver | None = None,
 ) -> Campaign:
-    """Read a campaign file of a form. Raises CampaignError with all problems; StoreError."""
-    source = read_yaml(path, "a campaign")
+    """Read a campaign file of a form. Raises CampaignError with all problems; StoreError.
+
+    solver: bound to the model already, of a campaign without parameters.
+    """
+    source = path if isinstance(path, YamlFile) else read_yaml(path, "a campaign")
     try:
         file = form.model_validate(override(source, settings or []))
         run = file.run.on_site()
@@ -197,7 +203,7 @@ def load_campaign(
         raise CampaignError(section_problems(error, source, form, "campaign")) from None
     problems: list[str] = []
     parameters = file.parameter_set()
-    cases = _read_cases(source, file, problems)
+    cases = _read_cases(source, file, problems, solver)
     problems += core_problems(source, run, cores()) + licence_problems(source, file)
     if problems:
         raise CampaignError(list(dict.fromkeys(problems)))
@@ -218,10 +224,12 @@ def load_campaign(
     )
 
 
-def _read_cases(source: YamlFile, file: CampaignFile, problems: list[str]) -> list[Case]:
+def _read_cases(
+    source: YamlFile, file: CampaignFile, problems: list[str], solver: Solver | None
+) -> list[Case]:
     """The campaign's own case, or that of each configuration; those with problems are left out."""
     if not file.configurations:
-        case = _read_case(source, file, problems)
+        case = _read_case(source, file, problems, solver)
         return [] if case is None else [case]
     cases = []
     for item in configuration_files(source, file, problems):
@@ -242,10 +250,12 @@ def _read_cases(source: YamlFile, file: CampaignFile, problems: list[str]) -> li
     return cases
 
 
-def _read_case(source: YamlFile, file: CampaignFile, problems: list[str]) -> Case | None:
+def _read_case(
+    source: YamlFile, file: CampaignFile, problems: list[str], solver: Solver | None = None
+) -> Case | None:
     """One model and one test; nothing where there are problems."""
     measurement = read_test(source, file, problems)
-    solver = _read_model(source, file, problems)
+    solver = solver or _read_model(source, file, problems)
     mapping = None
     if measurement is not None and solver is not None:
         mapping = map_test(source, file, measurement, solver, problems)

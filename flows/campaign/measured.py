@@ -16,7 +16,7 @@ from modetune.core.measurement.sensors import SensorMap
 from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes, mode_set
 from modetune.flows.campaign.mapping import Mapping, map_sensors
-from modetune.flows.campaign.schema import CampaignFile, ModelFile
+from modetune.flows.campaign.schema import NO_TEST, CampaignFile, OpenFile
 from modetune.flows.campaign.units import LENGTH_METRES, METRES
 from modetune.flows.campaign.weights import kept_sensors, weight_problems
 
@@ -26,7 +26,7 @@ TRACKING_NODES = 500
 
 def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Measurement | None:
     """The test, if it has the modes that are asked for."""
-    if isinstance(file, ModelFile):
+    if isinstance(file, OpenFile) and file.test.modes == NO_TEST:
         return Measurement(MeasuredModes((), mode_set([])))
     names = (file.test.modes,) if isinstance(file.test.modes, str) else file.test.modes
     metres = None if file.test.length is None else LENGTH_METRES[file.test.length]

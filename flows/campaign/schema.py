@@ -422,9 +422,13 @@ class CampaignFile(Section):
         return self.model_copy(update={"update": update})
 
 
-class ModelFile(CampaignFile):
-    """A campaign file before there is a test: `test` and `parameters` may be missing, and its test
-    is never read."""
+#: Stands for the files of a test that is not there; the path of nothing.
+NO_TEST = ""
+
+
+class OpenFile(CampaignFile):
+    """A campaign file whose `test` and `parameters` may be missing: what can be looked at without
+    them."""
 
     parameters: tuple[ParameterSection, ...] = ()
     """What of the model may change."""
@@ -432,4 +436,14 @@ class ModelFile(CampaignFile):
     @model_validator(mode="before")
     @classmethod
     def _without_test(cls, given: Any) -> Any:
-        return {**given, "test": {"modes": "none"}} if isinstance(given, dict) else given
+        whole = not isinstance(given, dict) or given.get("configurations") or given.get("test")
+        return given if whole else {**given, "test": {"modes": NO_TEST}}
+
+
+class ModelFile(OpenFile):
+    """The same before there is a test: its test is never read."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_test(cls, given: Any) -> Any:
+        return {**given, "test": {"modes": NO_TEST}} if isinstance(given, dict) else given

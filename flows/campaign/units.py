@@ -28,6 +28,48 @@ LENGTH_METRES: dict[LengthUnit, float] = {
 SPEEDS = (500.0, 20_000.0)
 
 
+#: Young's moduli, Pa, and densities, kg/m3, of what carries loads: wood and plastics to tungsten.
+MODULI, DENSITIES = (1e8, 1.2e12), (300.0, 2.3e4)
+#: Moduli of most that structures are made of: plastics to steel and carbon fibre.
+USUAL_MODULI = (1e9, 4e11)
+
+
+def guessed_units(solver: Solver) -> tuple[Units | None, str]:
+    """The units in which most of the model's mass is of a real material, and the reason.
+
+    No units where none or several fit. A guess, to be told and never to be taken in silence.
+    """
+    known, masses = solver.deck.elastic_constants(), solver.deck.material_masses()
+    if not known:
+        return None, "no material of the deck has a Young's modulus that would tell"
+    score = dict.fromkeys(METRES, 0.0)
+    for name, (modulus, density) in known.items():
+        for units in score:
+            if _real(units, modulus, density):
+                score[units] += masses.get(name, 0.0) if any(masses.values()) else 1.0
+    fitting = [units for units, weight in score.items() if weight and weight == max(score.values())]
+    name = max(known, key=lambda item: (masses.get(item, 0.0), known[item][1] > 0.0))
+    modulus, density = known[name]
+    said = f"E {modulus:.6g}" + (f" and density {density:.6g}" if density else "") + f" of {name}"
+    if len(fitting) == 1:
+        return fitting[0], f"{said} are those of a real material in {fitting[0]}"
+    among = f"fit {' and '.join(fitting)}" if fitting else "fit no known units"
+    return None, f"{said} {among}"
+
+
+def _real(units: Units, modulus: float, density: float) -> bool:
+    """Whether a material of these numbers exists; of E alone, whether it is a usual one."""
+    pascals = modulus * KILOGRAMS[units] / METRES[units]
+    if not density:
+        return USUAL_MODULI[0] <= pascals <= USUAL_MODULI[1]
+    heavy, speed = density * KILOGRAMS[units] / METRES[units] ** 3, (modulus / density) ** 0.5
+    return (
+        MODULI[0] <= pascals <= MODULI[1]
+        and DENSITIES[0] <= heavy <= DENSITIES[1]
+        and SPEEDS[0] <= speed * METRES[units] <= SPEEDS[1]
+    )
+
+
 def unit_doubt(units: Units, solver: Solver) -> str:
     """Why a model's units are doubtful by the materials of most of its mass, empty if they are not.
 

@@ -10,11 +10,14 @@ import typer
 
 from modetune.flows.cli.options import (
     AsJson,
-    CampaignPath,
+    ModelPath,
     NoPrefect,
     Settings,
+    SolverChoice,
+    UnitsChoice,
     paged,
     stoppable,
+    with_model,
 )
 from modetune.flows.report.tables import json_object
 
@@ -47,7 +50,12 @@ MacBand = Annotated[float, typer.Option(min=0.0, max=1.0, help="How much smaller
 
 
 def check(
-    campaign_file: CampaignPath,
+    campaign_file: ModelPath,
+    test: Annotated[
+        list[Path] | None, typer.Argument(help="Beside a deck: the files of its test.")
+    ] = None,
+    solver: SolverChoice = None,
+    units: UnitsChoice = None,
     settings: Settings = None,
     no_run: Annotated[bool, typer.Option("--no-run", help="Judge without a solver run.")] = False,
     against: Against = None,
@@ -66,8 +74,10 @@ def check(
 ) -> None:
     """Judge campaign, test and model before updating, at the cost of its first modal run.
 
-    With --against the model is solved at the deck's values and compared with a baseline.
+    Without a campaign file: a deck alone, or with the files of its test. With --against the model
+    is solved at the deck's values and compared with a baseline.
     """
+    changed = with_model(settings, solver, units)
     if against is not None or record is not None:
         if no_run and record is None:
             from modetune.core.errors import CampaignError
@@ -76,7 +86,7 @@ def check(
         bands = frequency_band, mac_band
         with stoppable():
             campaign, found = compared(
-                campaign_file, settings or [], against, record, state, bands, no_prefect
+                campaign_file, changed, against, record, state, bands, no_prefect
             )
         outcome_of_comparison(campaign.name, found).write(summary, junit)
         if as_json:
@@ -84,10 +94,10 @@ def check(
         else:
             _show_check(found)
         raise typer.Exit(0 if found.within else 3)
-    from modetune.flows.campaign.campaign import load_campaign
+    from modetune.flows.campaign.sketch import looked_at
     from modetune.flows.studies.check.judging import check_campaign
 
-    campaign = load_campaign(campaign_file, settings or [])
+    campaign = looked_at(campaign_file, changed, test or [])
     with stoppable(), paged("check", campaign.name, no_prefect or no_run) as pages:
         report = check_campaign(campaign, run=not no_run, watcher=pages)
         if pages is not None:
@@ -147,8 +157,7 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
     console.print(
         Text(
             f"{campaign.name}: model {model.name} ({len(model.node_ids)} nodes, "
-            f"{model.n_elements} elements), {len(campaign.test.numbers)} test modes at "
-            f"{campaign.test.modes.n_dof} sensors, {len(campaign.parameters)} parameters"
+            f"{model.n_elements} elements), {', '.join(_sizes(campaign))}"
         ),
         soft_wrap=True,
     )
@@ -166,6 +175,13 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
         row.add_row(head, said)
         console.print(row)
     console.print(Text(_end(report)), soft_wrap=True)
+
+
+def _sizes(campaign: Campaign) -> list[str]:
+    """What of test and parameters there is."""
+    test, n = campaign.test, len(campaign.parameters)
+    tested = f"{len(test.numbers)} test modes at {test.modes.n_dof} sensors"
+    return [tested if test.numbers else "no test", f"{n} parameters" if n else "no parameters"]
 
 
 def _tables(report: PreCheckReport) -> list[Table]:

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, Figures, NoPrefect, paged, stoppable
+from modetune.flows.cli.options import (
+    AsJson,
+    Figures,
+    NoPrefect,
+    SolverChoice,
+    UnitsChoice,
+    paged,
+    stoppable,
+    with_model,
+)
 from modetune.flows.report.tables import Column, Table, frame, json_object, show_table, table_of
 
 if TYPE_CHECKING:
@@ -23,8 +32,8 @@ WORST, SHOWN = 10, 14
 First = Annotated[
     Path,
     typer.Argument(
-        help="Campaign file, campaign.h5 (or its folder), or test file; several files of one test "
-        "with commas."
+        help="Campaign file, deck, campaign.h5 (or its folder), or test file; several files of "
+        "one test with commas."
     ),
 ]
 Second = Annotated[
@@ -55,6 +64,8 @@ def correlate(
     second: Second = None,
     at: At = None,
     second_at: SecondAt = None,
+    solver: SolverChoice = None,
+    units: UnitsChoice = None,
     settings: Settings = None,
     state: State = "updated",
     orthogonality: Reduced = None,
@@ -65,11 +76,11 @@ def correlate(
 ) -> None:
     """Compare modes: pairs, frequencies, MAC, COMAC, scale factors, and the worst sensors.
 
-    A campaign alone is its model beside its test. Any two of campaigns, records and tests can be
-    compared; a test stands first beside a model.
+    A campaign alone is its model beside its test. Any two of campaigns, decks, records and tests
+    can be compared; a test stands first beside a model.
     """
     from modetune.core.errors import CampaignError
-    from modetune.flows.studies.correlate.sides import correlate_sources, source
+    from modetune.flows.studies.correlate.sides import MODELS, correlate_sources, source
 
     if state not in ("updated", "initial"):
         raise CampaignError(f"--state {state!r}: expected updated or initial")
@@ -78,12 +89,12 @@ def correlate(
     if second is None and second_at:
         raise CampaignError("--second-at is of a second campaign, and none is named")
     sources = source(first, at or ()), source(second, second_at or ()) if second else None
-    solves = any(item is not None and item.kind == "campaign" for item in sources)
+    solves = any(item is not None and item.kind in MODELS for item in sources)
     with stoppable(), paged("correlate", first.stem, no_prefect or not solves) as pages:
         found = correlate_sources(
             *sources,
             "initial" if state == "initial" else "updated",
-            settings or (),
+            with_model(settings, solver, units),
             {"guyan": "guyan", "serep": "serep"}.get(orthogonality or ""),  # type: ignore[arg-type]
             pages,
         )

@@ -29,6 +29,7 @@ from modetune.flows.cli.deploy import deploy
 from modetune.flows.cli.doctor import doctor
 from modetune.flows.cli.explain import explain
 from modetune.flows.cli.identify import identify
+from modetune.flows.cli.init import init
 from modetune.flows.cli.inspect import inspect
 from modetune.flows.cli.localise import localise
 from modetune.flows.cli.modes import modes
@@ -50,7 +51,7 @@ from modetune.flows.cli.worker import worker
 #: In the order of a campaign's life, under the headings of `--help`.
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "The test": (pretest, inspect, identify, sensors),
-    "Model and test, before updating": (check, modes, correlate, screen, localise),
+    "Model and test, before updating": (init, check, modes, correlate, screen, localise),
     "Updating": (update, explain),
     "How far to trust it": (validate, sample),
     "Results": (report, paraview),

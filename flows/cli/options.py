@@ -19,6 +19,23 @@ if TYPE_CHECKING:
     from modetune.flows.updating.prefect import Pages
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
+ModelPath = Annotated[Path, typer.Argument(help="Campaign file (YAML), or a deck.")]
+SolverChoice = Annotated[
+    str | None,
+    typer.Option(
+        "--solver",
+        help="Of a deck: calculix, nastran, mystran, matrices; else the first that is here and "
+        "takes it.",
+    ),
+]
+UnitsChoice = Annotated[
+    str | None,
+    typer.Option(
+        "--units",
+        help="Of a deck: m-kg-s, mm-t-s, in-slinch-s, ft-slug-s; else guessed from its materials "
+        "and told.",
+    ),
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", help="KEY.KEY=VALUE over the campaign file; may be repeated."),
@@ -91,6 +108,12 @@ def paged(flow: str, name: str, without: bool) -> Iterator[Pages | None]:
 
     with shown(name, flow=flow, address=tell) as pages:
         yield pages
+
+
+def with_model(settings: list[str] | None, solver: str | None, units: str | None) -> list[str]:
+    """Settings with those of `--solver` and `--units`."""
+    named = {"model.solver": solver, "model.units": units}
+    return [*(settings or []), *(f"{key}={value}" for key, value in named.items() if value)]
 
 
 @contextmanager

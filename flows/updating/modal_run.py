@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
@@ -49,9 +49,15 @@ def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
     return values
 
 
-def model_modes(campaign: Campaign, values: Mapping[str, float]) -> ModalResult:
-    """The modes of the model, from the store or the solver. Raises SolverError, StoreError."""
-    job = Job(values, campaign_analysis(campaign))
+def model_modes(
+    campaign: Campaign, values: Mapping[str, float], number: int | None = None
+) -> ModalResult:
+    """The modes of the model, from the store or the solver; number: how many, rigid ones counted.
+
+    Raises SolverError, StoreError.
+    """
+    analysis = campaign_analysis(campaign)
+    job = Job(values, replace(analysis, n_modes=number or analysis.n_modes))
     return job_engine(campaign).solve(job).result(ModalResult)
 
 

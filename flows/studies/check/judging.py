@@ -50,6 +50,10 @@ from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine
 
 NO_RUN = RunCounts()
+WITHOUT_TEST = Finding(
+    "doubtful", "test", "there is none, so the model is judged alone", "test",
+    "name the test's files under `test`, or behind a deck",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +92,10 @@ def check_campaign(
     Where parameters start from nothing a second job tells whether they leave parts loose so.
     A solver that fails is a finding. Raises StoreError.
     """
+    tested = bool(campaign.test.numbers)
     static = (
-        *data_findings(campaign.test),
-        *sensor_findings(campaign),
+        *(data_findings(campaign.test) if tested else [WITHOUT_TEST]),
+        *(sensor_findings(campaign) if tested else []),
         *size_findings(campaign),
         *bound_findings(campaign),
     )
@@ -127,11 +132,11 @@ def judged(
     """The report on a model that was solved; n_asked: modes that were asked for."""
     facts = model_facts(campaign, result)
     test = campaign.case.measured  # what is held out has its place in the order of frequencies too
-    lowest_hz = float(test.modes.frequencies_hz.min())
+    lowest_hz = float(test.modes.frequencies_hz.min(initial=np.inf))
     solver = campaign.case.solver
     held = rigid_findings(result, solver.deck.summary.components, solver.rigid_modes is not None)
     found = [*static, *mass_findings(campaign, facts), *held]
-    if worst(held) == "wrong" or lowest_hz <= 0.0:
+    if worst(held) == "wrong" or lowest_hz <= 0.0 or not test.numbers:
         return PreCheckReport(
             tuple(found), facts, runs=runs
         )  # its modes have nothing to be paired by

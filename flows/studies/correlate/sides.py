@@ -6,7 +6,6 @@ test in place of its own, so that sensors are laid over the model as the campaig
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from modetune.core.storage.record_file import is_record, read_record
 from modetune.core.updating.results import MatrixResult, ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.measured import tracking_nodes
+from modetune.flows.campaign.sketch import YAML, is_deck, looked_at
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import solved
@@ -42,7 +42,9 @@ from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.modal_run import parse_values
 from modetune.flows.updating.running import job_engine
 
-SourceKind = Literal["campaign", "record", "test"]
+SourceKind = Literal["campaign", "deck", "record", "test"]
+#: Kinds that have a model to be solved.
+MODELS = ("campaign", "deck")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +87,16 @@ def source(path: Path, at: Sequence[str] = ()) -> ComparedSource:
         path = path / "campaign.h5"
     if not path.exists():
         raise CampaignError(
-            f"{path} is not there; expected a campaign file, a campaign.h5 or its run folder, or "
-            "a test file"
+            f"{path} is not there; expected a campaign file, a deck, a campaign.h5 or its run "
+            "folder, or a test file"
         )
     kind: SourceKind = "test"
-    if path.suffix.lower() in (".yaml", ".yml"):
+    if path.suffix.lower() in YAML:
         kind = "campaign"
     elif _is_record(path):
         kind = "record"
+    elif is_deck(path):
+        kind = "deck"
     if at and kind != "campaign":
         raise CampaignError(f"{path} is not a campaign file, so it has no values to set")
     return ComparedSource(path, kind, tuple(at))
@@ -124,10 +128,10 @@ def correlate_sources(
     model: Model | None = None
     if second is None:
         left, right, model = _alone(first, state, settings, watcher)
-    elif first.kind == second.kind == "campaign":
+    elif first.kind in MODELS and second.kind in MODELS:
         left, right, model = _two_models(first, second, settings, watcher)
-    elif "campaign" in (first.kind, second.kind):
-        campaign, other = (first, second) if first.kind == "campaign" else (second, first)
+    elif first.kind in MODELS or second.kind in MODELS:
+        campaign, other = (first, second) if first.kind in MODELS else (second, first)
         model, mine, theirs = _model_beside(campaign, other, state, settings, watcher)
         ordered = other.kind == "test" or campaign is second
         left, right = (theirs, mine) if ordered else (mine, theirs)
@@ -156,6 +160,8 @@ def _alone(
         record = read_record(item.path)
         test = Side("test", "test", record.test.numbers, record.test.modes, record.geometry)
         return test, _read(item, state), None
+    if item.kind == "deck":
+        raise CampaignError(f"{item.path} is a deck; name the test that it is to be compared with")
     model = _model(load_campaign(item.path, list(settings)), item.at, watcher)
     campaign = model.campaign
     test = Side("test", "test", campaign.test.numbers, campaign.test.modes, model.geometry)
@@ -172,12 +178,10 @@ def _model_beside(
     """A campaign's model as the other side's sensors see it, and the other side."""
     if other.kind == "record":
         theirs = _read(other, state)
-        model = _model(load_campaign(item.path, list(settings)), item.at, watcher)
+        model = _model(looked_at(item.path, settings), item.at, watcher)
         return model, model.side(_seen(model), model.campaign.name), theirs
-    files = [str(path.resolve()) for path in (other.path, *other.more)]
-    named = json.dumps(files)  # JSON is YAML, whatever the path holds
-    swapped = [*settings, f"test.modes={named}", "test.use=null"]
-    model = _model(load_campaign(item.path, swapped), item.at, watcher)
+    campaign = looked_at(item.path, settings, (other.path, *other.more))
+    model = _model(campaign, item.at, watcher)
     test = model.campaign.test
     theirs = Side(other.path.name, "test", test.numbers, test.modes, model.geometry)
     return model, model.side(_seen(model), model.campaign.name), theirs
@@ -190,10 +194,7 @@ def _two_models(
     watcher: JobWatcher | None,
 ) -> tuple[Side, Side, Model]:
     """Two models at the sensors of their tests, or where these share none, at common nodes."""
-    models = [
-        _model(load_campaign(item.path, list(settings)), item.at, watcher)
-        for item in (first, second)
-    ]
+    models = [_model(looked_at(item.path, settings), item.at, watcher) for item in (first, second)]
     seen, by_sensors = [_seen(model) for model in models], True
     if common_dofs(*seen)[0].size == 0:
         ids = (

@@ -12,7 +12,7 @@ from modetune.adapters.nastran.solver import mystran_solver
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Cells, Mesh, cell_sizes
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.campaign.units import unit_doubt
+from modetune.flows.campaign.units import guessed_units, unit_doubt
 from modetune.flows.studies.check.judging import check_campaign
 
 #: A steel plate of 100 x 100 x 2 mm with a film of 0.01 mm whose modulus is a dummy.
@@ -122,3 +122,28 @@ def test_a_doubt_about_units_is_no_error_is_told_and_is_accepted_by_its_name(
     file.write_text(text.replace("m-kg-s}", "m-kg-s, checks: [unit]}"))
     with pytest.raises(CampaignError, match=r"line 2: model\.checks"):
         load_campaign(file, settings)
+
+
+@pytest.mark.parametrize(
+    ("young", "density", "units"),
+    [
+        ("2.1e11", "7850.", "m-kg-s"),
+        ("210000.", "7.85e-9", "mm-t-s"),
+        ("2.96e7", "7.3e-4", "in-slinch-s"),
+        ("4.2e9", "15.2", "ft-slug-s"),
+        ("7.e10", "2700.", "m-kg-s"),
+        ("3.e9", "1100.", "m-kg-s"),  # a plastic
+        ("1.35e5", "1.6e-9", "mm-t-s"),  # fibres in resin
+        ("1.", "1.", None),  # a model without units
+        ("3.e7", ".28", None),  # psi beside pounds an inch cubed, without WTMASS
+    ],
+)
+def test_units_are_guessed_where_one_system_makes_a_real_material(
+    young: str, density: str, units: str | None, tmp_path: Path
+) -> None:
+    deck = tmp_path / "plate.inp"
+    text = PLATE.replace("210000.", young).replace("7.8e-9", density)
+    deck.write_text(text, encoding="utf-8")
+    found, why = guessed_units(calculix_solver(deck, ()))
+    assert found == units
+    assert f"E {float(young):g}" in why  # the reason is told, whatever follows from it

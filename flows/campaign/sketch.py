@@ -1,0 +1,167 @@
+"""A deck where a campaign file is expected: a campaign without parameters, with or without a test.
+
+What the file would say is found in the deck: the solver by its form and the programs of this
+machine, the units by its materials. Both are told, and `model.solver` and `model.units` among the
+settings (`--solver`, `--units`) give others.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from modetune.adapters.regular_file import open_regular
+from modetune.adapters.solver import Solver
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.errors import CampaignError, ModelError, SolverMissing
+from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.schema import ModelSection, OpenFile, Units
+from modetune.flows.campaign.section import section_problems
+from modetune.flows.campaign.settings import override
+from modetune.flows.campaign.solvers import bind_solver, is_nastran
+from modetune.flows.campaign.units import guessed_units
+
+logger = logging.getLogger(__name__)
+
+#: What decks are called; other files are decks by what stands in them.
+SUFFIXES = (".inp", ".bdf", ".nas", ".fem")
+#: Files of campaigns, and of models that are matrices, which need `--solver matrices`.
+YAML = (".yaml", ".yml")
+#: What stands in a deck somewhere in its first characters.
+DECK_LINE = re.compile(
+    r"^\s*(\*(HEADING|NODE|ELEMENT|INCLUDE|MATERIAL|PART)\b|BEGIN\s+BULK|CEND\s*$|GRID[*,\s])",
+    re.IGNORECASE | re.MULTILINE,
+)
+LOOKED_AT = 1 << 18
+#: Programs that run Nastran decks: the first that is here and takes the deck does.
+RUN_NASTRAN = ("nastran", "mystran", "calculix")
+#: Where a campaign stands that is in no file, for messages.
+PLACE = Path("the command line")
+
+
+@dataclass(frozen=True, slots=True)
+class DeckSketch:
+    """A deck with the solver that runs it.
+
+    units: None where nothing tells; by_solver, by_units: how solver and units were found, empty
+    where they were given.
+    """
+
+    deck: Path
+    name: str
+    solver: Solver
+    units: Units | None
+    by_solver: str = ""
+    by_units: str = ""
+
+
+def is_deck(path: Path) -> bool:
+    """Whether a file is a deck and neither a campaign nor a test, by its name or its beginning."""
+    suffix = path.suffix.lower()
+    if suffix in YAML or not path.is_file():
+        return False
+    if suffix in SUFFIXES:
+        return True
+    try:
+        with open_regular(path) as file:
+            start = file.read(LOOKED_AT)
+    except OSError:
+        return False
+    return b"\0" not in start and DECK_LINE.search(start.decode("latin-1")) is not None
+
+
+def looked_at(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = ()) -> Campaign:
+    """What a command looks at: a campaign file, or a deck.
+
+    tests: files of a test, in place of the campaign's own. Raises CampaignError, ModelError.
+    """
+    if not path.exists():
+        raise CampaignError(f"{path} is not there; expected a campaign file or a deck")
+    by_solver = any(item.startswith("model.solver=") for item in settings)
+    if tests:
+        files = json.dumps([str(item.resolve()) for item in tests])  # YAML, whatever their names
+        settings = [*settings, f"test.modes={files}", "test.use=null"]
+    if not is_deck(path) and not (by_solver and path.suffix.lower() not in YAML):
+        return load_campaign(path, list(settings), OpenFile)
+    sketch = sketch_deck(path, settings)
+    if sketch.by_solver:
+        logger.warning("solver: %s, which %s", sketch.name, sketch.by_solver)
+    if sketch.units is None and tests:
+        raise CampaignError(
+            f"the units of {path} are not known, so a test cannot be laid over it: name them with "
+            f"--units ({sketch.by_units})"
+        )
+    if sketch.by_units:
+        taken = f"units: taken as {sketch.units}, since"
+        if sketch.units is None:
+            taken = "units: nothing tells them, and masses in kg are those of m-kg-s:"
+        logger.warning("%s %s; --units gives others", taken, sketch.by_units)
+    return sketched_campaign(sketch, settings)
+
+
+def sketched_campaign(sketch: DeckSketch, settings: Sequence[str] = ()) -> Campaign:
+    """The campaign of a deck, in no file. Raises CampaignError."""
+    model = {
+        "deck": str(sketch.deck.resolve()),
+        "solver": sketch.name,
+        "units": sketch.units or "m-kg-s",
+    }
+    text = json.dumps({"name": campaign_name(sketch.deck), "model": model})
+    return load_campaign(YamlFile(PLACE, text, {}, {}, {}), list(settings), OpenFile, sketch.solver)
+
+
+def campaign_name(deck: Path) -> str:
+    """A campaign's name after its deck."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", deck.stem).strip("_.-")[:64] or "model"
+
+
+def sketch_deck(deck: Path, settings: Sequence[str] = ()) -> DeckSketch:
+    """Bind a deck to the solver of the settings, else to the first that is here and takes it.
+
+    Raises CampaignError, ModelError.
+    """
+    own = [item for item in settings if item.startswith("model.")]
+    base = {"model": {"deck": str(deck), "units": "m-kg-s"}}
+    source = YamlFile(PLACE, json.dumps(base), {}, {}, {})
+    try:
+        section = ModelSection.model_validate(override(source, own)["model"])
+    except ValidationError as error:
+        raise CampaignError(section_problems(error, source, ModelSection, "model")) from None
+    solver, name, by_solver = _bound(section, deck)
+    if any(item.startswith("model.units=") for item in own):
+        return DeckSketch(deck, name, solver, section.units, by_solver)
+    units, by_units = guessed_units(solver)
+    return DeckSketch(deck, name, solver, units, by_solver, by_units)
+
+
+def _bound(section: ModelSection, deck: Path) -> tuple[Solver, str, str]:
+    """The solver, its name, and how it was found. Raises ModelError with what each one said."""
+    if "solver" in section.model_fields_set:
+        return bind_solver(section, deck, ()), section.solver, ""
+    if not is_nastran(deck):
+        return bind_solver(section, deck, ()), section.solver, ""
+    refused: dict[str, str] = {}
+    for name in RUN_NASTRAN:
+        try:
+            solver = bind_solver(section.model_copy(update={"solver": name}), deck, ())
+            solver.program.version()
+        except SolverMissing:
+            refused[name] = "not on this machine (`modetune doctor` tells more)"
+            continue
+        except ModelError as error:
+            refused[name] = str(error)
+            continue
+        how = "runs it by translation" if name == "calculix" else "runs Nastran decks"
+        missing = f"; not here, or refusing it: {', '.join(refused)}" if refused else ""
+        return solver, name, f"{how}{missing}; --solver names another"
+    by_reason: dict[str, list[str]] = {}
+    for name, said in refused.items():
+        by_reason.setdefault(said, []).append(name)
+    reasons = (f"{' and '.join(names)}: {said}" for said, names in by_reason.items())
+    raise ModelError("\n".join((f"no solver takes {deck}:", *reasons)))

@@ -1,0 +1,99 @@
+"""`modetune init`: a campaign file for a deck. Heavy packages are imported where needed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import AsJson, SolverChoice, UnitsChoice, stoppable, with_model
+from modetune.flows.report.tables import json_object
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.studies.init.draft import Draft
+
+
+def init(
+    deck: Annotated[Path, typer.Argument(help="The deck: CalculiX, Nastran or matrices.")],
+    test: Annotated[
+        list[Path] | None, typer.Argument(help="Files of its test, where there is one.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The file to write; campaign.yaml beside the deck unless named."),
+    ] = None,
+    solver: SolverChoice = None,
+    units: UnitsChoice = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write over files that are there.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
+    with stoppable("stopped; the same command starts from the beginning"):
+        from modetune.flows.studies.init.draft import draft_campaign
+
+        draft = draft_campaign(deck, test or [], with_model(None, solver, units), out, force)
+    if as_json:
+        typer.echo(json.dumps(told(draft)))
+        return
+    for line in _lines(draft):
+        typer.echo(line)
+
+
+def told(draft: Draft) -> dict[str, Json]:
+    """The `--json` object of `modetune init`."""
+    test, sketch = draft.test, draft.sketch
+    return json_object(
+        draft,
+        "next",
+        status="written",
+        written=[draft.path, *([test.identified] if test and test.identified else [])],
+        solver=sketch.name,
+        units=sketch.units or "m-kg-s",
+        units_known=sketch.units is not None,
+        units_guessed=sketch.by_units,
+        parameters=[item.parameter.name for item in draft.free],
+        candidates=[
+            json_object(
+                item.parameter,
+                "name quantity by targets",
+                value=item.value,
+                free=item.free,
+                where=item.where,
+            )
+            for item in draft.candidates
+        ],
+        sensors=None if test is None else test.sensors,
+    )
+
+
+def _lines(draft: Draft) -> list[str]:
+    """What was found and what to do next, for people."""
+    sketch, test = draft.sketch, draft.test
+    how = f", which {sketch.by_solver}" if sketch.by_solver else ""
+    said = [f"model    {sketch.deck}, on {sketch.name}{how}"]
+    if sketch.units is None:
+        said.append(f"units    NOT KNOWN ({sketch.by_units}): name them in the file")
+    else:
+        why = f"; guessed: {sketch.by_units}" if sketch.by_units else ""
+        said.append(f"units    {sketch.units}{why}")
+    if test is not None:
+        modes, left = test.measurement.modes, len(test.mapping.left_out)
+        assert modes is not None
+        of = f"identified into {test.identified}, " if test.identified else ""
+        out = f", {left} left out" if left else ""
+        said += [
+            f"test     {len(modes.numbers)} modes {of}{len(test.mapping.table)} sensors{out}",
+            f"sensors  {test.about}",
+        ]
+    free = [item.parameter.name for item in draft.free]
+    shown = f"{', '.join(free[:6])}{', ...' if len(free) > 6 else ''}"
+    said.append(
+        f"free     {len(free)} of {len(draft.candidates)} candidate parameters: {shown}; the "
+        "others stand behind a #"
+    )
+    return [*said, f"written: {draft.path}", "", "Read it, then:", *(f"  {x}" for x in draft.next)]
