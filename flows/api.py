@@ -26,7 +26,8 @@ from modetune.flows.studies.correlate.correlate import Correlation
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
 from modetune.flows.studies.identify.identify import identify as identify_modes
-from modetune.flows.studies.init.draft import Draft, draft_campaign
+from modetune.flows.studies.init.draft import Draft
+from modetune.flows.studies.init.written import init_campaign
 from modetune.flows.studies.localise.localise import Localisation, place_of
 from modetune.flows.studies.localise.localise import localise as localise_error
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
@@ -103,7 +104,7 @@ def init(
     unless given. Raises CampaignError, ModelError.
     """
     place = None if out is None else Path(out)
-    return draft_campaign(Path(deck), _paths(test), _texts(settings), place, force)
+    return init_campaign(Path(deck), _paths(test), _texts(settings), place, force)
 
 
 def modes(

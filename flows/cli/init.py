@@ -34,9 +34,9 @@ def init(
 ) -> None:
     """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
     with stoppable("stopped; the same command starts from the beginning"):
-        from modetune.flows.studies.init.draft import draft_campaign
+        from modetune.flows.studies.init.written import init_campaign
 
-        draft = draft_campaign(deck, test or [], with_model(None, solver, units), out, force)
+        draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)
     if as_json:
         typer.echo(json.dumps(told(draft)))
         return

@@ -14,10 +14,7 @@ from pathlib import Path
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
-from modetune.core.storage.files import writing
-from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.mapping import Mapping
-from modetune.flows.campaign.schema import CampaignFile, OpenFile
 from modetune.flows.campaign.sketch import DeckSketch, sketch_deck, sketched_campaign
 from modetune.flows.studies.identify.files import write_modes
 from modetune.flows.studies.identify.identify import IdentificationSettings, identify
@@ -84,19 +81,12 @@ class Draft:
 
 
 def draft_campaign(
-    deck: Path,
-    tests: Sequence[Path] = (),
-    settings: Sequence[str] = (),
-    out: Path | None = None,
-    force: bool = False,
+    deck: Path, tests: Sequence[Path], settings: Sequence[str], path: Path, force: bool = False
 ) -> Draft:
-    """Write a campaign for a deck, beside it unless named, and read it as `check` will.
+    """Draft a campaign for a deck, which is written to a path by `write_draft`.
 
-    settings: `model.solver=NAME`, `model.units=NAME`. Files that are there stay unless force.
     Raises CampaignError, ModelError for why there can be none.
     """
-    path = out or deck.with_name("campaign.yaml")
-    _keep(path, force)
     sketch = sketch_deck(deck, settings)
     found = candidates(sketch.solver)
     if not found:
@@ -105,20 +95,11 @@ def draft_campaign(
             f"its elements use has a number of its own for {sketch.name}"
         )
     test = _test(sketch, tests, path.parent, force) if tests else None
-    draft = Draft(path, sketch, test, tuple(found))
-    from modetune.flows.studies.init.text import campaign_text
-
-    with writing(path) as part:
-        part.write_text(campaign_text(draft), encoding="utf-8")
-    try:
-        load_campaign(path, [], CampaignFile if test else OpenFile)
-    except CampaignError as error:
-        path.unlink()
-        raise CampaignError([f"a campaign for {deck} is refused:", *error.problems]) from error
-    return draft
+    return Draft(path, sketch, test, tuple(found))
 
 
-def _keep(path: Path, force: bool) -> None:
+def keep(path: Path, force: bool) -> None:
+    """Leave a file that is there, unless forced. Raises CampaignError."""
     if path.exists() and not force:
         raise CampaignError(
             f"{path} is there already and stays as it is; name another with --out, or write over "
@@ -135,7 +116,7 @@ def _test(sketch: DeckSketch, tests: Sequence[Path], folder: Path, force: bool) 
                 f"{', '.join(map(str, tests))}: neither modes nor response functions in it"
             )
         identified = folder / f"{tests[0].stem}-modes.csv"
-        _keep(identified, force)
+        keep(identified, force)
         found = identify(measurement.frfs, IdentificationSettings())
         write_modes(identified, found, measurement.geometry, ", ".join(path.name for path in tests))
         files = (identified, *(tests if measurement.geometry is not None else ()))
