@@ -35,7 +35,8 @@ SUFFIXES = (".inp", ".bdf", ".nas", ".fem")
 YAML = (".yaml", ".yml")
 #: What stands in a deck somewhere in its first characters.
 DECK_LINE = re.compile(
-    r"^\s*(\*(HEADING|NODE|ELEMENT|INCLUDE|MATERIAL|PART)\b|BEGIN\s+BULK|CEND\s*$|GRID[*,\s])",
+    # A listing of a run repeats its deck, but not from the first column.
+    r"^(\*(HEADING|NODE|ELEMENT|INCLUDE|MATERIAL|PART)\b|BEGIN\s+BULK|CEND\s*$|GRID\*?[\s,]+\d)",
     re.IGNORECASE | re.MULTILINE,
 )
 LOOKED_AT = 1 << 18
@@ -82,7 +83,9 @@ def looked_at(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = 
     tests: files of a test, in place of the campaign's own. Raises CampaignError, ModelError.
     """
     if not path.exists():
-        raise CampaignError(f"{path} is not there; expected a campaign file or a deck")
+        raise CampaignError(
+            f"{path} cannot be read: it is not there; expected a campaign file or a deck"
+        )
     by_solver = any(item.startswith("model.solver=") for item in settings)
     if tests:
         files = json.dumps([str(item.resolve()) for item in tests])  # YAML, whatever their names
