@@ -33,9 +33,10 @@ logger = logging.getLogger(__name__)
 SUFFIXES = (".inp", ".bdf", ".nas", ".fem")
 #: Files of campaigns, and of models that are matrices, which need `--solver matrices`.
 YAML = (".yaml", ".yml")
+#: Results and listings of solvers, which may repeat the deck.
+RESULTS = (".f06", ".op2", ".pch", ".pnh", ".frd", ".out", ".log")
 #: What stands in a deck somewhere in its first characters.
 DECK_LINE = re.compile(
-    # A listing of a run repeats its deck, but not from the first column.
     r"^(\*(HEADING|NODE|ELEMENT|INCLUDE|MATERIAL|PART)\b|BEGIN\s+BULK|CEND\s*$|GRID\*?[\s,]+\d)",
     re.IGNORECASE | re.MULTILINE,
 )
@@ -65,7 +66,7 @@ class DeckSketch:
 def is_deck(path: Path) -> bool:
     """Whether a file is a deck and neither a campaign nor a test, by its name or its beginning."""
     suffix = path.suffix.lower()
-    if suffix in YAML or not path.is_file():
+    if suffix in (*YAML, *RESULTS) or not path.is_file():
         return False
     if suffix in SUFFIXES:
         return True
