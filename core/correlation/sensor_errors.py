@@ -1,46 +1,61 @@
 """Sensors that were mounted upside down or plugged in crosswise, found from paired shapes.
 
-Such a mistake changes the sign of one row of all measured shapes, or exchanges two rows. To undo
-it in numbers costs nothing, so every sensor is turned round, and the worst few are exchanged pair
-by pair; what lifts the agreement clearly, and clearly more than any other change, is suspected.
+Such a mistake changes the sign of one row of all measured shapes, or exchanges two rows. To undo it
+in numbers costs nothing, so every sensor is turned round, and the worst few are exchanged pair by
+pair. What counts is not how much the agreement rises, which falls with the number of sensors, but
+how far the sensor stands out of what the others scatter by.
 
-A measured shape a is judged by the share of it that lies in the space of the close computed modes
-that answer it, with orthonormal q (n_sensors, n_close): |q^H a|^2 / a^H a, the MAC where one mode
-answers. A change of rows changes c = q^H a by little:
+A measured shape a of length one is fitted by the computed modes that answer it and those it has a
+part of (model error turns modes among each other), with orthonormal q (n_sensors, n_modes): the
+sum of squares outside is S = 1 - |q^H a|^2. A change of rows changes c = q^H a by little:
 
     sensor i turned round    c - 2 a_i conj(q_i)
     sensors i, j exchanged   c + (a_j - a_i) (conj(q_i) - conj(q_j))
 
-and leaves a^H a as it is. The worst sensors are those with the largest part of the shapes outside
-the spaces, |a - q c|_i. What is found is undone, and the search goes on for the next.
+With s^2 the variance of the other sensors about the fit to them alone (the worst tenth left out),
+the score of a change is the root of its log-likelihood ratio
 
-Where two changes explain a fault as well as each other (at two sensors, to turn one or the other),
-none is named: a second change that lifts nearly as much, and nothing more once the first is made,
-is such a rival.
+    z^2 = sum over modes (S_before - S_after) / s^2
+
+so noise of the test and error of the model, which are in s, lower it alike, and a sensor that
+hardly moves has none. A change is named where its score is high, where it explains nearly all that
+leaving the sensor out would, r_I^H (1 - q_I q_I^H)^-1 r_I with the residual r, and where no other
+change explains the fault as well: at two sensors, to turn one or the other. What is found is
+undone, and the search goes on for the next.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from modetune.core.correlation.correlation import Shapes
+from modetune.core.correlation.correlation import Shapes, mac
 from modetune.core.modes import Floats
 
-#: A change that lifts the mean MAC by this, or the least one by LEAST_LIFT, is clear.
-MEAN_LIFT = 0.02
-LEAST_LIFT = 0.05
-#: A change that lowers the MAC of any mode by more than this undoes no mistake.
-MOST_LOSS = 0.02
-#: Share of the best change's lift from which another one rivals it.
-NEARLY = 0.9
-#: Sensors that are exchanged with each other: the worst ones.
-WORST = 6
+#: Score from which a change is named. Noise alone exceeds 4 at one of 200 sensors once in 150
+#: tests; what is above that is room for errors of models, which are not Gaussian.
+CLEAR = 6.0
+#: Share of what leaving the sensor out explains that the change must explain.
+EXPLAINED = 0.75
+#: A change whose squared score comes this near to the best one's rivals it, absolute (a likelihood
+#: ratio of e^8) and as a share.
+NEAR, NEARLY = 16.0, 0.9
+#: No test measures shapes better than this share of their root mean square.
+LEAST_SCATTER = 0.03
+#: The share of sensors that scatter worst, which do not count for the scatter.
+WORST_SHARE = 0.1
+#: A computed mode with this MAC beside the answering ones is in a measured shape too.
+PART = 0.02
+#: Modes of a fit are at most this share of the sensors.
+FIT_SHARE = 0.2
+#: Changes that are looked at closely, and sensors that are exchanged with each other.
+CANDIDATES, WORST = 40, 8
 #: With fewer sensors than this a changed row is not a mistake among others that are right.
 FEWEST_SENSORS = 6
+Rows = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,86 +63,142 @@ class SensorError:
     """One sensor turned round, or two exchanged: the change that would undo it.
 
     rows: of the shapes, one or two; before, after: MAC of each mode, (n_modes,), without and with
-    the change.
+    the change; score: by how many standard deviations of the other sensors it stands out.
     """
 
-    rows: tuple[int, ...]
+    rows: Rows
     before: Floats
     after: Floats
-
-    @property
-    def lift(self) -> float:
-        """Of the mean MAC."""
-        return float(np.mean(self.after - self.before))
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether the agreement is so much better that it is not by chance."""
-        least = float(self.after.min() - self.before.min())
-        lifts = self.lift >= MEAN_LIFT or (least >= LEAST_LIFT and self.lift > 0.0)
-        return lifts and float((self.after - self.before).min()) >= -MOST_LOSS
+    score: float
 
 
 def sensor_errors(
-    measured: Shapes, computed: Sequence[Shapes], most: int = 4
+    measured: Shapes, computed: Sequence[Shapes], others: Shapes | None = None, most: int = 4
 ) -> tuple[SensorError, ...]:
     """Sensors that seem turned round or exchanged, the clearest first, at most so many.
 
     measured: (n_sensors, n_modes), no shape zero; computed: for each of these modes the shapes
-    that answer it, (n_sensors, n_close), as the same sensors see them. before and after of each
-    error count those found before as undone.
+    that answer it, (n_sensors, n_close), as the same sensors see them; others: all computed shapes
+    (n_sensors, n_computed). before and after of each error count those found before as undone.
     """
     shapes = np.array(measured / np.linalg.norm(measured, axis=0))
     if shapes.shape[0] < FEWEST_SENSORS or shapes.shape[1] == 0:
         return ()
-    spaces = [_orthonormal(space) for space in computed]
+    answering = [_orthonormal(space) for space in computed]
+    fits = [
+        _fit_space(shape, space, others) for shape, space in zip(shapes.T, computed, strict=True)
+    ]
     found: list[SensorError] = []
     while len(found) < most:
-        clear = [change for change in _changes(shapes, spaces) if change.is_clear]
-        if not clear:
+        rows, score = _clearest(shapes, fits)
+        if not rows:
             break
-        best = max(clear, key=lambda change: change.lift)
-        undone = _undone(shapes, best.rows)
-        after = {change.rows: change.lift for change in _changes(undone, spaces)}
-        rivals = [
-            change
-            for change in clear
-            if change.rows != best.rows
-            and change.lift > NEARLY * best.lift
-            and after.get(change.rows, 0.0) < (1.0 - NEARLY) * best.lift
-        ]
-        if rivals:
-            break
-        found.append(best)
+        undone = _undone(shapes, rows)
+        before, after = (_inside(there, answering) for there in (shapes, undone))
+        found.append(SensorError(rows, before, after, score))
         shapes = undone
     return tuple(found)
 
 
-def _changes(shapes: Shapes, spaces: Sequence[Shapes]) -> Iterator[SensorError]:
-    """Every sensor turned round, every two of the worst exchanged. shapes: of length one."""
-    n_sensors = shapes.shape[0]
-    outside = np.zeros(n_sensors)
-    for shape, q in zip(shapes.T, spaces, strict=True):
-        outside += np.abs(shape - q @ (q.conj().T @ shape)) ** 2
-    worst = np.sort(np.argsort(-outside, kind="stable")[:WORST]).tolist()
-    changes: list[tuple[int, ...]] = [(row,) for row in range(n_sensors)]
-    changes += list(combinations(worst, 2))
-    first = np.array([rows[0] for rows in changes])
-    second = np.array([rows[-1] for rows in changes])
+def _clearest(shapes: Shapes, fits: Sequence[Shapes]) -> tuple[Rows, float]:
+    """The change that explains the fault best, and its score; no rows where none is clear."""
+    changes = _likely(shapes, fits)
+    drops = _drops(shapes, fits, changes)
+    best: Rows = ()
+    score = CLEAR
+    for place, rows in enumerate(changes):
+        whole, scatter = _left_out(shapes, fits, rows)
+        z = float(np.sqrt(max(np.sum(drops[place] / scatter), 0.0)))
+        if z > score and z**2 > EXPLAINED * np.sum(whole / scatter):
+            best, score = rows, z
+    if not best:
+        return (), 0.0
+    _, scatter = _left_out(shapes, fits, best)
+    squares = dict(zip(changes, np.sum(drops / scatter, axis=1).tolist(), strict=True))
+    later = np.sum(_drops(_undone(shapes, best), fits, changes) / scatter, axis=1)
+    limit = min(score**2 - NEAR, NEARLY * score**2)
+    for rows, after in zip(changes, later.tolist(), strict=True):
+        # A second mistake still explains as much when the first is undone; a rival does not.
+        if rows != best and squares[rows] > limit and after < 0.5 * squares[rows]:
+            return (), 0.0
+    return best, score
+
+
+def _likely(shapes: Shapes, fits: Sequence[Shapes]) -> list[Rows]:
+    """The changes that lower the sums of squares most: turned sensors, and pairs of the worst."""
+    residual = _residual(shapes, fits)
+    squares = np.abs(residual) ** 2
+    weights = 1.0 / np.maximum(squares.sum(axis=0), LEAST_SCATTER**2)
+    turned: list[Rows] = [(row,) for row in range(shapes.shape[0])]
+    lifts = _drops(shapes, fits, turned) @ weights
+    order = np.argsort(-lifts, kind="stable")[:CANDIDATES]
+    worst = np.sort(np.argsort(-(squares @ weights), kind="stable")[:WORST]).tolist()
+    return [turned[row] for row in order if lifts[row] > 0.0] + list(combinations(worst, 2))
+
+
+def _drops(shapes: Shapes, fits: Sequence[Shapes], changes: Sequence[Rows]) -> Floats:
+    """By how much each change lowers the sum of squares of each mode, (n_changes, n_modes)."""
+    first = np.array([rows[0] for rows in changes], dtype=np.int64)
+    second = np.array([rows[-1] for rows in changes], dtype=np.int64)
     turned = first == second
-    before = np.empty(shapes.shape[1])
-    after = np.empty((len(changes), shapes.shape[1]))
-    for mode, (shape, q) in enumerate(zip(shapes.T, spaces, strict=True)):
+    drops = np.empty((len(changes), shapes.shape[1]))
+    for mode, (shape, q) in enumerate(zip(shapes.T, fits, strict=True)):
         inside = q.conj().T @ shape
         steps = np.where(turned, -2.0 * shape[first], shape[second] - shape[first])
         away = q[first].conj() - np.where(turned[:, None], 0.0, q[second].conj())
-        before[mode] = np.sum(np.abs(inside) ** 2)
-        after[:, mode] = np.sum(np.abs(inside + steps[:, None] * away) ** 2, axis=1)
-    for rows, values in zip(changes, after, strict=True):
-        yield SensorError(rows, before, values)
+        after = np.sum(np.abs(inside + steps[:, None] * away) ** 2, axis=1)
+        drops[:, mode] = after - np.sum(np.abs(inside) ** 2)
+    return drops
 
 
-def _undone(shapes: Shapes, rows: tuple[int, ...]) -> Shapes:
+def _left_out(shapes: Shapes, fits: Sequence[Shapes], rows: Rows) -> tuple[Floats, Floats]:
+    """What leaving these sensors out of the fit lowers the sums of squares by, and what is left.
+
+    Both (n_modes,): the second is the variance of those other sensors that agree.
+    """
+    index, n_sensors = list(rows), shapes.shape[0]
+    drops = np.empty(shapes.shape[1])
+    residual = _residual(shapes, fits)
+    squares = np.empty((n_sensors - len(rows), shapes.shape[1]))
+    for mode, q in enumerate(fits):
+        rest = np.eye(len(index)) - q[index] @ q[index].conj().T
+        solved = np.linalg.lstsq(rest, residual[index, mode], rcond=1e-9)[0]
+        drops[mode] = float(np.real(residual[index, mode].conj() @ solved))
+        without = residual[:, mode] + q @ (q[index].conj().T @ solved)
+        squares[:, mode] = np.delete(np.abs(without) ** 2, index)
+    total = np.sum(squares / np.maximum(squares.mean(axis=0), 1e-30), axis=1)
+    kept = np.argsort(total, kind="stable")[: squares.shape[0] - int(WORST_SHARE * n_sensors)]
+    freedom = np.array([1.0 - q.shape[1] / n_sensors for q in fits])
+    scatter = squares[kept].mean(axis=0) / freedom
+    return drops, np.maximum(scatter, LEAST_SCATTER**2 / n_sensors)
+
+
+def _residual(shapes: Shapes, fits: Sequence[Shapes]) -> Shapes:
+    """What of each shape the fit leaves, (n_sensors, n_modes)."""
+    columns = [shape - q @ (q.conj().T @ shape) for shape, q in zip(shapes.T, fits, strict=True)]
+    return np.asarray(np.stack(columns, axis=1))
+
+
+def _inside(shapes: Shapes, spaces: Sequence[Shapes]) -> Floats:
+    """MAC of each shape of length one with its space, (n_modes,)."""
+    squares = [np.abs(q.conj().T @ shape) ** 2 for shape, q in zip(shapes.T, spaces, strict=True)]
+    return np.array([float(np.sum(item)) for item in squares])
+
+
+def _fit_space(shape: Shapes, answering: Shapes, others: Shapes | None) -> Shapes:
+    """A basis of the answering modes and of those that the shape has a part of, few for sensors."""
+    if others is None or not others.size:
+        return _orthonormal(answering)
+    moving = others[:, np.abs(others).max(axis=0) > 0.0]
+    parts = mac(shape[:, None], moving)[0]
+    room = max(int(FIT_SHARE * shape.size) - answering.shape[1], 0)
+    taken = [place for place in np.argsort(-parts, kind="stable") if parts[place] > PART]
+    # Those that answer add no direction of their own, and take no room.
+    new = [place for place in taken if not (mac(moving[:, [place]], answering) > 1.0 - 1e-9).any()]
+    return _orthonormal(np.hstack([answering, moving[:, new[:room]]]))
+
+
+def _undone(shapes: Shapes, rows: Rows) -> Shapes:
     """The shapes with one row turned round, or two exchanged."""
     changed = shapes.copy()
     changed[list(rows)] = -shapes[rows[0]] if len(rows) == 1 else shapes[list(rows[::-1])]

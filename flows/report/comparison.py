@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.correlation.correlation import comac, ecomac
+from modetune.core.correlation.correlation import comac
 from modetune.core.correlation.pairing import mac_or_zero
+from modetune.core.correlation.sensor_errors import sensor_errors
 from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers, common_dofs
 from modetune.core.storage.record import CampaignRecord, IterationRecord
@@ -20,12 +21,6 @@ ENTANGLED = 0.95
 DOUBTFUL_MAC, DOUBTFUL_ERROR = 0.8, 0.2
 #: By how much a MAC may fall before it is remarked.
 FALLEN_MAC = 0.05
-#: A sensor stands out with a COMAC below the first while the median is above the second.
-ODD_COMAC, GOOD_COMAC = 0.8, 0.95
-#: ... or with an ECOMAC above this: on average it differs by 30 % of the largest motion.
-ODD_ECOMAC = 0.15
-#: Sensors that are named in one sentence, the worst first.
-SENSORS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,39 +192,32 @@ def _mode_remarks(record: CampaignRecord) -> list[str]:
 
 
 def _sensor_remarks(record: CampaignRecord) -> list[str]:
-    """Sensors that stand out where most agree; where most do not, no sensor is at fault."""
+    """Sensors that stand out of what the others scatter by, turned round or exchanged."""
     agreement, item = sensor_agreement(record), record.best
-    if agreement is None or not np.median(agreement.after) > GOOD_COMAC:
+    if agreement is None:
         return []
     rows_m, rows_c = common_dofs(record.test.modes, item.computed)
     measured = record.test.modes.mode_shapes[rows_m][:, item.pairing.measured]
-    differences = ecomac(measured, item.computed.mode_shapes[rows_c][:, item.pairing.computed])
-    test, model = scaled_test(record, item)
-    against = np.sum(test * model, axis=1) < 0.0
-    low = agreement.after < ODD_COMAC
-    odd = low | (differences > ODD_ECOMAC)
-    found = []
-    for turned, does, why in (
-        (against & ~low, ("moves", "move", "against"), "turned round"),
-        (
-            ~(against & ~low),
-            ("does not move", "do not move", "as"),
-            "turned round, swapped, or mounted elsewhere",
-        ),
-    ):
-        rows = np.flatnonzero(odd & turned)
-        told = [
-            f"{agreement.labels[row]} (COMAC {agreement.after[row]:.2f}, "
-            f"ECOMAC {differences[row]:.2f})"
-            for row in rows[np.argsort(agreement.after[rows], kind="stable")].tolist()
-        ]
-        if told:
-            more = f" and {len(told) - SENSORS} more" * (len(told) > SENSORS)
-            one = len(told) == 1
-            found.append(
-                f"Sensor{'' if one else 's'} {', '.join(told[:SENSORS])}{more} "
-                f"{does[0] if one else does[1]} {does[2]} the model's: {why}?"
-            )
+    computed = item.computed.mode_shapes[rows_c]
+    spaces = [computed[:, [place]] for place in item.pairing.computed.tolist()]
+    errors = sensor_errors(measured, spaces, computed)
+    found = [
+        f"Sensors {' and '.join(agreement.labels[row] for row in error.rows)} move as each other "
+        f"in the model ({error.score:.0f} times the scatter of the others): swapped?"
+        for error in errors
+        if len(error.rows) == 2
+    ]
+    turned = [
+        f"{agreement.labels[error.rows[0]]} ({error.score:.0f} times the scatter of the others)"
+        for error in errors
+        if len(error.rows) == 1
+    ]
+    if turned:
+        one = len(turned) == 1
+        found.append(
+            f"Sensor{'' if one else 's'} {', '.join(turned)} move{'s' if one else ''} against the "
+            "model: turned round?"
+        )
     return found
 
 

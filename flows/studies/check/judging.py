@@ -151,7 +151,8 @@ def judged(
     modes = tuple(mode for mode in every if mode.mode in campaign.test.numbers)
     shares = energy_shares(result, np.array([mode.elastic_mode - 1 for mode in modes]))
     found += pairing_findings(modes, float(elastic.frequencies_hz.max()), campaign.case.rules)
-    found += suspected_sensors(test, elastic, every)
+    if shapes:
+        found += suspected_sensors(test, campaign.case.sensors, result.elastic, every)
     found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
     found += energy_findings(campaign, result, shares)
     return PreCheckReport(tuple(found), facts, modes, shares, runs)
