@@ -35,7 +35,7 @@ from modetune.flows.updating.forecast import Forecast, Forecaster
 from modetune.flows.updating.prefect import Pages, PagesProgress
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.sensitivities import not_linear
-from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of
+from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of, with_first_cost
 from modetune.flows.updating.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
@@ -133,7 +133,8 @@ def _update(
     forecast: Callable[[Forecast], None] | None,
     executes: Executes | None,
 ) -> CampaignRun:
-    campaign = start_of(campaign, engine, read_earlier(folder))
+    earlier = read_earlier(folder)
+    campaign = start_of(campaign, engine, earlier)
     # What an earlier run left stays until this one has come to its end.
     unfinished, logged = folder / "campaign.unfinished.h5", 0
 
@@ -173,11 +174,14 @@ def _update(
         engine_of(engine, campaign, case).keep_text()
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
+    kept = with_first_cost(record, earlier)
+    if kept is not record:
+        write_record(unfinished, kept)
     with storage_errors(unfinished):
         unfinished.replace(folder / "campaign.h5")
     if campaign.report.page:
         progress.working("drawing the report")
-        page = draw_report(record, folder)
+        page = draw_report(kept, folder)
     else:
         page = None
     return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from modetune.core.errors import CampaignError, StoreDamaged
 from modetune.core.modes import MeasuredModes
+from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
@@ -32,7 +33,7 @@ class EarlierRun:
     """What the record of a finished run tells of its inputs and its end.
 
     test: numbers, frequencies, shapes, nodes and components as they were measured. started,
-    updated: parameters by name, updated ones as values of the deck's quantities.
+    updated: parameters by name, updated ones as values of the deck's quantities. record: all of it.
     """
 
     campaign_text: str
@@ -41,6 +42,7 @@ class EarlierRun:
     modal_key: str
     started: dict[str, float]
     updated: dict[str, float]
+    record: CampaignRecord
 
 
 def read_earlier(folder: Path) -> EarlierRun | None:
@@ -63,7 +65,28 @@ def read_earlier(folder: Path) -> EarlierRun | None:
         modal_key=first.modal_key,
         started=dict(zip(names, first.parameters.tolist(), strict=True)),
         updated=dict(zip(names, values, strict=False)),
+        record=record,
     )
+
+
+def with_first_cost(record: CampaignRecord, earlier: EarlierRun | None) -> CampaignRecord:
+    """The record with runs and times of the run before, where the store answered all of its jobs.
+
+    What a model cost is told of it for good, not what it cost to look it up again.
+    """
+    if earlier is None or record.runs.modal or record.runs.sensitivity:
+        return record
+    then = earlier.record
+    same = [item.modal_key for item in then.iterations] == [
+        item.modal_key for item in record.iterations
+    ]
+    if not same:
+        return record
+    iterations = tuple(
+        replace(item, runs=old.runs, wall_s=old.wall_s)
+        for item, old in zip(record.iterations, then.iterations, strict=True)
+    )
+    return replace(record, runs=then.runs, wall_s=then.wall_s, iterations=iterations)
 
 
 def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> bool:

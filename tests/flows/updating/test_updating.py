@@ -21,6 +21,7 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.schema import E1Section, SensitivitySection, UpdateSection
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.jobs.job import Job
@@ -228,6 +229,11 @@ def test_the_same_campaign_again_starts_no_solver(bench: Any, watcher: Any) -> N
     assert bench.runs() == count
     assert again.runs.modal == again.runs.sensitivity == 0
     assert np.array_equal(again.updated, first.updated)
+    # What it cost is told for good: the record and its page have the first run's cost.
+    kept = read_record(bench.folder / "run" / "campaign.h5")
+    assert kept.runs == first.runs
+    assert kept.wall_s == first.wall_s
+    assert [item.runs for item in kept.iterations] == [item.runs for item in first.iterations]
 
 
 def test_bounds_and_step_limit_are_respected(bench: Any, watcher: Any) -> None:
