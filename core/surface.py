@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.mesh import CORNERS, CellKind, Mesh
+from modetune.core.mesh import CORNERS, CellKind, Cells, Mesh
 from modetune.core.modes import Floats, Integers
 
 #: Steps of the longest side of the box round a mesh.
@@ -74,6 +74,19 @@ class Surface:
     coordinates: Floats
     triangles: Integers
     edges: Integers
+
+    def mesh(self) -> Mesh:
+        """Its triangles and edges as cells; one of neither is its nodes alone."""
+        kinds: tuple[tuple[CellKind, Integers], ...] = (
+            ("triangle", self.triangles),
+            ("line", self.edges),
+        )
+        blocks = tuple(
+            Cells(kind, np.arange(1, rows.shape[0] + 1), self.nodes[rows])
+            for kind, rows in kinds
+            if rows.size
+        )
+        return Mesh(self.nodes, self.coordinates, blocks)
 
 
 def display_surface(mesh: Mesh, at_most: int = 4000) -> Surface:

@@ -26,17 +26,36 @@ def paraview(
         Path | None, typer.Option(help="Where the files go; default: paraview/ in the run folder.")
     ] = None,
     runs: Annotated[Path, typer.Option(help="Where run folders are.")] = Path("runs"),
+    stored: Annotated[
+        bool,
+        typer.Option(
+            "--stored",
+            help="The paired modes on the surface that the record of a run folder keeps: no "
+            "solver run, no campaign file.",
+        ),
+    ] = False,
     settings: Settings = None,
     as_json: AsJson = False,
 ) -> None:
     """Write mode shapes on the whole mesh, before and after updating, for ParaView."""
-    from modetune.flows.studies.paraview.paraview import open_source, states_of, write_paraview
+    from modetune.core.errors import CampaignError
+    from modetune.flows.studies.paraview.paraview import (
+        open_source,
+        states_of,
+        write_paraview,
+        write_stored,
+    )
 
-    source = open_source(place, settings or [], runs)
-    states = states_of(source, state)
-    folder = out or source.run_folder / "paraview"
-    with stoppable():
-        written = write_paraview(source.campaign, states, folder)
+    if stored:
+        if settings or not place.is_dir():
+            raise CampaignError(f"{place}: --stored requires a run folder, and takes no --set")
+        written, unrun = write_stored(place, state, out), False
+    else:
+        source = open_source(place, settings or [], runs)
+        states = states_of(source, state)
+        unrun = state == "both" and source.record is None
+        with stoppable():
+            written = write_paraview(source.campaign, states, out or source.run_folder / "paraview")
     if as_json:
         typer.echo(
             json.dumps({"status": "good", "series": [told_series(item) for item in written]})
@@ -44,7 +63,7 @@ def paraview(
         return
     for item in written:
         typer.echo(f"{item.state:8}  {item.file}  {item.n_modes} modes{_cost(item)}")
-    if state == "both" and source.record is None:
+    if unrun:
         typer.echo("the campaign has not been run, so there is no updated model yet")
 
 
@@ -57,4 +76,4 @@ def told_series(item: Series) -> dict[str, Json]:
 
 
 def _cost(item: Series) -> str:
-    return ", one solver run" if item.ran else ", no solver run: the store had them"
+    return ", one solver run" if item.ran else ", no solver run"

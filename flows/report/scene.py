@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
 from modetune.core.storage.keys import Json, number_or_null
 from modetune.core.storage.record import CampaignRecord, IterationRecord
@@ -126,17 +125,7 @@ def _thin(surface: Surface | None, at_most: int) -> Surface | None:
     at_most = min(at_most, AT_MOST)
     if surface is None or surface.nodes.size <= at_most:
         return surface
-    blocks = []
-    if surface.triangles.size:
-        blocks.append(_cells("triangle", surface.nodes[surface.triangles]))
-    if surface.edges.size:
-        blocks.append(_cells("line", surface.nodes[surface.edges]))
-    return display_surface(Mesh(surface.nodes, surface.coordinates, tuple(blocks)), at_most)
-
-
-def _cells(kind: str, nodes: Integers) -> Cells:
-    numbers = np.arange(1, nodes.shape[0] + 1)
-    return Cells("triangle" if kind == "triangle" else "line", numbers, nodes)
+    return display_surface(surface.mesh(), at_most)
 
 
 def _sensors(record: CampaignRecord) -> _Sensors | None:

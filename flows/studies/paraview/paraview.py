@@ -30,6 +30,7 @@ from modetune.flows.updating.running import job_engine
 
 #: Which models of a campaign: as it started, as updating left it.
 State = Literal["initial", "updated"]
+STATES: tuple[State, ...] = ("initial", "updated")
 RECORD = "campaign.h5"
 #: How far above a run folder its campaign file is looked for.
 LEVELS = 3
@@ -112,6 +113,30 @@ def states_of(source: SeriesSource, wanted: str) -> dict[State, Values]:
         "updated": campaign.parameters.values(record.updated),
     }
     return {state: values for state, values in found.items() if wanted in (state, "both")}
+
+
+def write_stored(place: Path, wanted: str, out: Path | None) -> tuple[Series, ...]:
+    """The paired modes on the displayed surface, as the record in a run folder keeps them.
+
+    Runs nothing and reads no campaign. Raises CampaignError, StoreError.
+    """
+    if wanted not in ("initial", "updated", "both"):
+        raise CampaignError(f"--state {wanted!r}: expected initial, updated or both")
+    record, out = read_record(place / RECORD), out or place / "paraview"
+    if record.surface is None or not record.best.field.n_dof:
+        raise CampaignError(
+            f"{place / RECORD} keeps no shapes on a surface: the campaign has several "
+            "configurations, or a model of matrices"
+        )
+    check_writable(out, "name another place with --out")
+    items = {"initial": record.iterations[0], "updated": record.best}
+    mesh, written = record.surface.mesh(), []
+    for state in STATES:
+        if wanted in (state, "both"):
+            field = items[state].field
+            series = write_series(out, state, mode_grids(mesh, field), field.frequencies_hz)
+            written.append(Series(state, series, field.n_modes, False, False))
+    return tuple(written)
 
 
 def write_paraview(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from modetune.adapters.solver import Solver
 from modetune.core.errors import CampaignError, NoResult, StorageUnavailable
 from modetune.core.mesh import Mesh, global_shapes
 from modetune.core.modes import Floats
+from modetune.core.storage.record_file import write_record
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.paraview import paraview as paraview_command
 from modetune.flows.studies.paraview.paraview import (
@@ -24,9 +26,11 @@ from modetune.flows.studies.paraview.paraview import (
     open_source,
     states_of,
     write_paraview,
+    write_stored,
 )
 from modetune.flows.updating.running import update_campaign
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
+from tests.flows.report.conftest import plate_record
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
@@ -219,3 +223,30 @@ def invoke(*arguments: str) -> Any:
     app = typer.Typer()
     app.command()(paraview_command)
     return CliRunner().invoke(app, list(arguments))
+
+
+def test_stored_shapes_are_written_without_a_run_and_without_the_campaign(
+    tmp_path: Path,
+) -> None:
+    record = plate_record()
+    folder = tmp_path / "elsewhere"
+    write_record(folder / "campaign.h5", record)
+    result = invoke(str(folder), "--stored", "--json")
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)["series"]
+    assert [(item["state"], item["modes"], item["solver_runs"]) for item in told] == [
+        ("initial", 3, 0),
+        ("updated", 3, 0),
+    ]
+    grid = pyvista.read(folder / "paraview" / "updated" / "mode_2.vtu")
+    assert grid.field_data["frequency_hz"][0] == pytest.approx(22.022)  # 22 Hz and 0.1 %
+    kept = record.best.field.mode_shapes[:, 1].reshape(-1, 3)
+    np.testing.assert_allclose(grid.point_data["mode_shape"], kept, atol=1e-12)
+    assert record.surface is not None
+    np.testing.assert_array_equal(grid.point_data["node"], record.surface.nodes)
+
+
+def test_stored_shapes_require_a_record_that_has_them(tmp_path: Path) -> None:
+    write_record(tmp_path / "campaign.h5", replace(plate_record(), surface=None))
+    with pytest.raises(CampaignError, match="keeps no shapes on a surface"):
+        write_stored(tmp_path, "both", None)
