@@ -90,6 +90,11 @@ def read_yaml(path: Path, kind: str) -> YamlFile:
         raise CampaignError(f"{path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise CampaignError(f"{path} is not a text file: {error.reason}") from error
+    return parse_yaml(path, text, kind)
+
+
+def parse_yaml(path: Path, text: str, kind: str) -> YamlFile:
+    """What `read_yaml` gives of a file with this text. Raises CampaignError with file and line."""
     loader = None
     try:
         loader = _Loader(text)

@@ -294,10 +294,10 @@ def test_a_wheel_built_from_the_sdist_holds_every_module_and_runs(tmp_path: Path
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
     wanted = {f"modetune/{path.relative_to(ROOT).as_posix()}" for path in MODULES.values()}
-    # The report's template, style and scripts are data of the package.
+    # Templates, styles and scripts of the report and of `view` are data of the package.
     wanted |= {
         f"modetune/{path.relative_to(ROOT).as_posix()}"
-        for path in (ROOT / "flows" / "report").rglob("*")
+        for path in (ROOT / "flows").rglob("*")
         if path.suffix in (".html", ".css", ".js")
     }
     assert wanted - held == set()

@@ -196,11 +196,8 @@ def load_campaign(
     solver: bound to the model already, of a campaign without parameters.
     """
     source = path if isinstance(path, YamlFile) else read_yaml(path, "a campaign")
-    try:
-        file = form.model_validate(override(source, settings or []))
-        run = file.run.on_site()
-    except ValidationError as error:
-        raise CampaignError(section_problems(error, source, form, "campaign")) from None
+    file = campaign_form(source, settings, form)
+    run = file.run.on_site()
     problems: list[str] = []
     parameters = file.parameter_set()
     cases = _read_cases(source, file, problems, solver)
@@ -222,6 +219,21 @@ def load_campaign(
         report=file.report,
         settings=tuple(settings or ()),
     )
+
+
+def campaign_form(
+    source: YamlFile, settings: list[str] | None = None, form: type[CampaignFile] = CampaignFile
+) -> CampaignFile:
+    """The sections of a campaign file, its tests and decks not yet read.
+
+    Raises CampaignError with all problems.
+    """
+    try:
+        file = form.model_validate(override(source, settings or []))
+        file.run.on_site()
+    except ValidationError as error:
+        raise CampaignError(section_problems(error, source, form, "campaign")) from None
+    return file
 
 
 def _read_cases(
@@ -288,6 +300,11 @@ def _read_case(
             reach=frequency_reach(parameters, parameters.initial),
         ),
     )
+
+
+def store_of(source: YamlFile) -> Store:
+    """The store of a campaign file. Raises CampaignError."""
+    return Store(_store_folder(source, campaign_form(source)))
 
 
 def _store_folder(source: YamlFile, file: CampaignFile) -> Path:

@@ -46,13 +46,14 @@ from modetune.flows.cli.store import store_app
 from modetune.flows.cli.twin import twin
 from modetune.flows.cli.update import update
 from modetune.flows.cli.validate import validate
+from modetune.flows.cli.view import view
 from modetune.flows.cli.worker import worker
 
 #: In the order of a campaign's life, under the headings of `--help`.
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "The test": (pretest, inspect, identify, sensors),
     "Model and test, before updating": (init, check, modes, correlate, screen, localise),
-    "Updating": (update, explain),
+    "Updating": (update, view, explain),
     "How far to trust it": (validate, sample),
     "Results": (report, paraview),
     "Unattended": (deploy, serve, worker),

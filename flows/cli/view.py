@@ -1,0 +1,31 @@
+"""`modetune view`: a campaign in the browser, live, and what is set there by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modetune.flows.cli.options import CampaignPath, Runs, stoppable
+
+
+def view(
+    campaign_file: CampaignPath,
+    runs: Runs = Path("runs"),
+    port: Annotated[int, typer.Option(help="On this machine; 0: a free one.", max=65535)] = 0,
+    browser: Annotated[bool, typer.Option("--open", help="Open it in the browser too.")] = False,
+) -> None:
+    """Show the campaign in the browser: live, with pairs, poles and sensors to set by hand."""
+    from modetune.flows.studies.view.server import serve_view
+
+    def opened(address: str) -> None:
+        typer.echo(f"view  {address}")
+        typer.echo("For this machine's browser; the address opens once. Ctrl-C ends it.", err=True)
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    with stoppable("stopped; what was written stays"):
+        serve_view(campaign_file, runs, port, opened)

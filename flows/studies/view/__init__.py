@@ -1,0 +1,1 @@
+"""A campaign in the browser while it runs, and what is set there by hand."""

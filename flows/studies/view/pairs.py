@@ -1,0 +1,62 @@
+"""Test modes beside elastic modes of the first model: MAC, frequencies, and pairs by hand."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.errors import ModesError, NotStored
+from modetune.core.storage.keys import Json
+from modetune.core.updating.results import ModalResult
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.job import Job
+from modetune.flows.studies.check.pairing import first_pairs, mac_table
+from modetune.flows.studies.view.changes import Change, change_of
+from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.running import job_engine
+
+#: Elastic modes are shown up to this many times the highest measured frequency.
+REACH = 2.0
+
+
+def told_pairs(campaign: Campaign, solve: bool, cancelled: threading.Event) -> dict[str, Json]:
+    """The table of pairs; solve: by the solver where the store has not the model's modes.
+
+    Raises CampaignError, SolverError, StoreError.
+    """
+    engine = replace(job_engine(campaign), may_run=solve, cancelled=cancelled)
+    job = Job(campaign.parameters.values(campaign.start), campaign_analysis(campaign))
+    try:
+        result = engine.solve(job).result(ModalResult)
+    except NotStored:
+        return {"unsolved": True}
+    case, test = campaign.case, campaign.case.measured
+    elastic = case.sensors.observe(result.elastic) if test.has_shapes else result.elastic
+    rows = [place for place, number in enumerate(test.numbers) if number in campaign.test.numbers]
+    chosen = [*case.rules.by_hand.values(), len(rows)]
+    near = elastic.frequencies_hz <= REACH * test.modes.frequencies_hz.max()
+    shown = min(max(int(near.sum()), *chosen) + 1, elastic.frequencies_hz.size)
+    told: dict[str, Json] = {
+        "numbers": [test.numbers[place] for place in rows],
+        "test_hz": [float(test.modes.frequencies_hz[place]) for place in rows],
+        "elastic_hz": elastic.frequencies_hz[:shown].tolist(),
+        "mac": mac_table(test.modes, elastic)[rows, :shown].tolist() if test.has_shapes else None,
+        "by_hand": {str(number): mode for number, mode in case.rules.by_hand.items()},
+        "paired": {},
+        "note": "",
+    }
+    try:
+        found = first_pairs(test, elastic, case.rules)
+    except ModesError as error:
+        told["note"] = f"no pairs are found without a hand: {error}"
+    else:
+        pairs = zip(found.measured.tolist(), found.computed.tolist(), strict=True)
+        told["paired"] = {str(test.numbers[m]): c + 1 for m, c in pairs if m in rows}
+    return told
+
+
+def pairs_change(source: YamlFile, pairs: Mapping[int, int]) -> Change:
+    """`test.pairs` as they were picked. Raises CampaignError."""
+    return change_of(source, {("test", "pairs"): dict(sorted(pairs.items())) or None})

@@ -1,0 +1,147 @@
+"""The stabilisation diagram of a campaign's own response functions, and poles picked in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from modetune.adapters.test_files.measurements import read_measurement
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.errors import CampaignError
+from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.modes import Floats
+from modetune.core.storage.keys import Json
+from modetune.flows.studies.identify.files import write_modes
+from modetune.flows.studies.identify.identify import (
+    Identification,
+    IdentificationSettings,
+    identify,
+)
+from modetune.flows.studies.view.changes import Change, change_of
+
+#: Places of the sum of the functions that are drawn.
+DRAWN = 1200
+Band = tuple[float, float] | None
+
+
+def told_poles(source: YamlFile, band: Band, order: int) -> dict[str, Json]:
+    """The diagram and the columns of it that may be picked; those of the modes that the campaign
+    has are, or where it has none those that the choice without a user takes.
+
+    Raises CampaignError.
+    """
+    measurement = _measurement(source)
+    found = _identified(_stamped(source), band, order, ())
+    lines = found.frfs.frequencies_hz
+    enough = found.settings.criteria.least_picked
+    tracks = [track for track in found.tracks if track.n_stable >= enough]
+    known = found.modes if measurement.modes is None else measurement.modes
+    at = np.array([track.frequency_hz for track in tracks])
+    limit = found.settings.criteria.frequency
+    picked = {
+        int(np.abs(at - hz).argmin())
+        for hz in known.modes.frequencies_hz.tolist()
+        if at.size and np.abs(at - hz).min() <= limit * hz
+    }
+    return {
+        "band": [float(lines[0]), float(lines[-1])],
+        "order": order,
+        "sum": _thinned(lines, np.abs(found.frfs.values).sum(axis=1)),
+        "poles": [
+            [float(hz), item.order, int(kind)]
+            for item in found.orders
+            for hz, kind in zip(item.frequencies_hz, item.stability, strict=True)
+        ],
+        "tracks": [
+            {"hz": float(track.frequency_hz), "damping": float(track.damping_ratio),
+             "stable": track.n_stable, "picked": place in picked}
+            for place, track in enumerate(tracks)
+        ],
+        "notes": list(found.notes),
+    }  # fmt: skip
+
+
+def poles_change(source: YamlFile, band: Band, order: int, pick: Sequence[float]) -> Change:
+    """Modes of the poles that were picked, in a file of their own that `test.modes` then names.
+
+    Raises CampaignError.
+    """
+    if not pick:
+        raise CampaignError("no pole is picked")
+    found = _identified(_stamped(source), band, order, tuple(sorted(pick)))
+    kept, replaced = _kept(source)
+    geometry = next((part.geometry for part in replaced.values() if part.geometry), None)
+    name = f"{source.path.stem}-picked{'.csv' if geometry is None else '.unv'}"
+    functions = ", ".join(kept)
+    write = partial(_write, source.path.parent / name, found, geometry, functions)
+    listed = ", ".join(f"{hz:.4g}" for hz in found.modes.modes.frequencies_hz)
+    notes = [f"{name} is written with {len(found.modes.numbers)} modes: {listed} Hz", *found.notes]
+    test = source.at(("test",))
+    named = [key for key in ("use", "hold_out", "pairs") if isinstance(test, dict) and key in test]
+    if named:
+        notes.append(
+            f"modes are numbered anew, from 1: look at {', '.join(f'test.{key}' for key in named)}"
+        )
+    files = [name, *(file for file in kept if file != name)]
+    return change_of(source, {("test", "modes"): files}, tuple(notes), write)
+
+
+def _write(path: Path, found: Identification, geometry: TestGeometry | None, source: str) -> None:
+    write_modes(path, found, geometry, source)
+
+
+def _named(source: YamlFile) -> list[str]:
+    """The files of `test.modes`, as they are written there."""
+    named = source.at(("test", "modes"))
+    return [str(item) for item in named] if isinstance(named, list) else [str(named or "")]
+
+
+def _stamped(source: YamlFile) -> tuple[tuple[Path, int], ...]:
+    """The test's files with the times they were written."""
+    paths = [source.path.parent / name for name in _named(source)]
+    return tuple((path, path.stat().st_mtime_ns if path.is_file() else 0) for path in paths)
+
+
+def _measurement(source: YamlFile) -> Measurement:
+    return read_measurement([path for path, _ in _stamped(source)])
+
+
+def _kept(source: YamlFile) -> tuple[list[str], dict[str, Measurement]]:
+    """Files of the test that stay, and those whose modes are replaced."""
+    kept, replaced = [], {}
+    for name in _named(source):
+        part = read_measurement([source.path.parent / name])
+        if part.modes is None:
+            kept.append(name)
+        elif part.frfs is None:
+            replaced[name] = part
+        else:
+            raise CampaignError(
+                f"{name} holds modes and response functions; modes that are picked need a file "
+                "with the functions alone"
+            )
+    return kept, replaced
+
+
+@lru_cache(maxsize=4)
+def _identified(
+    files: tuple[tuple[Path, int], ...], band: Band, order: int, pick: tuple[float, ...]
+) -> Identification:
+    paths = [path for path, _ in files]
+    frfs = read_measurement(paths).frfs
+    if frfs is None:
+        raise CampaignError(
+            f"{', '.join(path.name for path in paths)}: no frequency response functions to find "
+            "poles in; name their file in `test.modes` too"
+        )
+    return identify(frfs, IdentificationSettings(band, order, pick))
+
+
+def _thinned(lines: Floats, values: Floats) -> list[Json]:
+    """Frequency and largest value of each of so many parts."""
+    parts = np.array_split(np.arange(lines.size), min(DRAWN, lines.size))
+    tops = [part[values[part].argmax()] for part in parts]
+    return [[float(lines[top]), float(values[top])] for top in tops]
