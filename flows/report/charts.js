@@ -159,7 +159,8 @@
     return group;
   }
 
-  // chart: as told by `chart.py`; options.onCell(row, column, title of the panel) is called by clicks.
+  // chart: as told by `chart.py`; clicks call options.onCell(row, column, title of the panel) and
+  // options.onPoint(horizontal value). What is given back draws a chart that was changed.
   modetune.chart = (host, chart, options = {}) => {
     const zooms = new Map();
     let width = 0;
@@ -323,7 +324,7 @@
         if (item.written.length) inner.append(svg("text", { x, y: y + 16, "text-anchor": "middle", class: "tick" }, item.written[i]));
         if (item.told.length || (item.name && item.name !== "equal")) {
           const name = panel.x.names.length ? panel.x.names[Math.round(item.x[i])] : digits(Number(item.x[i].toPrecision(5)));
-          made.targets.push([x, y, item.told[i] || `${item.name}, ${name}: ${digits(Number(item.y[i].toPrecision(4)))}`]);
+          made.targets.push([x, y, item.x[i], item.told[i] || `${item.name}, ${name}: ${digits(Number(item.y[i].toPrecision(4)))}`]);
         }
       });
       inner.append(group);
@@ -398,16 +399,20 @@
         made.addEventListener("click", (event) => {
           const cell = event.target.closest && event.target.closest(".cell");
           if (cell && options.onCell) options.onCell(...cell.cell, panel.title);
+          const box = made.getBoundingClientRect(), point = nearest(event.clientX - box.left, event.clientY - box.top);
+          if (point && options.onPoint) options.onPoint(point[2]);
         });
-        modetune.tip(made, (x, y, event) => {
-          const hit = event.target.closest && (event.target.closest(".cell") || event.target);
-          if (hit && hit.told) return hit.told;
-          let found = "", best = NEAR;
-          for (const [tx, ty, text] of made.targets) {
-            const far = Math.hypot(tx - x, ty - y);
-            if (far < best) [found, best] = [text, far];
+        const nearest = (x, y) => {
+          let found = null, best = NEAR;
+          for (const point of made.targets) {
+            const far = Math.hypot(point[0] - x, point[1] - y);
+            if (far < best) [found, best] = [point, far];
           }
           return found;
+        };
+        modetune.tip(made, (x, y, event) => {
+          const hit = event.target.closest && (event.target.closest(".cell") || event.target);
+          return (hit && hit.told) || nearest(x, y)?.[3] || "";
         });
         grid.append(made);
       });

@@ -265,12 +265,12 @@ def told_scene(shown: Scene) -> dict[str, Json]:
     """What `shapes.js` draws: arrays as base64 of little-endian numbers, row after row."""
     return {
         "length": shown.length,
-        "coordinates": _packed(shown.coordinates, "<f4"),
-        "triangles": _packed(shown.triangles, "<u4"),
-        "edges": _packed(shown.edges, "<u4"),
+        "coordinates": packed(shown.coordinates, "<f4"),
+        "triangles": packed(shown.triangles, "<u4"),
+        "edges": packed(shown.edges, "<u4"),
         "nodes": shown.nodes.tolist(),
-        "points": _packed(shown.points, "<f4"),
-        "lines": _packed(shown.lines, "<u4"),
+        "points": packed(shown.points, "<f4"),
+        "lines": packed(shown.lines, "<u4"),
         "tests": [_told_mode(mode) for mode in shown.tests],
         "states": [
             {
@@ -288,10 +288,11 @@ def _told_mode(mode: ShownMode) -> dict[str, Json]:
     return {
         "label": mode.label,
         "hz": mode.frequency_hz,
-        "points": _packed(np.rint(STEPS * mode.points), "<i2"),
-        "surface": _packed(np.rint(STEPS * mode.surface), "<i2"),
+        "points": packed(np.rint(STEPS * mode.points), "<i2"),
+        "surface": packed(np.rint(STEPS * mode.surface), "<i2"),
     }
 
 
-def _packed(values: Floats | Integers, kind: str) -> str:
+def packed(values: Floats | Integers, kind: str) -> str:
+    """Numbers as `modetune.unpack` takes them; kind: of numpy, little-endian."""
     return base64.b64encode(np.ascontiguousarray(values).astype(kind).tobytes()).decode()

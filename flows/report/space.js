@@ -270,25 +270,25 @@ const modetune = {};
       space.ask();
     };
     // Where a place of a layer is on the canvas, in its panel.
-    space.where = (item, row, panel = 0) => {
-      const seen = camera();
-      const [x, y] = [0, 1].map((k) => {
+    space.where = (item, row, panel = 0, seen = camera()) => {
+      const [x, y, towards] = [0, 1, 2].map((k) => {
         const value = dot(seen.turned[k], item.places, 3 * row) +
           (item.still ? 0 : space.factor) * dot(seen.turned[k], item.motion, 3 * row);
         return (value - seen.middle[k]) * seen.scale[k];
       });
-      return [seen.width * (panel + (1 + x) / 2), seen.height * (1 - y) / 2];
+      return [seen.width * (panel + (1 + x) / 2), seen.height * (1 - y) / 2, towards];
     };
-    // The row of the layer's point under the pointer, or -1.
+    // The row of the layer's point under the pointer, or -1; what lies in front hides what is behind.
     space.under = (item, x, y, near = 10) => {
       const panel = Math.min(space.panels - 1, Math.floor(x / (space.width / space.panels)));
-      let found = -1, best = near;
+      const seen = camera(), found = [];
       for (let row = 0; row < item.places.length / 3; row++) {
-        const [px, py] = space.where(item, row, panel);
+        const [px, py, towards] = space.where(item, row, panel, seen);
         const far = Math.hypot(px - x, py - y);
-        if (far < best) [found, best] = [row, far];
+        if (far < near) found.push({ row, far, towards });
       }
-      return found;
+      const front = Math.max(...found.map((one) => one.towards)) - 0.04;
+      return found.filter((one) => one.towards >= front).sort((a, b) => a.far - b.far)[0]?.row ?? -1;
     };
     // What is drawn, as pixels of `width` columns, rows from the top.
     space.pixels = (width) => {

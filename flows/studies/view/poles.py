@@ -12,8 +12,9 @@ from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
-from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json
+from modetune.flows.report.chart import told_chart
+from modetune.flows.studies.identify.figures import stabilisation_chart
 from modetune.flows.studies.identify.files import write_modes
 from modetune.flows.studies.identify.identify import (
     Identification,
@@ -22,8 +23,6 @@ from modetune.flows.studies.identify.identify import (
 )
 from modetune.flows.studies.view.changes import Change, change_of
 
-#: Places of the sum of the functions that are drawn.
-DRAWN = 1200
 Band = tuple[float, float] | None
 
 
@@ -37,7 +36,10 @@ def told_poles(source: YamlFile, band: Band, order: int) -> dict[str, Json]:
     found = _identified(_stamped(source), band, order, ())
     lines = found.frfs.frequencies_hz
     enough = found.settings.criteria.least_picked
-    tracks = [track for track in found.tracks if track.n_stable >= enough]
+    tracks = sorted(
+        (track for track in found.tracks if track.n_stable >= enough),
+        key=lambda track: track.frequency_hz,
+    )
     known = found.modes if measurement.modes is None else measurement.modes
     at = np.array([track.frequency_hz for track in tracks])
     limit = found.settings.criteria.frequency
@@ -49,12 +51,7 @@ def told_poles(source: YamlFile, band: Band, order: int) -> dict[str, Json]:
     return {
         "band": [float(lines[0]), float(lines[-1])],
         "order": order,
-        "sum": _thinned(lines, np.abs(found.frfs.values).sum(axis=1)),
-        "poles": [
-            [float(hz), item.order, int(kind)]
-            for item in found.orders
-            for hz, kind in zip(item.frequencies_hz, item.stability, strict=True)
-        ],
+        "chart": told_chart(stabilisation_chart("", found)),
         "tracks": [
             {"hz": float(track.frequency_hz), "damping": float(track.damping_ratio),
              "stable": track.n_stable, "picked": place in picked}
@@ -138,10 +135,3 @@ def _identified(
             "poles in; name their file in `test.modes` too"
         )
     return identify(frfs, IdentificationSettings(band, order, pick))
-
-
-def _thinned(lines: Floats, values: Floats) -> list[Json]:
-    """Frequency and largest value of each of so many parts."""
-    parts = np.array_split(np.arange(lines.size), min(DRAWN, lines.size))
-    tops = [part[values[part].argmax()] for part in parts]
-    return [[float(lines[top]), float(values[top])] for top in tops]

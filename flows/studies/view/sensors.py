@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +18,7 @@ from modetune.flows.campaign.measured import read_test
 from modetune.flows.campaign.schema import CampaignFile
 from modetune.flows.campaign.solvers import bind_solver
 from modetune.flows.campaign.units import METRES
+from modetune.flows.report.scene import packed
 from modetune.flows.studies.view.changes import Change, change_of
 
 #: Keys of `test.sensors` that say by other means how the test lies over the model.
@@ -43,13 +42,13 @@ def told_sensors(source: YamlFile) -> dict[str, Json]:
     lines = [(rows[one], rows[other]) for one, other in geometry.lines.tolist()]
     return {
         "nodes": surface.nodes.tolist(),
-        "coordinates": _packed(surface.coordinates, "<f4"),
-        "triangles": _packed(surface.triangles, "<u4"),
-        "edges": _packed(surface.edges, "<u4"),
+        "coordinates": packed(surface.coordinates, "<f4"),
+        "triangles": packed(surface.triangles, "<u4"),
+        "edges": packed(surface.edges, "<u4"),
         "points": geometry.nodes.tolist(),
-        "places": _packed(geometry.coordinates, "<f4"),
+        "places": packed(geometry.coordinates, "<f4"),
         "laid": laid,
-        "lines": _packed(np.array(lines, dtype=np.int64), "<u4"),
+        "lines": packed(np.array(lines, dtype=np.int64), "<u4"),
         "landmarks": {str(point): node for point, node in file.test.sensors.match.items()},
         "notes": list(said),
     }
@@ -101,8 +100,4 @@ def _laid(file: CampaignFile, geometry: TestGeometry, mesh: Mesh) -> tuple[str |
             f"fitted to {int(found.used.sum())} points; they lie {found.rms:.4g} root mean square "
             f"and {found.largest:.4g} at most from their nodes, in the model's length"
         )
-    return _packed(found.apply(geometry.coordinates), "<f4"), [*said, *notes]
-
-
-def _packed(values: Any, kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).astype(kind).tobytes()).decode()
+    return packed(found.apply(geometry.coordinates), "<f4"), [*said, *notes]

@@ -50,7 +50,7 @@ HEADERS = {
 #: What the page is made of, and the package that has it; the view in space is the report's.
 FILES = {
     **dict.fromkeys(("view.html", "view.js", "view.css"), "modetune.flows.studies.view"),
-    **dict.fromkeys(("space.js", "page.css"), "modetune.flows.report"),
+    **dict.fromkeys(("space.js", "charts.js", "page.css"), "modetune.flows.report"),
 }
 MEDIA = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
 Order = Annotated[int, Query(ge=2, le=200)]

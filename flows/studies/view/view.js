@@ -127,44 +127,19 @@
 
   // Poles.
   let diagram = null;
-  const drawn = (tag, attributes, text = "") => {
-    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-    made.textContent = text;
-    return made;
-  };
   function drawPoles() {
-    if (!diagram) return;
-    const { band: [low, high], order, sum, poles, tracks } = diagram;
-    const width = by("diagram").clientWidth || 800, height = width < 600 ? 320 : 420;
-    const x = (hz) => 8 + (width - 16) * (hz - low) / (high - low);
-    const y = (n) => (height - 24) * (1 - n / (order + 1));
-    const logs = sum.map(([, value]) => Math.log10(value || 1e-300));
-    const [least, most] = [Math.min(...logs), Math.max(...logs)];
-    const curve = sum.map(([hz], at) =>
-      `${x(hz).toFixed(1)},${((height - 24) * (1 - (logs[at] - least) / (most - least || 1))).toFixed(1)}`).join(" ");
-    const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "stabilisation diagram" });
-    svg.append(drawn("polyline", { points: curve }));
-    for (const track of tracks.filter((one) => one.picked)) {
-      svg.append(drawn("line", { x1: x(track.hz), x2: x(track.hz), y1: 0, y2: height - 24 }));
+    const { chart, tracks } = diagram, picked = tracks.filter((one) => one.picked);
+    for (const panel of chart.panels) {
+      panel.items = panel.items.filter((item) => item.kind !== "Rule").concat(picked.map((track) =>
+        ({ kind: "Rule", name: "", value: track.hz, colour: "var(--accent)", line: "-", upright: true })));
     }
-    for (const [hz, at, kind] of poles) {
-      svg.append(drawn("circle", { cx: x(hz).toFixed(1), cy: y(at).toFixed(1), r: kind === 3 ? 3.2 : 2.2, class: `k${kind}` }));
-    }
-    for (let tick = 0; tick <= 4; tick++) {
-      const hz = low + tick * (high - low) / 4;
-      const anchor = tick === 0 ? "start" : tick === 4 ? "end" : "middle";
-      svg.append(drawn("text", { x: x(hz), y: height - 8, "text-anchor": anchor }, `${hz.toPrecision(4)} Hz`));
-    }
-    svg.classList.add("hit");
-    svg.addEventListener("click", (event) => {
-      const at = (event.clientX - svg.getBoundingClientRect().left) * width / svg.getBoundingClientRect().width;
-      const far = (track) => Math.abs(x(track.hz) - at);
-      const nearest = tracks.reduce((one, other) => (far(other) < far(one) ? other : one), tracks[0]);
-      if (nearest && far(nearest) < 14) pick(nearest);
-    });
-    by("diagram").replaceChildren(svg);
-    by("tracks").replaceChildren(...[...tracks].sort((one, other) => one.hz - other.hz).map((track) => {
+    if (diagram.draw) diagram.draw();
+    else diagram.draw = modetune.chart(by("diagram"), chart, { onPoint: (hz) => {
+      const far = (track) => Math.abs(track.hz / hz - 1);
+      const track = tracks.reduce((one, other) => (far(other) < far(one) ? other : one), tracks[0]);
+      if (track && far(track) < 0.01) pick(track);
+    } });
+    by("tracks").replaceChildren(...tracks.map((track) => {
       const button = make("button", `${track.hz.toPrecision(5)} Hz, ${(100 * track.damping).toPrecision(2)} %`,
         { type: "button", title: `stable at ${track.stable} orders`, onclick: () => pick(track) });
       button.setAttribute("aria-pressed", String(track.picked));
@@ -175,59 +150,36 @@
   const showPoles = told(async () => {
     const [low, high, order] = ["low", "high", "order"].map((id) => by(id).value);
     const band = low && high ? `&low=${low}&high=${high}` : "";
+    by("diagram").replaceChildren();
     diagram = await ask(`/poles?order=${order}${band}`);
-    [by("low").value, by("high").value] = diagram.band.map((hz) => Number(hz.toPrecision(6)));
+    [by("low").value, by("high").value] = diagram.band.map((hz, end) =>
+      Number((hz * (end ? 1 + 1e-5 : 1 - 1e-5)).toPrecision(6)));  // rounded outwards
     list("pole-notes", diagram.notes);
     drawPoles();
   });
 
   // Sensors.
   let scene = null, landmarks = new Map(), chosen = null, spaces = null;
-  const unpack = (text, Kind) => modetune.unpack(text, Kind);
-  // Places on a canvas with their depth: a parallel projection, so four places tell it.
-  function projection(space, length) {
-    const basis = { places: Float32Array.from([0, 0, 0, length, 0, 0, 0, length, 0, 0, 0, length]), motion: new Float32Array(12), still: true };
-    const [origin, ...ends] = [0, 1, 2, 3].map((row) => space.where(basis, row));
-    const step = ends.map((end) => end.map((value, k) => (value - origin[k]) / length));
-    const [a, e] = [space.azimuth, space.elevation].map((degrees) => degrees * Math.PI / 180);
-    const eye = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
-    return (places, row) => {
-      const p = [places[3 * row], places[3 * row + 1], places[3 * row + 2]];
-      const along = (values) => p[0] * values[0] + p[1] * values[1] + p[2] * values[2];
-      return [0, 1].map((k) => origin[k] + along(step.map((one) => one[k]))).concat(along(eye));
-    };
-  }
-  function extent(places) {
-    const ends = [0, 1, 2].map((k) => places.filter((_, at) => at % 3 === k));
-    return Math.hypot(...ends.map((values) => values.reduce((m, v) => Math.max(m, v), -Infinity) - values.reduce((m, v) => Math.min(m, v), Infinity))) || 1;
-  }
-  // The row next to a press; of those as near as a finger is wide, what lies in front.
-  function pressed(one, px, py) {
-    const place = projection(one.space, one.length), near = [];
-    for (let row = 0; row < one.places.length / 3; row++) {
-      const [x, y, depth] = place(one.places, row), far = Math.hypot(x - px, y - py);
-      if (far < 14) near.push({ row, far, depth });
-    }
-    const front = near.reduce((most, item) => Math.max(most, item.depth), -Infinity) - 0.03 * one.length;
-    return near.filter((item) => item.depth >= front).sort((a, b) => a.far - b.far)[0]?.row ?? -1;
-  }
+  // A press that did not turn the view finds the point it is on.
+  const found = (one, x, y) => one.space.under(one.layer, x, y, 14);
   function onPress(one, work) {
-    let from = null;
+    let from = [0, 0];
     one.space.canvas.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; });
     one.space.canvas.addEventListener("pointerup", (event) => {
-      if (!from || Math.hypot(event.clientX - from[0], event.clientY - from[1]) > 4) return;  // it was turned
-      const row = pressed(one, event.offsetX, event.offsetY);
+      const turned = Math.hypot(event.clientX - from[0], event.clientY - from[1]) > 4;
+      const row = turned ? -1 : found(one, event.offsetX, event.offsetY);
       if (row >= 0) work(row);
     });
   }
+  const { unpack } = modetune;
   const ink = (name) => modetune.rgb(modetune.colour(name));
-  function space(id, places) {
+  function space(id, text) {
     const fresh = by(id).cloneNode();  // no views and no listeners of an earlier scene
     by(id).replaceWith(fresh);
     const made = modetune.space(fresh);
     if (!made) throw new Error("this browser has no WebGL 2: write `test.sensors.match` by hand");
     made.paper = ink("paper");
-    return { space: made, places, length: extent(places) };
+    return { space: made, places: unpack(text, Float32Array) };
   }
   function paintPoints() {
     const [test, model] = spaces, done = ink("good"), plain = ink("ink"), now = ink("outside");
@@ -256,8 +208,8 @@
     landmarks = new Map(Object.entries(scene.landmarks).map(([point, node]) => [Number(point), node]));
     chosen = null;
     list("sensor-notes", scene.notes);
-    const test = space("test-space", unpack(scene.places, Float32Array));
-    const model = space("model-space", unpack(scene.coordinates, Float32Array));
+    const test = space("test-space", scene.places);
+    const model = space("model-space", scene.coordinates);
     test.space.lines(test.places, unpack(scene.lines, Uint32Array), { low: ink("soft"), size: 1.5 });
     test.layer = test.space.points(test.places, { low: ink("ink"), size: 9 });
     model.space.surface(model.places, unpack(scene.triangles, Uint32Array), { low: ink("mesh"), alpha: 1 });
@@ -297,13 +249,10 @@
   by("sensors-change").addEventListener("click", () => propose(() => ({ landmarks: Object.fromEntries(landmarks) })));
   by("write").addEventListener("click", write);
   by("cancel").addEventListener("click", () => by("change").close());
-  window.addEventListener("resize", drawPoles);
-  window.modetuneView = {  // where a point is on its canvas, and which one a press there finds
-    found: (which, number) => {
-      const [one, numbers] = which === "test" ? [spaces[0], scene.points] : [spaces[1], scene.nodes];
-      const [x, y] = projection(one.space, one.length)(one.places, numbers.indexOf(number));
-      return { x, y, row: numbers[pressed(one, x, y)] };
-    },
+  modetune.press = (which, number) => {  // where a point is on its canvas, and what a press there finds
+    const [one, numbers] = which === "test" ? [spaces[0], scene.points] : [spaces[1], scene.nodes];
+    const [x, y] = one.space.where(one.layer, numbers.indexOf(number));
+    return { x, y, number: numbers[found(one, x, y)] };
   };
   open(tabs[location.hash.slice(1)] ? location.hash.slice(1) : "live");
   look();

@@ -184,8 +184,8 @@ def test_an_iteration_appears_while_the_page_is_open(page: Any, viewed: Viewed) 
     )
     page.click("[data-tab=shapes]")
     report = page.frame_locator("#report")
-    report.locator("#shape-mode").wait_for()
-    assert report.locator("#shape-mode option").count() == 4
+    report.locator("#shape-view canvas").wait_for()
+    assert report.locator("#shape-view select").first.locator("option").count() >= 4
 
 
 def test_a_pair_made_by_a_click_lands_in_the_file_and_comments_stay(
@@ -217,8 +217,9 @@ def test_poles_picked_become_the_modes_of_the_campaign(page: Any, viewed: Viewed
     true = read_measurement([viewed.hook.campaign.parent / "modes.csv"]).modes
     assert true is not None
     # The third column is left out by a press into the diagram, where its line stands.
-    line = page.locator("#diagram line").nth(2).bounding_box()
-    page.mouse.click(line["x"], line["y"] + 40.0)
+    line = page.locator("#diagram .panels > svg").first.locator("g[clip-path] > line").nth(2)
+    box = line.bounding_box()
+    page.mouse.click(box["x"], box["y"] + 10.0)
     assert picked.count() == 4
     shown = write_change(page, "poles")
     assert "+  modes: [hook-picked.csv, points.csv, frfs.h5]" in shown
@@ -258,8 +259,8 @@ def test_three_landmarks_lay_the_test_over_the_model(page: Any, viewed: Viewed) 
 def visible(page: Any, which: str, number: int) -> tuple[float, float]:
     """Where a point is on its canvas, after the view was turned until a press there finds it."""
     for _ in range(24):
-        found = page.evaluate(f"modetuneView.found('{which}', {number})")
-        if found["row"] == number:
+        found = page.evaluate(f"modetune.press('{which}', {number})")
+        if found["number"] == number:
             return float(found["x"]), float(found["y"])
         page.focus(f"#{which}-space")
         for _ in range(4):
