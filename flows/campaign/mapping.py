@@ -130,6 +130,13 @@ class _Task:
         return self.node_mapping.mesh
 
 
+def tolerance_of(settings: SensorSection, mesh: Mesh) -> float:
+    """How far a sensor may be from its node, the model's length."""
+    if settings.tolerance is not None:
+        return settings.tolerance
+    return max(TOLERANCE * diagonal(mesh.coordinates), mean_edge(mesh) / 2.0)
+
+
 def map_sensors(
     modes: ModeSet,
     geometry: TestGeometry | None,
@@ -147,9 +154,7 @@ def map_sensors(
     lost = sorted(set(by_hand.values()) - set(mesh.nodes.tolist()))
     if lost:
         raise CampaignError(f"`match` names model node {listed(lost)}, which carries no results")
-    tolerance = settings.tolerance
-    if tolerance is None:
-        tolerance = max(TOLERANCE * diagonal(mesh.coordinates), mean_edge(mesh) / 2.0)
+    tolerance = tolerance_of(settings, mesh)
     unit = unit_name(metres_per_model_length)
     node_mapping = NodeMapping(mesh, by_hand, tolerance, unit)
     task = _Task(modes, settings, components, node_mapping)

@@ -14,6 +14,7 @@ from modetune.core.storage.keys import Json
 from modetune.core.surface import display_surface
 from modetune.flows.campaign.alignment import align_test
 from modetune.flows.campaign.campaign import campaign_form
+from modetune.flows.campaign.mapping import tolerance_of
 from modetune.flows.campaign.measured import read_test
 from modetune.flows.campaign.schema import CampaignFile
 from modetune.flows.campaign.solvers import bind_solver
@@ -23,8 +24,10 @@ from modetune.flows.studies.view.changes import Change, change_of
 
 #: Keys of `test.sensors` that say by other means how the test lies over the model.
 OTHER_MEANS = ("rotation", "translation", "align")
-#: Landmarks that fix a place.
+#: Landmarks that fix a place; beside `align: fit` one may choose among places.
 ENOUGH = 3
+#: A node, or a place in the model's axes and length.
+Mark = int | tuple[float, float, float]
 
 
 def told_sensors(source: YamlFile) -> dict[str, Json]:
@@ -54,19 +57,28 @@ def told_sensors(source: YamlFile) -> dict[str, Json]:
     }
 
 
-def sensors_change(source: YamlFile, landmarks: Mapping[int, int]) -> Change:
-    """`test.sensors.match` in place of what said before how the test lies over the model.
+def sensors_change(source: YamlFile, landmarks: Mapping[int, Mark]) -> Change:
+    """`test.sensors.match` in place of what said before how the test lies over the model; beside
+    `align: fit` it chooses among fits.
 
     Raises CampaignError where there are too few, or where they do not fit together.
     """
-    if len(landmarks) < ENOUGH:
-        raise CampaignError(f"{ENOUGH} landmarks are required, not on one line; give more")
     file = campaign_form(source)
+    fit = file.test.sensors.align == "fit"
+    if len(landmarks) < (1 if fit else ENOUGH):
+        raise CampaignError(
+            f"{ENOUGH} landmarks are required, not on one line; give more, or `align: fit`, "
+            "beside which one may do"
+        )
     place: Place = ("test", "sensors")
     given = source.at(place)
-    other = [key for key in OTHER_MEANS if isinstance(given, dict) and key in given]
-    values: dict[Place, object] = {(*place, key): None for key in other}
-    change = change_of(source, {(*place, "match"): dict(sorted(landmarks.items())), **values})
+    told = given if isinstance(given, dict) and not fit else {}
+    values: dict[Place, object] = {(*place, key): None for key in OTHER_MEANS if key in told}
+    match = {
+        point: list(mark) if isinstance(mark, tuple) else mark
+        for point, mark in sorted(landmarks.items())
+    }
+    change = change_of(source, {(*place, "match"): match, **values})
     changed = campaign_form(change.after)
     _, said = _laid(changed, _geometry(source, file), _mesh(source, file))
     return change.noting(*said)
@@ -90,14 +102,16 @@ def _mesh(source: YamlFile, file: CampaignFile) -> Mesh:
 
 def _laid(file: CampaignFile, geometry: TestGeometry, mesh: Mesh) -> tuple[str | None, list[str]]:
     """The test's points in the model's axes, packed, or nothing; and what is to be known of it."""
+    settings = file.test.sensors
+    tolerance = tolerance_of(settings, mesh)
     try:
-        found, notes = align_test(geometry, mesh, file.test.sensors, METRES[file.model.units])
+        laid = align_test(geometry, mesh, settings, METRES[file.model.units], tolerance)
     except CampaignError as error:
         return None, list(error.problems)
-    said = []
+    found, said = laid.poses[0], []
     if found.residuals.size:
         said.append(
             f"fitted to {int(found.used.sum())} points; they lie {found.rms:.4g} root mean square "
             f"and {found.largest:.4g} at most from their nodes, in the model's length"
         )
-    return packed(found.apply(geometry.coordinates), "<f4"), [*said, *notes]
+    return packed(found.apply(geometry.coordinates), "<f4"), [*said, *laid.notes, *laid.doubts]

@@ -31,7 +31,7 @@ from modetune.flows.studies.view.changes import Change
 from modetune.flows.studies.view.live import LiveRecord, told_live
 from modetune.flows.studies.view.pairs import pairs_change, told_pairs
 from modetune.flows.studies.view.poles import Band, poles_change, told_poles
-from modetune.flows.studies.view.sensors import sensors_change, told_sensors
+from modetune.flows.studies.view.sensors import Mark, sensors_change, told_sensors
 
 LOOPBACK = "127.0.0.1"
 #: Seconds for which a browser keeps its cookie; it is worth nothing when the server has ended.
@@ -60,14 +60,14 @@ Edge = Annotated[float | None, Query(ge=0.0, allow_inf_nan=False)]
 class Asked(BaseModel):
     """One change that the page asks for; base: of the one that was shown, when it is to be written.
 
-    pairs: test mode to elastic mode; landmarks: test point to node; pick: Hz, with band and order
-    of the diagram they were picked in.
+    pairs: test mode to elastic mode; landmarks: test point to node or place; pick: Hz, with band
+    and order of the diagram they were picked in.
     """
 
     model_config = ConfigDict(extra="forbid")
 
     pairs: dict[int, Annotated[int, Field(ge=1)]] | None = None
-    landmarks: dict[int, int] | None = None
+    landmarks: dict[int, Mark] | None = None
     pick: list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] | None = None
     band: tuple[float, float] | None = None
     order: Annotated[int, Field(ge=2, le=200)] = 60

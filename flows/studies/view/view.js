@@ -196,9 +196,11 @@
     for (const [point, node] of body) {
       const line = by("landmarks").insertRow();
       line.append(make("th", String(point)));
-      const input = make("input", "", { type: "number", min: 1, value: node });
+      const input = make("input", "", { value: String(node) });
       input.setAttribute("aria-label", `node of test point ${point}`);
-      input.addEventListener("change", () => { landmarks.set(point, Number(input.value)); paintPoints(); });
+      input.addEventListener("change", () => { const numbers = input.value.split(",").map(Number);
+        landmarks.set(point, numbers.length === 1 ? numbers[0] : numbers);
+        paintPoints(); });
       line.insertCell().append(input);
       line.insertCell().append(make("button", "remove", { type: "button", onclick: () => { landmarks.delete(point); paintPoints(); } }));
     }

@@ -214,6 +214,9 @@ def test_what_is_no_place_is_told(tmp_path: Path) -> None:
     )
     with pytest.raises(CampaignError, match="has no coordinates"):
         told_sensors(source)
+    fit = campaign(tmp_path, source.text.replace("csv}", "csv, sensors: {align: fit}}"))
+    with pytest.raises(CampaignError, match="has no coordinates"):
+        sensors_change(fit, {11: 1})
     with pytest.raises(CampaignError, match="3 landmarks are required"):
         sensors_change(source, {11: 1, 12: 2})
 
