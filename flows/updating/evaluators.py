@@ -49,7 +49,7 @@ def evaluator_of(
     return evaluator
 
 
-def finder_of(campaign: Campaign, engine: JobEngine, demand: Demand) -> ModeFinder:
+def finder_of(campaign: Campaign, engine: JobEngine, demand: Demand = UPDATING) -> ModeFinder:
     """What finds the modes of a campaign's only case, by its `eigensolver`."""
     own = by_solver(campaign, engine)
     source = modes_source(campaign, own, demand)

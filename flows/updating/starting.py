@@ -23,6 +23,8 @@ from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
+from modetune.flows.updating.by_matrices import ByMatrices
+from modetune.flows.updating.evaluators import finder_of
 from modetune.flows.updating.finders import campaign_analysis
 
 logger = logging.getLogger(__name__)
@@ -96,8 +98,15 @@ def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> 
     now = _test_arrays(campaign.test)
     if not all(np.array_equal(one, then) for one, then in zip(now, earlier.test, strict=True)):
         return False
-    # The key of the first job stands for all that the deck and the solver are.
-    return engine.key(Job(earlier.started, campaign_analysis(campaign))) == earlier.modal_key
+    # The key of the first modes stands for all that the deck and the solver are.
+    analysis = campaign_analysis(campaign)
+    if engine.key(Job(earlier.started, analysis)) == earlier.modal_key:
+        return True
+    started = np.array([earlier.started[name] for name in campaign.parameters.names])
+    finder = finder_of(campaign, engine)
+    if not isinstance(finder, ByMatrices) or finder.works(started, analysis):
+        return False
+    return finder.stored().key(started, analysis) == earlier.modal_key
 
 
 def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) -> Campaign:

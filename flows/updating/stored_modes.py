@@ -281,13 +281,17 @@ class MatrixModes:
 
         def compute() -> ModalResult:
             solved = self._solutions.modes(item)
-            return self._seen(
-                solved.eigenvalues, solved.shapes, solved.energies, solved.n_rigid, analysis
-            )
+            found = solved.eigenvalues, solved.shapes, solved.energies, solved.n_rigid
+            return modes_at(self.campaign, self._model.matrices.base, *found, analysis)
 
-        asked: Json = {"modes at": item.key, "nodes": list(analysis.nodes)}
+        asked = _asked_modes(item, analysis)
         found = self._derived(asked, compute, ModalResult, "modal by stored matrices")
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
+
+    def key(self, theta: Floats, analysis: ModalAnalysis) -> str:
+        """The key of `modal`; nothing is computed."""
+        asked = _asked_modes(self._set(theta, analysis.n_modes), analysis)
+        return content_key(canonical_json(asked))
 
     def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """As `modal`, by the newest reduced model. Raises ModesError where it has no such modes."""
@@ -301,7 +305,8 @@ class MatrixModes:
             eigenvalues, shapes = basis.shapes(values, analysis.n_modes)
             energies = 0.5 * eigenvalues
             energies[: basis.n_rigid] = np.nan
-            return self._seen(eigenvalues, shapes, energies, basis.n_rigid, analysis)
+            found = eigenvalues, shapes, energies, basis.n_rigid
+            return modes_at(self.campaign, self._model.matrices.base, *found, analysis)
 
         asked: Json = {
             "foreseen": around.key,
@@ -400,20 +405,6 @@ class MatrixModes:
             self._first.setdefault(n_modes, self._sets[mark])
         return self._sets[mark]
 
-    def _seen(
-        self,
-        eigenvalues: Floats,
-        shapes: Floats,
-        energies: Floats,
-        n_rigid: int,
-        analysis: ModalAnalysis,
-    ) -> ModalResult:
-        return modes_at(
-            self.campaign,
-            self._model.matrices.base,
-            eigenvalues,
-            shapes,
-            energies,
-            n_rigid,
-            analysis,
-        )
+
+def _asked_modes(item: _Set, analysis: ModalAnalysis) -> Json:
+    return {"modes at": item.key, "nodes": list(analysis.nodes)}

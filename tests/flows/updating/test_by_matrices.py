@@ -29,6 +29,7 @@ from modetune.flows.updating.finders import by_solver
 from modetune.flows.updating.foresight import ReducedForesight
 from modetune.flows.updating.modes_choice import Demand, modes_forecast, modes_source
 from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.starting import is_unchanged, read_earlier
 from modetune.flows.updating.stored_modes import MatrixModes
 from tests.adapters.ccx_decks import bar, plate, wall
 from tests.adapters.test_solver_contract import run
@@ -226,6 +227,26 @@ def test_the_same_campaign_again_runs_nothing_and_ends_on_the_same_bits(
     assert [item.decision for item in again.iterations] == [
         item.decision for item in bar_stored.iterations
     ]
+
+
+def test_a_campaign_by_matrices_that_did_not_change_starts_where_it_did(
+    bar_file: Path, tmp_path: Path, watcher: Any
+) -> None:
+    settings = [f"store={tmp_path / 'store'}", STORED, "update.start=last"]
+    campaign = load_campaign(bar_file, [*settings, "update.max_iterations=1"])
+    first = update_campaign(campaign, tmp_path / "run", watcher).record
+    earlier = read_earlier(tmp_path / "run")
+    assert earlier is not None
+    assert is_unchanged(campaign, job_engine(campaign), earlier)
+    again = update_campaign(campaign, tmp_path / "run", watcher).record
+    assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
+    np.testing.assert_array_equal(again.iterations[0].parameters, first.iterations[0].parameters)
+    deck = bar_file.parent / "part.inp"
+    other = tmp_path / "other"
+    shutil.copytree(bar_file.parent, other, ignore=shutil.ignore_patterns("store", "run*"))
+    (other / deck.name).write_text(deck.read_text().replace("70000.", "71000."))
+    changed = replace(load_campaign(other / bar_file.name, settings), settings=campaign.settings)
+    assert not is_unchanged(changed, job_engine(changed), earlier)
 
 
 def test_a_short_last_step_goes_to_the_solver_without_another_solution(
