@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.studies.localise.localise import Localisation, localise
 from modetune.flows.studies.sample import density, sampling
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.screen.record import Screening
@@ -28,6 +30,7 @@ from tests.flows.updating.test_by_matrices import (
     STORED,
     THICKNESS,
     Case,
+    row_of_materials,
     side_by_side,
     written,
 )
@@ -237,3 +240,38 @@ def test_each_configuration_is_screened_on_a_reduced_model_of_its_own(tmp_path: 
         ranged.responses.frequencies_hz, own.responses.frequencies_hz, rtol=1e-6
     )
     assert ranged.choice.ranking == own.choice.ranking
+
+
+@pytest.mark.parametrize("bricks", [9, 30])
+def test_an_error_is_localised_without_a_run_of_the_solvers_own_modes(
+    bricks: int, tmp_path: Path
+) -> None:
+    case = replace(
+        BAR, deck=row_of_materials(bricks), truth=(1.3, 1.0, 1.0), nodes=tuple(range(5, 4 * bricks))
+    )
+    file = written(case, tmp_path / "case")
+
+    def found(eigensolver: str) -> Localisation:
+        place = f"store={tmp_path / eigensolver[-6:]}"
+        settings = [place, eigensolver, "residuals.shape_weight=1.0"]
+        return localise(load_campaign(file, settings))
+
+    stored, own = found(STORED), found(OWN)
+    assert (stored.runs.modal, stored.runs.sensitivity) == (0, 2)
+    assert own.runs.modal == 1
+    assert stored.maps is not None
+    assert own.maps is not None
+    np.testing.assert_array_equal(stored.maps.errors.ranking, own.maps.errors.ranking)
+    # Modes of ccx have seven digits, errors some hundredths.
+    np.testing.assert_allclose(
+        stored.maps.errors.changes, own.maps.errors.changes, rtol=1e-3, atol=1e-4
+    )
+    assert stored.singles[0].members == own.singles[0].members == (0,)
+
+
+def test_maps_of_the_error_keep_to_the_limit_of_memory(tmp_path: Path) -> None:
+    case = replace(BAR, deck=row_of_materials(60), nodes=tuple(range(5, 240)))
+    settings = [OWN, "run.memory_gb=0.001", "residuals.shape_weight=1.0"]
+    campaign = load_campaign(written(case, tmp_path / "case"), settings)
+    with pytest.raises(SolverExhausted, match=r"raise `run\.memory_gb`"):
+        localise(campaign)
