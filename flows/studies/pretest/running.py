@@ -48,6 +48,7 @@ from modetune.flows.studies.pretest.settings import PretestSettings, check_count
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.modes_choice import Demand
 from modetune.flows.updating.running import job_engine
 
 #: Elastic modes that are looked at where none are named.
@@ -104,7 +105,10 @@ def run_pretest(
     analysis = _analysis(campaign, settings, asked)
     own = with_shapes(campaign, analysis.nodes)
     engine = job_engine(own, watcher)
-    evaluator = evaluator_of(own, engine, ThreadExecution(engine, own.parallel), eigensolver=False)
+    steps = int(settings.method == "information")
+    demand = Demand(steps, sets=1 - steps, matrices=settings.by_mass)
+    threads, tested = ThreadExecution(engine, own.parallel), bool(own.test.numbers)
+    evaluator = evaluator_of(own, engine, threads, eigensolver=tested, demand=demand)
     modal = evaluator.modes(own.parameters.initial, analysis)
     numbers = _mode_numbers(settings.modes, modal.elastic.n_modes)
     modes = np.array(numbers, dtype=np.int64) - 1

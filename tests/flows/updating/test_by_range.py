@@ -13,13 +13,18 @@ import pytest
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.localise.localise import Localisation, localise
+from modetune.flows.studies.pretest.running import Pretest, run_pretest
+from modetune.flows.studies.pretest.settings import Method, PretestSettings
 from modetune.flows.studies.sample import density, sampling
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
 from modetune.flows.updating import by_range
+from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.starts import update_from_starts
 from tests.adapters.ccx_decks import bar
 from tests.flows.updating.test_by_matrices import (
@@ -36,6 +41,9 @@ from tests.flows.updating.test_by_matrices import (
 )
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+
+
+AUTO = "model.eigensolver=auto"
 
 
 def on_springs() -> str:
@@ -275,3 +283,26 @@ def test_maps_of_the_error_keep_to_the_limit_of_memory(tmp_path: Path) -> None:
     campaign = load_campaign(written(case, tmp_path / "case"), settings)
     with pytest.raises(SolverExhausted, match=r"raise `run\.memory_gb`"):
         localise(campaign)
+
+
+@pytest.mark.parametrize("method", ["effective_independence", "information"])
+@pytest.mark.parametrize("case", [BAR, JOINT], ids=["bar", "joint"])
+def test_sensors_are_placed_by_matrices_that_the_store_has(
+    case: Case, method: Method, tmp_path: Path
+) -> None:
+    file = written(case, tmp_path / "case")
+
+    def placed(eigensolver: str) -> Pretest:
+        campaign = load_campaign(file, [f"store={tmp_path / eigensolver[-6:]}", eigensolver])
+        settings = PretestSettings(method=method, sensors=6, modes=(1, 2, 3), distance=0.0)
+        return run_pretest(campaign, settings)
+
+    campaign = load_campaign(file, [f"store={tmp_path / AUTO[-6:]}", STORED])
+    engine = job_engine(campaign)
+    made = evaluator_of(campaign, engine, ThreadExecution(engine, 2))
+    made.evaluate(0, campaign.start, None, alone=True)
+    stored, own = placed(AUTO), placed(OWN)
+    assert own.runs.modal >= 1
+    np.testing.assert_allclose(stored.frequencies_hz, own.frequencies_hz, rtol=1e-6)
+    assert (stored.runs.modal, stored.runs.sensitivity) == (0, 0)
+    assert stored.quality.largest == pytest.approx(own.quality.largest, abs=1e-4)
