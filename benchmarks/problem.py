@@ -22,7 +22,7 @@ import numpy as np
 
 from modetune.adapters.test_files.modes_csv import read_modes_csv, write_modes_csv
 from modetune.configs.garteur import aircraft
-from modetune.configs.launcher import launcher, twin
+from modetune.configs.launcher import launcher
 from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.modes import Floats, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet
@@ -59,6 +59,11 @@ AIRCRAFT = {
 #: Degrees of freedom of the launcher, six a node as Nastran counts them, and its modes.
 LAUNCHERS = {"coarse": 20_000, "medium": 100_000, "fine": 400_000, "large": 1_000_000}
 LAUNCHER_MODES = 3
+#: The launcher's hidden moduli: of the same mesh, so that a target however small can be met.
+LAUNCHER_TRUTH = {
+    "BASE": 0.90, "ARMS": 0.78, "GUSSETS": 1.15, "FITTING": 0.80, "RAIL_BOTTOM": 0.85,
+    "RAIL_WEB": 0.92, "RAIL_TOP": 1.08, "RIBS": 0.80, "DUCT": 0.90, "GUIDES": 1.10,
+}  # fmt: skip
 
 CAMPAIGN = """\
 name: {name}
@@ -191,7 +196,7 @@ def launcher_of(size: str) -> Model:
             launcher.write_deck(file, mesh)
 
     sensors = tuple(range(1, len(launcher.SENSORS) + 1))
-    return Model(write, twin.TRUTH, LAUNCHER_MODES, 0, sensors)
+    return Model(write, LAUNCHER_TRUTH, LAUNCHER_MODES, 0, sensors)
 
 
 #: Case to its sizes and what makes its model.

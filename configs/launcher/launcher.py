@@ -20,7 +20,7 @@ the sensors in every size. CalculiX has S4 and S3 for QUAD4 and TRIA3, C3D8I for
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -166,20 +166,35 @@ def mesh_of(degrees_of_freedom: int) -> LauncherMesh:
 
 def launcher(mesh: LauncherMesh) -> LauncherModel:
     """The launcher's nodes and elements."""
-    points = _lattice(mesh)
-    by_group: dict[str, list[Integers]] = {group: [] for group in GROUPS}
-    for part in parts():
-        by_group[part.group] += points.elements(part)
-    used = np.unique(np.concatenate([keys.ravel() for all_ in by_group.values() for keys in all_]))
-    first = np.searchsorted(used, [points.key(place) for place in SENSORS])
-    numbers = np.empty(used.size, dtype=np.int64)
-    others = np.setdiff1d(np.arange(used.size), first)
-    order = np.concatenate([first, others])
-    numbers[order] = np.arange(1, used.size + 1)
-    nodes = points.coordinates(used[order]).round(6)
+    return assembled([(parts(), _lattice(mesh))])
+
+
+def assembled(bodies: Sequence[tuple[Sequence[LatticePart], Lattice]]) -> LauncherModel:
+    """Nodes and elements of bodies, each on a lattice of its own, which share no nodes.
+
+    A sensor is on the first body that has a node there.
+    """
+    places: list[Floats] = []
+    named = [part.group for body, _ in bodies for part in body]
+    known = [group for group in GROUPS if group in named]
+    by_group: dict[str, list[Integers]] = {group: [] for group in dict.fromkeys([*known, *named])}
+    count = 0
+    for body, points in bodies:
+        found = [(part.group, points.elements(part)) for part in body]
+        used = np.unique(np.concatenate([rows.ravel() for _, kinds in found for rows in kinds]))
+        for group, kinds in found:
+            at = [np.searchsorted(used, rows) + count for rows in kinds]
+            by_group[group] = by_group.get(group, []) + at
+        places.append(points.coordinates(used).round(6))
+        count += used.size
+    nodes = np.concatenate(places)
+    first = np.array([node_at(nodes, place) for place in SENSORS]) - 1
+    order = np.concatenate([first, np.setdiff1d(np.arange(count), first)])
+    numbers = np.empty(count, dtype=np.int64)
+    numbers[order] = np.arange(1, count + 1)
+    nodes = nodes[order]
     elements = {
-        group: [numbers[np.searchsorted(used, keys)] for keys in _joined(found)]
-        for group, found in by_group.items()
+        group: [numbers[rows] for rows in _joined(kinds)] for group, kinds in by_group.items()
     }
     at_edges = [
         np.abs(nodes[:, axis]) >= BASE_HIGH[axis] - BOLTED[axis] - 1e-6 for axis in range(2)
@@ -196,7 +211,21 @@ def _joined(arrays: list[Integers]) -> list[Integers]:
 
 def write_deck(file: BinaryIO, mesh: LauncherMesh) -> None:
     """Write the launcher as a complete CalculiX deck, bolted down, first 13 modes."""
-    model = launcher(mesh)
+    write_model(file, launcher(mesh), dict.fromkeys(GROUPS, 1.0), THICKNESSES, [])
+
+
+def write_model(
+    file: BinaryIO,
+    model: LauncherModel,
+    factors: Mapping[str, float],
+    thicknesses: Mapping[str, float],
+    more: Sequence[str],
+) -> None:
+    """Write a complete deck.
+
+    factors: of each group, its modulus over YOUNGS_MODULUS; thicknesses: of those of shells, mm;
+    more: lines below the elements.
+    """
     file.write(b"*HEADING\nLauncher of a guided missile; units mm, t, s, MPa\n*NODE, NSET=NALL\n")
     _write_rows(file, np.arange(1, len(model.nodes) + 1), model.nodes)
     first = 1
@@ -207,7 +236,12 @@ def write_deck(file: BinaryIO, mesh: LauncherMesh) -> None:
             first += len(rows)
     file.write(b"*NSET, NSET=BOLTED\n")
     _write_rows(file, model.bolted, np.empty((model.bolted.size, 0)))
-    file.write("\n".join(_properties()).encode())
+    file.write("\n".join([*more, *_properties(factors, thicknesses)]).encode())
+
+
+def node_at(nodes: Floats, place: Place) -> int:
+    """Number of the node next to a place."""
+    return int(np.argmin(np.abs(nodes - place).sum(axis=1))) + 1
 
 
 def _write_rows(file: BinaryIO, numbers: Integers, columns: Floats | Integers) -> None:
@@ -221,14 +255,15 @@ def _write_rows(file: BinaryIO, numbers: Integers, columns: Floats | Integers) -
         frame.write_csv(file, include_header=False)
 
 
-def _properties() -> Iterator[str]:
+def _properties(factors: Mapping[str, float], thicknesses: Mapping[str, float]) -> Iterator[str]:
     """Lines of materials, sections, supports and the step."""
-    for group in GROUPS:
-        yield from (f"*MATERIAL, NAME={group}", "*ELASTIC", f"{YOUNGS_MODULUS}, {POISSONS_RATIO}")
+    for group, factor in factors.items():
+        modulus = YOUNGS_MODULUS * factor
+        yield from (f"*MATERIAL, NAME={group}", "*ELASTIC", f"{modulus}, {POISSONS_RATIO}")
         yield from ("*DENSITY", f"{DENSITY}")
-        if group in THICKNESSES:
+        if group in thicknesses:
             yield f"*SHELL SECTION, ELSET={group}, MATERIAL={group}"
-            yield f"{THICKNESSES[group]}"
+            yield f"{thicknesses[group]}"
         else:
             yield f"*SOLID SECTION, ELSET={group}, MATERIAL={group}"
     yield from ("*BOUNDARY", "BOLTED, 1, 3")

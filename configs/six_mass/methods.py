@@ -39,6 +39,8 @@ EXCITATION_HZ = np.linspace(0.5, 16.0, 1241)
 N = 6
 #: Frequencies of the test are reproduced to this (thesis: "the same").
 EXACT = 1e-9
+#: From here on the thesis calls modes correlated.
+CORRELATED = 0.8
 #: Thesis, MAC diagonals after updating; a row of Table 6 is lost in the text.
 THESIS_BEFORE = (0.76, 0.97, 0.96, 0.59, 0.10, 0.36)
 THESIS_IEM_BEFORE = (0.99, 0.96, 0.99, 0.90, 0.87, 0.98)
@@ -206,6 +208,8 @@ def claims(direct: Sequence[Outcome], iem: Outcome, record: CampaignRecord) -> l
     exact = max(float(np.abs(case_1.frequency_errors).max()), _shape_error(case_1))
     least = [float(np.diag(case.mac_after).min()) for case in (case_1, case_2, case_3)]
     mean = [float(np.diag(case.mac_after).mean()) for case in (case_1, case_2, case_3)]
+    theirs = [float(np.nanmean(case.thesis_after)) for case in (case_1, case_2, case_3)]
+    rise = float(np.nanmean(np.subtract(case_2.thesis_after, case_1.thesis_after)))
     found = [
         Claim(
             "Direct Matrix Method, all measured: test frequencies and shapes come out exactly",
@@ -213,10 +217,16 @@ def claims(direct: Sequence[Outcome], iem: Outcome, record: CampaignRecord) -> l
             f"largest relative difference {exact:.1e}",
         ),
         Claim(
-            "its MAC falls with one and falls further with two masses unmeasured",
-            least[0] > least[1] > least[2] and mean[0] > mean[1] > mean[2],
-            f"least {least[0]:.2f}, {least[1]:.2f}, {least[2]:.2f}; mean {mean[0]:.2f}, "
-            f"{mean[1]:.2f}, {mean[2]:.2f}",
+            "its MAC falls with masses 5 and 6 unmeasured, as in the thesis's Table 8",
+            least[2] < CORRELATED and mean[2] < mean[0] and theirs[2] < theirs[0],
+            f"least {least[0]:.2f} to {least[2]:.2f}, mean {mean[0]:.2f} to {mean[2]:.2f}; the "
+            f"thesis's mean {theirs[0]:.2f} to {theirs[2]:.2f}",
+        ),
+        Claim(
+            "with mass 6 alone unmeasured it falls here (the thesis's rises from Table 4 to 6)",
+            least[2] < least[1] < least[0] and mean[2] < mean[1] < mean[0] and rise > 0.0,
+            f"least {least[1]:.2f}, mean {mean[1]:.2f}; the thesis's mean rises by {rise:.2f} in "
+            "the five modes that Table 6 has",
         ),
     ]
     for case in (case_2, case_3):

@@ -11,11 +11,11 @@ import pytest
 from modetune.adapters.solver import MatrixAnalysis
 from modetune.configs.cases import write_case
 from modetune.configs.launcher.launcher import GROUPS
-from modetune.configs.launcher.twin import TRUTH
 from modetune.core.errors import SolverMissing
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
 
@@ -78,26 +78,20 @@ def test_the_thesis_cases_differ_in_when_sensitivities_are_computed(folder: Path
     assert (case_1.update.e2 > 0.0, case_2.update.e2) == (True, 0.0)
 
 
-def test_ten_moduli_bring_three_frequencies_to_the_test(folder: Path, watcher: Any) -> None:
-    record = run(folder, watcher, "launcher", "residuals.shape_weight=0")
-    assert record.status == "converged"
-    before, after = (np.abs(i.frequency_errors) for i in (record.iterations[0], record.best))
-    # Table 23 of the thesis, within what noise does to frequencies; then e1.
-    np.testing.assert_allclose(before, [0.061, 0.051, 0.032], atol=0.006)
-    assert (after <= 0.005).all()
-    assert record.iterations[-1].number <= 4
-    # What strains most moves most, and not beyond the truth by more than its standard deviation.
-    truth = np.array([TRUTH[item.targets[0]] for item in record.parameters.parameters])
-    arms = record.parameters.names.index("E_arms")
-    assert abs(record.updated[arms] - truth[arms]) < 0.1
-    assert (np.abs(record.updated - truth) < 0.25).all()
-
-
-def test_shapes_and_frequencies_bring_all_modes_to_e1(folder: Path, watcher: Any) -> None:
+def test_another_model_is_met_as_far_as_the_thesis_meets_its_test(
+    folder: Path, watcher: Any
+) -> None:
     record = run(folder, watcher, "launcher")
     assert record.status == "converged"
-    assert np.abs(record.best.frequency_errors).max() <= 0.005
-    assert record.best.pairing.mac.min() > 0.99 > 0.9
-    # Ten moduli against three modes: nearer to the truth together than where they began.
-    truth = np.array([TRUTH[item.targets[0]] for item in record.parameters.parameters])
-    assert np.linalg.norm(record.updated - truth) < 0.8 * np.linalg.norm(1.0 - truth)
+    first, last = record.iterations[0], record.best
+    # Table 23 of the thesis, before; its MAC of 0.95, 0.70, 0.86 is not reached (docs/launcher.md).
+    np.testing.assert_allclose(np.abs(first.frequency_errors), [0.061, 0.051, 0.032], atol=0.003)
+    assert (first.pairing.mac < 0.9).all()
+    assert (np.abs(last.frequency_errors) <= [0.015, 0.012, 0.014]).all()  # and after
+    assert (last.pairing.mac >= [0.95, 0.84, 0.87]).all()
+    # The joints, masses and mesh of the truth are no parameters, and it is told.
+    form = record_verdict(record)
+    assert form is not None
+    assert form.form.suspected
+    assert record.trust is not None
+    assert record.trust.verdict == "not to be trusted"

@@ -110,7 +110,7 @@ def test_the_direct_method_loses_mac_with_each_unmeasured_mass(direct: list[Outc
     assert least[0] == pytest.approx(1.0)
     assert least == sorted(least, reverse=True)
     assert mean == sorted(mean, reverse=True)
-    assert least[1] < 0.8  # the thesis's limit for correlated modes
+    assert least[1] < 0.8  # the thesis's limit for correlated modes; its own Table 6 is above 0.97
     # Frequencies still come out: shapes pay for it.
     np.testing.assert_allclose(
         direct[2].after.frequencies_hz, direct[2].test.frequencies_hz, rtol=1e-6
@@ -174,13 +174,13 @@ def test_every_sensitivity_method_finds_the_springs(folder: Path, method: str) -
 def test_all_claims_hold(run: CampaignRun, direct: list[Outcome]) -> None:
     found = claims(direct, eigensensitivity_outcome(run.updated_deck), run.record)
     assert [claim.claim for claim in found if not claim.holds] == []
-    assert len(found) == 6
+    assert len(found) == 7
 
 
 def test_a_claim_that_fails_is_told(folder: Path, run: CampaignRun, direct: list[Outcome]) -> None:
     iem = eigensensitivity_outcome(run.updated_deck)
     worse = replace(iem, after=iem.before, mac_after=iem.mac_before)
-    assert [claim.holds for claim in claims(direct, worse, run.record)] == [True] * 5 + [False]
+    assert [claim.holds for claim in claims(direct, worse, run.record)] == [True] * 6 + [False]
 
 
 def test_the_same_case_in_matrix_files_ends_at_the_same_values(
