@@ -31,7 +31,7 @@ from modetune.core.measurement.closest_points import SurfacePoints
 from modetune.core.modes import Floats, Integers
 
 #: Points that find starts, that fit poses, and that decide.
-FEW, SOME, MANY = 30, 60, 2000
+FEW, SOME, MANY = 30, 60, 600
 #: Rotations of starts, cubes along each side that distances are looked up in, samples in them.
 ROTATIONS, CUBES, SAMPLES = 2400, 44, 20_000
 #: Starts that go on, poses that are fitted exactly, and that are compared.
@@ -276,7 +276,7 @@ class _Search:
         for motion in np.linalg.eigh(normal[0, :6, :6])[1].T:
             for sign in (1.0, -1.0):
                 reached = 0.0
-                for part in np.geomspace(1e-3, 0.3, 16):
+                for part in np.geomspace(1e-5, 0.3, 24):
                     delta = np.concatenate([sign * part * motion, [0.0]])[None]
                     moved = _moved(pose, places, delta, np.array([length]))
                     if self.evidence(cost, float(self.costs(moved, some)[0])) > 2.0:

@@ -121,6 +121,11 @@ def _fitted(
             f"{int((~best.used).sum())} of {best.used.size} test points lie far from the model and "
             "took no part in the fit"
         )
+    if 0.0 < found.slides <= tolerance:
+        far = f"{found.slides:.3g}{_in(unit_name(metres))}"
+        notes.insert(
+            0, f"points may slide by up to {far} along the model's surface with as good a fit"
+        )
     if len(points):
         away = np.linalg.norm(best.apply(points) - targets, axis=1)
         notes.append(f"landmarks are left {away.max():.4g}{_in(unit_name(metres))} away at most")

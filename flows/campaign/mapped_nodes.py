@@ -13,6 +13,8 @@ from modetune.core.modes import Floats, Integers
 
 #: A second node this little farther, as a part of the distance, is as near.
 AS_NEAR = 0.1
+#: Test points of one node that each is compared with, and that are named.
+COMPARED = 8
 #: Test points nearer than this part of the tolerance are in one place.
 ONE_PLACE = 0.05
 
@@ -109,14 +111,14 @@ class NodeMapping:
             sharing.setdefault(mapped_node.node, []).append(name)
         told = dict(mapped_nodes)
         for node, names in sharing.items():
-            for name in names if node else []:
-                apart = [
-                    other
-                    for other in names
-                    if np.linalg.norm(places[name] - places[other]) > ONE_PLACE * self.tolerance
-                ]
-                if apart:
-                    doubt = f"read at the same node as test point {listed(apart)}"
+            first = names[:COMPARED]
+            where = np.array([places[other] for other in first] if node else []).reshape(-1, 3)
+            for name in names if node and len(names) > 1 else []:
+                far = np.linalg.norm(where - places[name], axis=1) > ONE_PLACE * self.tolerance
+                if far.any():
+                    apart = [other for other, is_far in zip(first, far, strict=True) if is_far]
+                    more = f" and {len(names) - COMPARED} more" if len(names) > COMPARED else ""
+                    doubt = f"read at the same node as test point {listed(apart)}{more}"
                     told[name] = replace(
                         mapped_nodes[name], doubts=(*mapped_nodes[name].doubts, doubt)
                     )

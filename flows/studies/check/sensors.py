@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from modetune.core.modes import Integers
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.mapping import SensorRow
 from modetune.flows.studies.check.findings import Finding, listed
@@ -64,16 +65,22 @@ def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
 def _alike(campaign: Campaign) -> list[Finding]:
     """Sensors that look along one direction at one node."""
     seen = campaign.case.sensors
-    cosines = np.abs(seen.directions @ seen.directions.T)
-    same = (seen.model_nodes[:, None] == seen.model_nodes) & (seen.turns[:, None] == seen.turns)
-    first, second = np.nonzero(np.triu(same & (cosines > ONE_DIRECTION), 1))
-    if first.size == 0:
+    order = np.lexsort((seen.turns, seen.model_nodes))
+    pairs_found: list[Integers] = []
+    # Of one node come next to each other; with six ways to look, those behind repeat what is told.
+    for behind in range(1, min(6, order.size)):
+        one, other = order[:-behind], order[behind:]
+        cosines = np.abs(np.sum(seen.directions[one] * seen.directions[other], axis=1))
+        same = (seen.model_nodes[one] == seen.model_nodes[other]) & (
+            seen.turns[one] == seen.turns[other]
+        )
+        alike = same & (cosines > ONE_DIRECTION)
+        pairs_found.append(np.sort(np.column_stack([one[alike], other[alike]]), axis=1))
+    if not any(found.size for found in pairs_found):
         return []
+    found = np.unique(np.concatenate(pairs_found), axis=0)
     modes = campaign.test.modes
-    pairs = [
-        f"{sensor_name(modes, a)} and {sensor_name(modes, b)}"
-        for a, b in zip(first.tolist(), second.tolist(), strict=True)
-    ]
+    pairs = [f"{sensor_name(modes, a)} and {sensor_name(modes, b)}" for a, b in found.tolist()]
     return [
         Finding(
             "doubtful",
