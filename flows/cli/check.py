@@ -15,6 +15,7 @@ from modetune.flows.cli.options import (
     Settings,
     SolverChoice,
     UnitsChoice,
+    begun,
     paged,
     stoppable,
     with_model,
@@ -94,11 +95,16 @@ def check(
         else:
             _show_check(found)
         raise typer.Exit(0 if found.within else 3)
-    from modetune.flows.campaign.sketch import looked_at
-    from modetune.flows.studies.check.judging import check_campaign
+    with begun(f"reading {campaign_file}"):
+        from modetune.flows.campaign.sketch import looked_at
+        from modetune.flows.studies.check.judging import check_campaign
 
-    campaign = looked_at(campaign_file, changed, test or [])
-    with stoppable(), paged("check", campaign.name, no_prefect or no_run) as pages:
+        campaign = looked_at(campaign_file, changed, test or [])
+    with (
+        stoppable(),
+        begun("modes at the start"),
+        paged("check", campaign.name, no_prefect or no_run) as pages,
+    ):
         report = check_campaign(campaign, run=not no_run, watcher=pages)
         if pages is not None:
             good = report.exit_code == 0

@@ -16,6 +16,7 @@ from modetune.flows.cli.options import (
     NoPrefect,
     SolverChoice,
     UnitsChoice,
+    begun,
     paged,
     stoppable,
     with_model,
@@ -79,8 +80,9 @@ def correlate(
     A campaign alone is its model beside its test. Any two of campaigns, decks, records and tests
     can be compared; a test stands first beside a model.
     """
-    from modetune.core.errors import CampaignError
-    from modetune.flows.studies.correlate.sides import MODELS, correlate_sources, source
+    with begun(f"comparing {first}{f' with {second}' if second else ''}"):
+        from modetune.core.errors import CampaignError
+        from modetune.flows.studies.correlate.sides import MODELS, correlate_sources, source
 
     if state not in ("updated", "initial"):
         raise CampaignError(f"--state {state!r}: expected updated or initial")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, stoppable
+from modetune.flows.cli.options import AsJson, begun, stoppable
 from modetune.flows.cli.update import run_update, show
 
 if TYPE_CHECKING:
@@ -35,21 +35,22 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
-    from modetune.configs.cases import write_case
-    from modetune.core.errors import CampaignError
-    from modetune.core.near_names import suggestion
-    from modetune.core.storage.files import check_writable
-    from modetune.flows.report.tables import json_object
-    from modetune.flows.updating.recording import summary
+    with begun(f"preparing the case {case}"):
+        from modetune.configs.cases import write_case
+        from modetune.core.errors import CampaignError
+        from modetune.core.near_names import suggestion
+        from modetune.core.storage.files import check_writable
+        from modetune.flows.report.tables import json_object
+        from modetune.flows.updating.recording import summary
 
-    if case not in DEMOS:
-        raise CampaignError(f"there is no demo {case!r}{suggestion(case, DEMOS)}")
-    source, campaign, judge = DEMOS[case]
-    folder = Path("demo") / case
-    check_writable(folder, "run it in another folder")
-    write_case(source, folder)
-    if case == "lab":
-        _identify_modes(folder)
+        if case not in DEMOS:
+            raise CampaignError(f"there is no demo {case!r}{suggestion(case, DEMOS)}")
+        source, campaign, judge = DEMOS[case]
+        folder = Path("demo") / case
+        check_writable(folder, "run it in another folder")
+        write_case(source, folder)
+        if case == "lab":
+            _identify_modes(folder)
     with stoppable():
         run = run_update(folder / campaign, [], folder / "runs", with_prefect=case == "garteur")
         found = judge(run, folder)

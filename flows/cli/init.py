@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, SolverChoice, UnitsChoice, stoppable, with_model
+from modetune.flows.cli.options import (
+    AsJson,
+    SolverChoice,
+    UnitsChoice,
+    begun,
+    stoppable,
+    with_model,
+)
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
@@ -33,7 +40,10 @@ def init(
     as_json: AsJson = False,
 ) -> None:
     """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
-    with stoppable("stopped; the same command starts from the beginning"):
+    with (
+        stoppable("stopped; the same command starts from the beginning"),
+        begun(f"reading {deck}"),
+    ):
         from modetune.flows.studies.init.written import init_campaign
 
         draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)

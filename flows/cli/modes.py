@@ -15,6 +15,7 @@ from modetune.flows.cli.options import (
     Settings,
     SolverChoice,
     UnitsChoice,
+    begun,
     stoppable,
     with_model,
 )
@@ -33,12 +34,13 @@ def modes(
     as_json: AsJson = False,
 ) -> None:
     """Compute the modes of a campaign's model or of a deck, at its values or those of --at."""
-    with stoppable():
+    with stoppable(), begun(f"reading {model}") as tell:
         from modetune.flows.campaign.sketch import looked_at
         from modetune.flows.updating.modal_run import modal_summary, model_modes, parse_values
 
         campaign = looked_at(model, with_model(settings, solver, units))
         values = parse_values(campaign, at or [])
+        tell(f"modes of {campaign.name} by {campaign.solver_name}")
         result = model_modes(campaign, values, number)
     found = modal_summary(campaign, result)
     if as_json:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -104,7 +104,7 @@ def paged(flow: str, name: str, without: bool) -> Iterator[Pages | None]:
     from modetune.flows.updating.prefect import shown
 
     def tell(address: str) -> None:
-        typer.echo(f"pages: {address}", err=True)
+        typer.echo(f"this run's page: {address}", err=True)
 
     with shown(name, flow=flow, address=tell) as pages:
         yield pages
@@ -114,6 +114,17 @@ def with_model(settings: list[str] | None, solver: str | None, units: str | None
     """Settings with those of `--solver` and `--units`."""
     named = {"model.solver": solver, "model.units": units}
     return [*(settings or []), *(f"{key}={value}" for key, value in named.items() if value)]
+
+
+@contextmanager
+def begun(text: str) -> Iterator[Callable[[str], None]]:
+    """Say at once what begins, then the jobs of what is in here; gives what tells what is done."""
+    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.jobs.progress import JobProgress
+
+    with JobProgress(terminal(stderr=True)).shown() as progress:
+        progress.working(text)
+        yield progress.working
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from modetune.flows.cli.options import (
     NoPrefect,
     Runs,
     Settings,
+    begun,
     paged,
     stoppable,
 )
@@ -58,14 +59,15 @@ def sample(
     Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.
     Ends with exit code 3 where the posterior cannot be relied on.
     """
-    from modetune.core.storage.files import check_writable
-    from modetune.core.storage.record_file import read_record
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.studies.sample.record import FILE, write_posterior
-    from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
-    from modetune.flows.studies.sample.telling import findings, posterior_table, told
+    with begun(f"reading {campaign_file}"):
+        from modetune.core.storage.files import check_writable
+        from modetune.core.storage.record_file import read_record
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.studies.sample.record import FILE, write_posterior
+        from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+        from modetune.flows.studies.sample.telling import findings, posterior_table, told
 
-    campaign = load_campaign(campaign_file, settings or [])
+        campaign = load_campaign(campaign_file, settings or [])
     folder = runs / campaign.name
     check_writable(folder, "name another place for run folders with --runs")
     earlier = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modetune.flows.cli.options import Figures, NoPrefect, Runs, Settings, paged, stoppable
+from modetune.flows.cli.options import Figures, NoPrefect, Runs, Settings, begun, paged, stoppable
 
 if TYPE_CHECKING:
     from modetune.flows.studies.screen.record import Screening
@@ -48,19 +48,20 @@ def screen(
 
     Leaves screening.h5 in the campaign's run folder. The same screening again starts no solver.
     """
-    from modetune.core.errors import CampaignError
-    from modetune.core.storage.files import check_writable
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.studies.screen.design import METHODS
-    from modetune.flows.studies.screen.proposal import check_out, write_proposal
-    from modetune.flows.studies.screen.record import FILE, write_screening
-    from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
-    from modetune.flows.studies.screen.telling import proposed, tables
+    with begun(f"reading {campaign_file}"):
+        from modetune.core.errors import CampaignError
+        from modetune.core.storage.files import check_writable
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.studies.screen.design import METHODS
+        from modetune.flows.studies.screen.proposal import check_out, write_proposal
+        from modetune.flows.studies.screen.record import FILE, write_screening
+        from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+        from modetune.flows.studies.screen.telling import proposed, tables
 
-    known = [name for name in METHODS if name == method]
-    if not known:
-        raise CampaignError(f"--method {method!r}: expected one of {', '.join(METHODS)}")
-    campaign = load_campaign(campaign_file, settings or [])
+        known = [name for name in METHODS if name == method]
+        if not known:
+            raise CampaignError(f"--method {method!r}: expected one of {', '.join(METHODS)}")
+        campaign = load_campaign(campaign_file, settings or [])
     if out is not None:
         check_out(campaign_file, out)
     folder = runs / campaign.name

@@ -18,6 +18,7 @@ from modetune.flows.cli.options import (
     NoPrefect,
     Runs,
     Settings,
+    begun,
     paged,
     stoppable,
 )
@@ -42,8 +43,6 @@ def update(
     as_json: AsJson = False,
 ) -> None:
     """Update the campaign's model until it agrees with its test."""
-    from modetune.flows.updating.recording import summary
-
     changed = settings or []
     if starts is not None:
         changed = [*changed, f"update.starts={starts}"]
@@ -53,6 +52,8 @@ def update(
             return
         run = run_update(campaign_file, changed, runs, not no_prefect)
     if as_json:
+        from modetune.flows.updating.recording import summary
+
         typer.echo(json.dumps(with_forecast(summary(run.record, run.folder), run.forecast)))
     else:
         show(run)
@@ -64,16 +65,16 @@ def run_update(
 ) -> CampaignRun:
     """Run a campaign, with its progress on standard error."""
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.updating.display import ConsoleProgress
 
-    with ConsoleProgress(terminal(stderr=True)).shown() as progress:
-        progress.working("reading the campaign")  # a large deck takes a moment, as do imports
+    with begun(f"reading {campaign_file}"):  # a large deck takes a moment, as do imports
         from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.updating.display import ConsoleProgress
         from modetune.flows.updating.running import is_same
         from modetune.flows.updating.starts import update_from_starts
 
         campaign = load_campaign(campaign_file, settings)
         campaign.solver_version()
+    with ConsoleProgress(terminal(stderr=True)).shown() as progress:
         folder = runs / campaign.name
         with paged("update", campaign.name, not with_prefect) as pages:
             same = pages is not None and pages.deployed and is_same(campaign, folder)

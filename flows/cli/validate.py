@@ -12,6 +12,7 @@ from modetune.flows.cli.options import (
     CampaignPath,
     NoPrefect,
     Settings,
+    begun,
     paged,
     stoppable,
 )
@@ -38,14 +39,15 @@ def validate(
     By what the campaign holds out, or with --leave-one-out by each used mode in turn. Nothing but
     the store is written. Exit code 3 where something that was held out got worse.
     """
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.held_out_tables import held_out_table
-    from modetune.flows.studies.validate.leave_out import leave_one_out
-    from modetune.flows.studies.validate.leave_out import validate as by_held_out
-    from modetune.flows.updating.display import ConsoleProgress
+    with begun(f"reading {campaign_file}"):
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.campaign.terminal import terminal
+        from modetune.flows.report.held_out_tables import held_out_table
+        from modetune.flows.studies.validate.leave_out import leave_one_out
+        from modetune.flows.studies.validate.leave_out import validate as by_held_out
+        from modetune.flows.updating.display import ConsoleProgress
 
-    campaign = load_campaign(campaign_file, settings or [])
+        campaign = load_campaign(campaign_file, settings or [])
     with (
         stoppable(),
         ConsoleProgress(terminal(stderr=True)).shown() as progress,

@@ -79,6 +79,66 @@ def part_of(watcher: JobWatcher | None, title: str) -> JobWatcher | None:
     return WatchedPart(watcher, title) if watcher is not None and title else watcher
 
 
+class Display(JobWatcher, Protocol):
+    """Shows jobs to a person, who wants to know how many there are."""
+
+    def asked(self, pieces: int) -> None:
+        """So many pieces are asked for; each begins when there is room."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Displayed:
+    """A display beside a watcher, if there is one."""
+
+    display: Display
+    watcher: JobWatcher | None
+
+    def began(self, iteration: str, name: str) -> Callable[[Ended], None]:
+        ends = [self.display.began(iteration, name)]
+        if self.watcher is not None:
+            ends.append(self.watcher.began(iteration, name))
+
+        def ended(done: Ended) -> None:
+            for end in ends:
+                end(done)
+
+        return ended
+
+    def skipped(
+        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
+    ) -> None:
+        if self.watcher is not None:
+            self.watcher.skipped(iteration, names, reason, state)
+
+
+_display: ContextVar[Display | None] = ContextVar("display", default=None)
+
+
+@contextmanager
+def shown_to(display: Display) -> Iterator[None]:
+    """Engines that are made in here tell a display too."""
+    token = _display.set(display)
+    try:
+        yield
+    finally:
+        _display.reset(token)
+
+
+def displayed(watcher: JobWatcher | None) -> JobWatcher | None:
+    """A watcher with the display of `shown_to` beside it."""
+    display = _display.get()
+    return watcher if display is None else Displayed(display, watcher)
+
+
+def ask(watcher: JobWatcher | None, pieces: int) -> None:
+    """Tell a display that pieces are asked for."""
+    if isinstance(watcher, WatchedPart):
+        ask(watcher.watcher, pieces)
+    elif isinstance(watcher, Displayed):
+        watcher.display.asked(pieces)
+
+
 @contextmanager
 def doing(title: str) -> Iterator[None]:
     """Results computed by this thread in here are told under a title."""

@@ -14,7 +14,7 @@ from typing import Protocol
 from modetune.core.errors import ModetuneError
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.watching import doing, told
+from modetune.flows.jobs.watching import ask, doing, told
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +107,7 @@ class ThreadExecution:
     told: Callable[[Done], None] | None = None
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+        ask(self.engine.watcher, sum(bool(piece.jobs) for piece in work))
         with ThreadPoolExecutor(self.parallel, thread_name_prefix="modetune") as pool:
             batch = _Batch(self.engine, iteration, len(work))
             futures = [pool.submit(self._solve, iteration, piece, batch) for piece in work]

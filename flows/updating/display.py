@@ -1,4 +1,4 @@
-"""What a person sees of a campaign: a line an iteration, tables at the end.
+"""What a person sees of a campaign: a sentence an iteration, tables at the end.
 
 Progress goes to standard error, results to standard output.
 """
@@ -6,15 +6,16 @@ Progress goes to standard error, results to standard output.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from modetune.core.correlation.held_out import HeldOut
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.judgement import trust_sentences
+from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.report.drawing import PAGE
 from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row
@@ -24,69 +25,60 @@ from modetune.flows.report.tables import OUTSIDE, columns_of, show_table
 from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text
 from modetune.flows.updating.run import CampaignRun
 
-HEADER = " it   worst    mean     MAC    slope   age  new runs        s"
-
 
 def iteration_line(record: IterationRecord) -> str:
-    """One line: errors, least MAC, slope, age of the sensitivity behind the step, runs, time."""
+    """A sentence: how near the test the model is, what was decided, and what it cost."""
     row = iteration_row(record)
-    texts = {
+    shown = {
         column.name: column.shown(getattr(row, column.name)) for column in columns_of(IterationRow)
     }
-    age = str(record.sensitivity_age) if record.number else "-"
-    notes = [] if record.accepted else ["not kept"]
+    said = f"frequencies within {shown['largest_error']} % (mean {shown['mean_error']} %)"
+    if math.isfinite(row.least_mac):
+        said += f", MAC at least {shown['least_mac']}"
+    notes = [said] if record.accepted else [f"{said}, which is not kept"]
+    if record.number and record.sensitivity_age:
+        age = record.sensitivity_age
+        notes.append(f"by a sensitivity of {age} iteration{'' if age == 1 else 's'} ago")
     if record.sensitivity_skipped:
-        notes.append("sensitivity skipped (e2)")
+        notes.append("no new sensitivity, the errors change too little for one (e2)")
     if record.decision and record.number:
         notes.append(record.decision)
-    ran = f"{row.modal_runs}+{row.sensitivity_runs}"
-    line = (
-        f"{record.number:3d} {texts['largest_error']:>6}% {texts['mean_error']:>6}% "
-        f"{texts['least_mac']:>7} {texts['slope']:>8} {age:>5} {ran:>9} {texts['wall_s']:>8}"
-    )
-    return f"{line}  {'; '.join(notes)}".rstrip()
+    runs = [
+        f"{number} {kind} job{'' if number == 1 else 's'}"
+        for number, kind in ((row.modal_runs, "modal"), (row.sensitivity_runs, "sensitivity"))
+        if number
+    ]
+    without = "answered by the store" if row.reused else "no solver job"
+    ran = " and ".join(runs) or without
+    name = f"iteration {record.number}" if record.number else "start"
+    return f"{name}: {'; '.join([*notes, ran])}, {shown['wall_s']} s"
 
 
 class ConsoleProgress:
-    """Progress on a terminal: what is running with its time, and a line an iteration."""
+    """Progress on a terminal: the jobs that run with the time left, and a sentence an iteration."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
-        self._live = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        self._task: TaskID | None = None
-        self._told, self._left = False, ""
+        self._jobs = JobProgress(console)
+        self._told = False
 
     @contextlib.contextmanager
     def shown(self) -> Iterator[ConsoleProgress]:
         """Show the display while a campaign runs."""
-        with self._live:
+        with self._jobs.shown():
             yield self
 
     def working(self, text: str) -> None:
-        if self._task is not None:
-            self._live.remove_task(self._task)
-        self._task = self._live.add_task(f"{text}{self._left}", total=None)
+        self._jobs.working(text)
 
     def forecast(self, forecast: Forecast) -> None:
         """A line as soon as all costs are known, then what is left, beside what is running."""
-        left = (
-            f"left at most: {cost_text(forecast.most)}" if forecast.known else "cost not known yet"
-        )
-        self._left = f" ({left})"
+        self._jobs.ahead(f"to the end at most {cost_text(forecast.most)}" if forecast.known else "")
         if forecast.known and not self._told:
             self._told = True
             self.console.print(Text(forecast_text(forecast)), soft_wrap=True)
 
     def iteration(self, record: IterationRecord) -> None:
-        if record.number == 0:
-            self.console.print(Text(HEADER))
         # soft_wrap: a line stays a line where the output is not a terminal.
         self.console.print(Text(iteration_line(record)), soft_wrap=True)
 

@@ -167,12 +167,17 @@ def cost_text(cost: Cost) -> str:
 
 def forecast_text(forecast: Forecast) -> str:
     """A forecast in one line."""
-    further = cost_text(NOTHING.plus(forecast.further, forecast.iterations))
-    last = f"; the solver's own run at the end {cost_text(forecast.last)}"
-    return (
-        f"forecast: first iteration {cost_text(forecast.coming)}; all {forecast.iterations} "
-        f"further ones at most {further}{last if forecast.last.jobs else ''}"
-    )
+    said = [f"first iteration {cost_text(forecast.coming)}"]
+    further = NOTHING.plus(forecast.further, forecast.iterations)
+    if further.jobs:
+        n = forecast.iterations
+        up_to = f"up to {n} more iterations" if n > 1 else "one more iteration"
+        said.append(f"{up_to} at most {cost_text(further)}")
+    elif forecast.iterations:
+        said.append("further iterations nothing to run")
+    if forecast.last.jobs:
+        said.append(f"the solver's own run at the end {cost_text(forecast.last)}")
+    return f"forecast: {'; '.join(said)}"
 
 
 def told_forecast(forecast: Forecast) -> dict[str, Json]:

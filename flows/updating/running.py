@@ -26,7 +26,7 @@ from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.scratch import remove_abandoned
 from modetune.flows.jobs.slurm import on_slurm
 from modetune.flows.jobs.store_files import in_use
-from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.jobs.watching import JobWatcher, displayed
 from modetune.flows.jobs.work import Executes, Execution, ThreadExecution
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.updating.campaign_log import campaign_log, log_iterations
@@ -68,7 +68,7 @@ def job_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> JobEngi
         counter=MachineLimits(server_home() / "limits" if run.here else None),
         limits=tuple(limits),
         ledger=Ledger(),
-        watcher=watcher,
+        watcher=displayed(watcher),
     )
     return on_slurm(engine, run.slurm, campaign.name) if run.engine == "slurm" else engine
 
@@ -118,7 +118,7 @@ def solving_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> Ite
         made = on_dask(campaign, job_engine)
     with in_use(campaign.store), made as engine:
         try:
-            yield replace(engine, watcher=watcher)
+            yield replace(engine, watcher=displayed(watcher))
         except BaseException:
             engine.cancelled.set()
             raise
