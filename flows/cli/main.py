@@ -63,7 +63,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 EXTRAS = {
     **dict.fromkeys(("polars", "pypardiso"), "calculix"),
     **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
-    **dict.fromkeys(("SALib", "sklearn", "emcee", "pandas"), "studies"),
+    **dict.fromkeys(("SALib", "emcee", "pandas"), "studies"),
 }
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 for heading, commands in COMMANDS.items():

@@ -32,7 +32,7 @@ Points = Annotated[
     typer.Option(help="Sets over the range; as many may follow near the posterior."),
 ]
 Walkers = Annotated[int | None, typer.Option(help="Walkers of the sampler.")]
-Steps = Annotated[int, typer.Option(help="Steps of a walker; up to ten times as many if needed.")]
+Steps = Annotated[int, typer.Option(help="Steps of a walker; more follow if needed.")]
 Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
 Checks = Annotated[
     int | None,
@@ -118,14 +118,16 @@ def _show(found: PosteriorRecord, written: list[Path]) -> None:
 
     console = terminal()
     show_table(console, posterior_table(found))
-    left_out = "" if found.by_reduced_model else f"{found.left_out.max():.2g} with a run left out, "
-    called = "reduced model" if found.by_reduced_model else "surrogate"
+    by_model = found.by_reduced_model
+    called = "reduced model" if by_model else "surrogate"
+    left_out = "" if by_model else f"{found.left_out.max():.2g} with a set left out, "
+    density = "" if by_model else f"; log density within {found.density_error:.2g}"
     lines = [
         f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}, left out: "
         f"{len(found.failures)}; {found.near.size} learned from, {int(found.near.sum())} of them "
         "near the posterior",
         f"{called}, in standard deviations of the test: worst response {left_out}"
-        f"{found.check_errors.max():.2g} at {len(found.check_keys)} checks",
+        f"{found.check_errors.max():.2g} at {len(found.check_keys)} checks{density}",
         f"samples: {found.walkers} walkers, {found.steps - found.burned} steps kept, effective "
         f"{found.effective_sizes.min():.0f}, R-hat {found.r_hat.max():.3f}",
     ]

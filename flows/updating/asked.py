@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.correlation.matching import NotAmongComputed
@@ -124,17 +125,17 @@ class ModeTrack:
         """The waiting set that is nearest to one that is known, where the known grow by it."""
         if not (self.known and self.grows) or len(waiting) == 1:
             return waiting[0]
-        return min(waiting, key=lambda point: self._distances(thetas[point]).min())
+        return waiting[int(np.argmin(self._distances(thetas[list(waiting)]).min(axis=1)))]
 
     def nearest(self, theta: Floats) -> Evaluation | None:
         """The known set that is nearest to a set."""
         if len(self.known) < 2:
             return self.known[0] if self.known else None
-        return self.known[int(np.argmin(self._distances(theta)))]
+        return self.known[int(np.argmin(self._distances(theta[None])))]
 
-    def _distances(self, theta: Floats) -> Floats:
+    def _distances(self, thetas: Floats) -> Floats:
         known = np.stack([evaluation.theta for evaluation in self.known])
-        return np.asarray((((theta - known) / self.width) ** 2).sum(axis=1))
+        return np.asarray(cdist(thetas / self.width, known / self.width, "sqeuclidean"))
 
 
 #: A piece of work of a case.

@@ -213,17 +213,22 @@ class Evaluator:
         return None if self.ranges is None else self.ranges.use
 
     def points(
-        self, title: str, thetas: Floats, known: Sequence[Evaluation] = (), grows: bool = False
+        self,
+        title: str,
+        thetas: Floats,
+        known: Sequence[Evaluation] = (),
+        grows: bool = False,
+        in_full: bool = True,
     ) -> Iterator[Evaluation | ModetuneError]:
         """Evaluations of sets (n, n_parameters) in turn, or what keeps one from having any.
 
         They go side by side, so many at once that their shapes find room in memory. known:
-        evaluation points that modes are tracked from; grows: whether new ones join them.
-        Raises what is not a set's own failure.
+        evaluation points that modes are tracked from; grows: whether new ones join them; in_full:
+        as of `Ranges.within`. Raises what is not a set's own failure.
         """
         within = None
         if self.ranges and known and len(thetas) >= MANY:
-            within = self.ranges.within(self.campaign, known[0])
+            within = self.ranges.within(self.campaign, known[0], in_full)
         parameters = self.campaign.parameters
         track = ModeTrack(parameters.upper - parameters.lower, list(known), grows)
         for first in range(0, len(thetas), TOGETHER):

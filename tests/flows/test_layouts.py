@@ -53,7 +53,7 @@ def digest(kind: Any) -> str:
     [
         (CAMPAIGN.kind, CAMPAIGN.format, (5, "eec69cee87f8")),
         (SCREENING.kind, SCREENING.format, (5, "3977d39bdf92")),
-        (POSTERIOR.kind, POSTERIOR.format, (4, "adfd7a1f7fe2")),
+        (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),
         (store.KINDS["matrices"], store.FORMAT, (4, "2a942894df94")),
         (store.KINDS["derivatives"], store.FORMAT, (4, "98c110189d0b")),

@@ -145,7 +145,8 @@ def find_peaks(posterior: Posterior, rng: np.random.Generator, also: Floats | No
     points = np.stack([point for point, _ in kept])
     heights = np.array([height for _, height in kept])
     covariances = np.stack([posterior.linear_covariance(point) for point in points])
-    weights = heights - heights[0] + 0.5 * np.linalg.slogdet(covariances)[1]
+    sizes = 0.5 * np.linalg.slogdet(covariances)[1]
+    weights = heights - heights[0] + np.maximum(sizes, np.finfo(np.float64).min)  # at a jump: none
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
     large = shares >= LEAST_SHARE

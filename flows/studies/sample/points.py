@@ -1,10 +1,11 @@
 """Solving parameter sets: modes of a campaign's model there, and the residuals they leave.
 
-Where a reduced model holds between the bounds (`flows/updating/by_range`) it gives the residual
-itself at any set, in a millisecond or two. Else sets are ordinary modal jobs,
-which go through the evaluator, its store, limits and retries, so that what was solved once is never
-solved again. Without measured shapes a set's modes are tracked from the nearest set that has been
-paired already, beginning at the campaign's start.
+Where a reduced model holds between the bounds (`flows/updating/by_range`) it gives many sets, at
+some milliseconds each. Else sets are ordinary modal jobs, which go through the evaluator, its
+store, limits and retries, so that what was solved once is never solved again. Without measured
+shapes a set's modes are tracked from the nearest set that has been paired already, beginning at the
+campaign's start. Over long ways modes that approach each other may be mistaken for each other.
+Sets that fit the test are those that were not, so further ones are tracked from these.
 """
 
 from __future__ import annotations
@@ -14,13 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.residual import measurement_variances
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.sample.surrogate import Training, worst_of
+from modetune.flows.studies.sample.surrogate import Training
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.small_matrices import one_thread
@@ -30,6 +30,8 @@ logger = logging.getLogger(__name__)
 #: What stands for a residual that cannot be had, in standard deviations of the test: such sets are
 #: as good as impossible.
 IMPOSSIBLE = 1e3
+#: What a squared misfit may be above the least one of all for modes to be tracked from there.
+NEARLY = 50.0
 #: Of the sets asked for, the share that may fail.
 MOST_FAILED = 0.5
 
@@ -67,14 +69,9 @@ class ReducedFeatures:
                     row[:] = standardised(self.campaign, item)
         return values
 
-    def errors(self, rows: NDArray[np.bool_]) -> Floats:
-        """Of what was learned from other sets: nothing was, (n_responses,)."""
-        return np.full(len(self.names), np.nan)
-
-    def missed(self, truth: Training) -> Floats:
-        """Errors at full solutions, (n_responses,), root mean square over these."""
-        apart = self.features(truth.points) - truth.values
-        return worst_of(apart, self.responses, len(self.names))
+    def residuals(self, points: Floats) -> Floats:
+        """As `features`: these are the residual itself."""
+        return self.features(points)
 
 
 class PointSolver:
@@ -85,10 +82,11 @@ class PointSolver:
         self.evaluator = evaluator
         self.failures: list[str] = []
         self._known: list[Evaluation] = []
+        self._misfits: list[float] = []
 
     def reduced(self) -> ReducedFeatures | None:
-        """The residual by a reduced model between the bounds, beginning at the sets solved so far;
-        None where there is none."""
+        """The residual by a reduced model between the bounds, modes tracked from the sets solved so
+        far; None where there is none."""
         ranges = self.evaluator.ranges
         within = ranges.within(self.campaign, self._known[0], in_full=False) if ranges else None
         if within is None:
@@ -96,18 +94,28 @@ class PointSolver:
         named = response_names(self.campaign, self._known[0])
         return ReducedFeatures(self.campaign, within, self._known, *named)
 
-    def solve(self, title: str, points: Floats) -> SolvedPoints:
+    def solve(
+        self, title: str, points: Floats, around: int = 0, grows: bool = True
+    ) -> SolvedPoints:
         """Residuals at points (n, n_parameters); sets that fail are left out with a warning.
 
-        Raises CampaignError where more than half fail; SolverError, ModesError where all do;
-        StoreError.
+        around: so many sets at least, those that fit best, are those that modes are tracked from,
+        all of them where it is 0; grows: whether these too. Raises CampaignError where more than
+        half fail; SolverError, ModesError where all do; StoreError.
         """
-        found = list(self.evaluator.points(title, points, self._known, grows=True))
+        known = self._known
+        if around:
+            fits = np.array(self._misfits)
+            reach = max(np.sort(fits)[:around].max(), fits.min() + NEARLY)
+            known = [item for item, fit in zip(known, fits.tolist(), strict=True) if fit <= reach]
+        found = list(self.evaluator.points(title, points, known, grows, in_full=False))
         self._tell([item for item in found if isinstance(item, ModetuneError)], len(found))
         sets = {n: item for n, item in enumerate(found) if isinstance(item, Evaluation)}
+        training = self._training(list(sets.values()))
         self._known += sets.values()
+        self._misfits += (training.values**2).sum(axis=1).tolist()
         return SolvedPoints(
-            self._training(list(sets.values())),
+            training,
             tuple(item.key for item in sets.values()),
             np.array(list(sets), dtype=np.int64),
         )

@@ -21,7 +21,8 @@ its field.
     check_points    (n_checks, n_parameters); check_keys; check_errors, left_out (n_responses,):
                     errors of the surrogate in standard deviations of the test, at the checks and
                     with each near training point left out, NaN where a reduced model gave the
-                    samples themselves
+                    samples themselves; attribute density_error: of the log density in the 95 %
+                    region, at sets of the posterior where these cost little, else left out
     failures        texts of solver runs that were left out
     reduced_model/  where sets were evaluated by one: attributes sets, vectors, solutions, asked,
                     error, estimate, in_full, solver, apart, where (`core/updating/reduced_range`)
@@ -91,6 +92,7 @@ class PosteriorRecord:
     near: NDArray[np.bool_]
     begun: int
     left_out: Floats
+    density_error: float
     check_points: Floats
     check_keys: tuple[str, ...]
     check_errors: Floats
@@ -111,7 +113,7 @@ class PosteriorRecord:
         return self.reduced_model.sentence if self.reduced_model else ""
 
 
-POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 4)
+POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 5)
 
 
 def write_posterior(path: Path, record: PosteriorRecord) -> None:

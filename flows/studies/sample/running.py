@@ -18,17 +18,19 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution
-from modetune.flows.studies.sample.checking import Checks, check_surrogate
-from modetune.flows.studies.sample.learning import Learned, learn
+from modetune.flows.studies.sample.learning import Checks, Learned, check, learn
 from modetune.flows.studies.sample.points import PointSolver
 from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.sampling import Chains, check_walkers, sample
+from modetune.flows.studies.sample.sampling import LONGER, LONGEST, Chains, check_walkers, sample
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.modes_choice import MANY, Demand
 from modetune.flows.updating.running import solving_engine
+from modetune.flows.updating.small_matrices import one_thread
 
 #: Without a number: runs over the range and walkers a parameter, and the least of both.
 POINTS_EACH, LEAST_POINTS, WALKERS_EACH, LEAST_WALKERS = 10, 16, 4, 32
+#: ... and times as many sets where a reduced model gives them.
+SETS_EACH = 4
 #: Around the end of an update the range reaches so many standard deviations of the prior.
 RANGE = 3.0
 #: More of anything than this is a slip of the hand.
@@ -96,8 +98,6 @@ def sample_campaign(
     limits = learning_range(campaign, None if earlier is None else centre)
     at_points, at_search, at_chains, at_checks = np.random.default_rng(request.seed).spawn(4)
     asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
-    unit = latin_hypercube(asked, len(parameters), at_points)
-    spread = limits[0] + unit * (limits[1] - limits[0])
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign, watcher) as engine:
@@ -108,21 +108,20 @@ def sample_campaign(
             solver = PointSolver(campaign, evaluator)
             # Where nothing was measured but frequencies, pairs are those that updating begins with.
             solver.solve("start", campaign.start[None])
-            points = np.vstack([centre, spread])
-            learned = learn(
-                solver,
-                points,
-                limits,
-                asked,
-                walkers,
-                at_search,
-                progress.working,
-                solver.reduced() if asked >= MANY else None,
-            )
-            progress.working("sampling")
-            chains = sample(learned.posterior, learned.peaks, walkers, request.steps, at_chains)
-            progress.working("sets of the posterior")
-            checks = check_surrogate(solver, learned.surrogate, chains, request.checks, at_checks)
+            reduced = solver.reduced() if asked >= MANY else None
+            n_sets = SETS_EACH * asked if reduced and request.points is None else asked
+            unit = latin_hypercube(n_sets, len(parameters), at_points)
+            points = np.vstack([centre, limits[0] + unit * (limits[1] - limits[0])])
+            tell = progress.working
+            learned = learn(solver, points, limits, asked, walkers, at_search, tell, reduced)
+            tell("sampling")
+            longest = LONGEST if learned.surrogate is reduced else LONGER
+            with one_thread():
+                chains = sample(
+                    learned.posterior, learned.peaks, walkers, request.steps, at_chains, longest
+                )
+            tell("sets of the posterior")
+            checks = check(solver, learned, chains, request.checks, at_checks)
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling
             raise
@@ -219,6 +218,7 @@ def _record(
         near=learned.near,
         begun=learned.begun,
         left_out=learned.errors,
+        density_error=learned.density_error,
         check_points=checks.points,
         check_keys=checks.keys,
         check_errors=checks.errors,

@@ -27,6 +27,11 @@ CUT = 0.05
 SECOND = 0.01
 #: Two parameters with a larger correlation are told together only.
 TIED = 0.95
+#: What is told where no surrogate of the reduced model was good enough.
+ITSELF = (
+    "no surrogate foresees the reduced model well enough here, so that each sample was a set of "
+    "the reduced model itself, which takes longer"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +70,17 @@ def _of_checks(record: PosteriorRecord) -> list[PosteriorFinding]:
                 ),
             )
         )
-    if GOOD < record.left_out.max() <= REFUSED:
+    if record.by_reduced_model:
+        found.append(PosteriorFinding(False, ITSELF))
+    elif record.density_error > GOOD:
         place = int(record.left_out.argmax())
         found.append(
             PosteriorFinding(
                 False,
                 (
-                    f"the surrogate is coarse: with a run left out it misses {names[place]} by "
-                    f"{record.left_out[place]:.2g} standard deviations of the test"
+                    f"the surrogate is coarse: with a run left out it misses the log density by "
+                    f"{record.density_error:.2g}, {names[place]} by {record.left_out[place]:.2g} "
+                    "standard deviations of the test"
                 ),
             )
         )
@@ -85,7 +93,7 @@ def _called(record: PosteriorRecord) -> str:
 
 def _remedy(record: PosteriorRecord) -> str:
     own = "use the solver's own modes (`model.eigensolver: solver`)"
-    return own if record.by_reduced_model else "raise --points"
+    return own if record.reduced_model else "raise --points"
 
 
 def _of_chains(record: PosteriorRecord) -> list[PosteriorFinding]:
@@ -279,6 +287,7 @@ def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
         parameters=posterior_rows(record),
         peaks=[{"share": share, "point": point} for share, point in peaks],
         surrogate=[ResponseError(*values) for values in errors],
+        density_error=record.density_error,
         points_by=record.points_by,
         reduced_model=record.reduced_model,
         training_runs=record.near.size,

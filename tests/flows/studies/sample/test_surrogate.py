@@ -11,20 +11,29 @@ from scipy.stats import qmc
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.flows.studies.sample.checking import missed
 from modetune.flows.studies.sample.surrogate import (
+    ORDERS,
+    Surrogate,
     Training,
-    _kriged,
+    _fit,
+    density_error,
     fit_surrogate,
-    reduce_responses,
+    scaled,
 )
 
 LOWER, UPPER = np.array([0.5, 0.5]), np.array([2.0, 1.5])
+#: A point in the middle and others within a two-hundredth of the range around it, as runs stand at
+#: a posterior.
+NARROW = 0.005
 
 
 def spread(n: int, seed: int = 1) -> Floats:
     unit = qmc.LatinHypercube(2, rng=np.random.default_rng(seed)).random(n)
     return np.asarray(LOWER + unit * (UPPER - LOWER))
+
+
+def close(n: int, seed: int = 1) -> Floats:
+    return np.asarray(1.0 + NARROW * (spread(n, seed) - 1.0))
 
 
 def quadratic(points: Floats) -> Floats:
@@ -41,72 +50,107 @@ def training(points: Floats, function: Callable[[Floats], Floats]) -> Training:
     return Training(points, function(points), np.array([0, 1]), ("first", "second"))
 
 
+def missed(surrogate: Surrogate, truth: Training) -> Floats:
+    return truth.sizes(truth.values - surrogate.residuals(truth.points))
+
+
 def test_a_quadratic_function_is_learned_exactly() -> None:
     surrogate = fit_surrogate(training(spread(14), quadratic), LOWER, UPPER)
     points = spread(50, seed=2)
     # misfit: the sum of squares, whatever turned into features
     np.testing.assert_allclose(
-        surrogate.misfits(points), (quadratic(points) ** 2).sum(axis=1), rtol=1e-8
+        (surrogate.features(points) ** 2).sum(axis=1),
+        (quadratic(points) ** 2).sum(axis=1),
+        rtol=1e-8,
     )
-    assert surrogate.errors(np.ones(14, dtype=bool)).max() < 1e-9
+    assert np.abs(surrogate.left_out).max() < 1e-9
 
 
 @pytest.mark.parametrize("n", [15, 25, 40])
 def test_the_leave_one_out_error_is_the_error_at_points_never_seen(n: int) -> None:
-    surrogate = fit_surrogate(training(spread(n), waves), LOWER, UPPER)
-    told = surrogate.errors(np.ones(n, dtype=bool))
+    known = training(spread(n), waves)
+    surrogate = fit_surrogate(known, LOWER, UPPER)
+    told = known.sizes(surrogate.left_out)
     points = spread(400, seed=9)
     among = Delaunay(spread(n)).find_simplex(points) >= 0  # not outside all runs
     truth = missed(surrogate, training(points[among], waves))
     # An estimate from n points; left out at the rim they are extrapolated to, so it errs upwards.
     assert np.all(told > 0.4 * truth)
-    assert np.all(told < 10.0 * truth)
+    assert np.all(told < 20.0 * truth)
 
 
-def test_leaving_out_in_closed_form_is_leaving_out_and_fitting_anew() -> None:
-    rng = np.random.default_rng(4)
-    x = np.sort(rng.uniform(-1.0, 1.0, 9))
-    covariance = 2.0 * np.exp(-0.5 * ((x[:, None] - x) / 0.4) ** 2) + 1e-6 * np.eye(9)
-    terms, y = np.stack([np.ones(9), x], axis=1), np.sin(3.0 * x)
-    _, _, left_out = _kriged(covariance, terms, y)
-    for place in range(9):
-        rest = np.delete(np.arange(9), place)
-        trend, pulls, _ = _kriged(covariance[np.ix_(rest, rest)], terms[rest], y[rest])
-        foreseen = terms[place] @ trend + covariance[place, rest] @ pulls
-        assert y[place] - foreseen == pytest.approx(left_out[place], rel=1e-6, abs=1e-9)
+@pytest.mark.parametrize("order", ORDERS)
+def test_leaving_out_in_closed_form_is_leaving_out_and_fitting_anew(order: int) -> None:
+    known = training(spread(24), waves)
+    inputs = scaled(known.points, LOWER, UPPER)
+    _, left_out = _fit(inputs, known.values, order)
+    for place in range(0, 24, 5):
+        rest = np.delete(np.arange(24), place)
+        factors, _ = _fit(inputs[rest], known.values[rest], order)
+        none = np.zeros_like(known.values[rest])
+        without = Surrogate(LOWER, UPPER, inputs[rest], order, factors, np.eye(2), none)
+        error = known.values[place] - without.features(known.points[[place]])[0]
+        np.testing.assert_allclose(error, left_out[place], rtol=1e-6, atol=1e-8)
 
 
-def test_more_runs_make_a_better_surrogate() -> None:
-    truth = training(spread(200, seed=9), waves)
-    few, many = (
-        missed(fit_surrogate(training(spread(n), waves), LOWER, UPPER), truth) for n in (12, 40)
+def test_points_close_together_are_as_exact_as_they_are_close() -> None:
+    def residual(points: Floats) -> Floats:  # no misfit where the points are close together
+        return waves(points) - waves(np.ones((1, 2)))
+
+    truth = training(close(200, seed=9), residual)
+    far, near = (
+        missed(fit_surrogate(training(points, residual), LOWER, UPPER), truth)
+        for points in (spread(40), np.vstack([spread(20), close(20)]))
     )
-    assert np.all(many < 0.2 * few)
+    # Half the points lie 200 times as close: what splines miss falls with a power of that above 2.
+    assert np.all(near < NARROW**2 * far)
 
 
-def test_features_of_a_shape_keep_its_misfit_and_are_few() -> None:
+@pytest.mark.parametrize("n", [1, 3, 5])
+def test_any_number_of_parameters_has_a_surrogate(n: int) -> None:
+    """Eigenvalue-like: a rational function of n stiffnesses, of one too."""
+    rng = np.random.default_rng(n)
+    points = rng.uniform(0.7, 1.4, (20 * n, n))
+
+    def flexible(at: Floats) -> Floats:
+        return np.stack([n / (1.0 / at).sum(axis=1), (at**2).sum(axis=1)], axis=1)
+
+    known = training(points, flexible)
+    surrogate = fit_surrogate(known, np.full(n, 0.7), np.full(n, 1.4))
+    inside = rng.uniform(0.8, 1.3, (200, n))
+    moves = flexible(inside).std(axis=0)
+    assert np.all(missed(surrogate, training(inside, flexible)) < 0.02 * moves)
+
+
+def test_of_a_shape_the_length_of_what_is_missed_counts() -> None:
     rng = np.random.default_rng(3)
-    directions, still = rng.normal(size=(3, 60)), rng.normal(size=60)
-    values = rng.normal(size=(20, 3)) @ directions + still
-    shapes = Training(spread(20), values, np.zeros(60, dtype=np.int64), ("shape of mode 1",))
-    reduction = reduce_responses(shapes)
-    assert reduction.basis.shape[1] == 3  # as many as it moves in
-    squares = (reduction.features(values) ** 2).sum(axis=1) + reduction.outside
-    np.testing.assert_allclose(squares, (values**2).sum(axis=1), rtol=1e-10)
-
-
-def test_a_shape_that_leaves_the_known_directions_counts_as_missed() -> None:
-    rng = np.random.default_rng(3)
-    points, direction = spread(12), rng.normal(size=30)
-    values = points[:, :1] * direction
-    known = Training(points, values, np.zeros(30, dtype=np.int64), ("shape of mode 1",))
-    surrogate = fit_surrogate(known, LOWER, UPPER)
-    aside = np.linalg.qr(np.stack([direction, rng.normal(size=30)], axis=1))[0][:, 1]
-    moved = Training(points, values + 2.0 * aside, known.responses, known.names)
-    assert missed(surrogate, known)[0] < 1e-8
+    points, directions = spread(20), rng.normal(size=(2, 60))
+    shapes = Training(points, points @ directions, np.zeros(60, dtype=int), ("shape of mode 1",))
+    surrogate = fit_surrogate(shapes, LOWER, UPPER)
+    assert surrogate.basis.shape[1] == 2  # as many directions as it moves in
+    assert missed(surrogate, shapes)[0] < 1e-8
+    aside = np.linalg.qr(np.vstack([directions, rng.normal(size=60)]).T)[0][:, 2]
+    moved = Training(points, shapes.values + 2.0 * aside, shapes.responses, shapes.names)
     assert missed(surrogate, moved)[0] == pytest.approx(2.0)  # the length of what was added
+
+
+def test_an_offset_of_the_log_density_is_no_error_of_it() -> None:
+    values = np.random.default_rng(1).normal(size=(50, 3))
+    assert density_error(values, np.zeros_like(values)) == 0.0
+    # |w|^2 / 2 grows by e w for small errors e of an entry w
+    off = density_error(values, np.array([0.01, 0.0, 0.0]))
+    spread_of = np.quantile(np.abs(values[:, 0] - np.median(values[:, 0])), 0.95)
+    assert off == pytest.approx(0.01 * spread_of, rel=1e-6)
+    alike = np.ones((50, 3))
+    assert density_error(alike, 0.01 * alike) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_too_few_runs_are_refused() -> None:
     with pytest.raises(CampaignError, match="4 solver runs are too few to learn 2 parameters"):
         fit_surrogate(training(spread(4), waves), LOWER, UPPER)
+
+
+def test_points_that_are_one_are_refused() -> None:
+    points = np.tile(spread(1), (8, 1))
+    with pytest.raises(CampaignError, match="two training points are all but the same"):
+        fit_surrogate(training(points, waves), LOWER, UPPER)
