@@ -54,7 +54,7 @@ CHECKS, FEW = 8, 2
 @dataclass(frozen=True, slots=True)
 class Learned:
     """What was learned. near: (n_points,), which sets lie near the posterior; begun: sets before
-    any was added there; errors: (n_responses,), leave-one-out errors near the posterior, and
+    any was added there; errors: (n_responses,), leave-one-out errors in its 95 % region, and
     density_error, of the log density there; NaN where a reduced model itself gives the samples."""
 
     training: Training
@@ -241,6 +241,7 @@ def _learned(
     peaks = find_peaks(posterior, rng, training.points[order])
     near = near_posterior(training, posterior, 1e-3, WIDER)
     core = near_posterior(training, posterior, 0.05)
+    core = core if core.sum() > posterior.lower.size else near
     return Learned(
         training,
         keys,
@@ -249,6 +250,6 @@ def _learned(
         peaks,
         near,
         begun,
-        training.sizes(surrogate.left_out[near]),
+        training.sizes(surrogate.left_out[core]),
         density_error(training.values[core], surrogate.left_out[core]),
     )
