@@ -58,8 +58,11 @@ def run_process(
 def one_paragraph(result: subprocess.CompletedProcess[str]) -> str:
     """The error a user sees: one that starts with our name, and no traceback."""
     assert "Traceback" not in result.stderr + result.stdout
-    assert result.stderr.startswith("modetune: ")
-    return result.stderr
+    first, _, rest = result.stderr.partition("\n")
+    # What is begun is said before it, a line where no terminal is.
+    said = rest if first.startswith("reading ") else result.stderr
+    assert said.startswith("modetune: ")
+    return said
 
 
 def ccx_processes(marker: str) -> list[int]:
