@@ -253,7 +253,8 @@ def _fold(
     engine = replace(engine, watcher=part_of(engine.watcher, fold.name if fold.number else ""))
     evaluator = whole.ranges.within(campaign, known) if whole.ranges and known else None
     if evaluator is None:
-        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+        threads = ThreadExecution(engine, campaign.parallel)
+        evaluator = evaluator_of(campaign, engine, threads, eigensolver=not whole.steps_run)
     updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
     try:
         with one_thread() if known else nullcontext():
