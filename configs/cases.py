@@ -2,8 +2,8 @@
 
     python -m modetune.configs.cases garteur FOLDER
 
-and so fixture, frame, launcher, six_mass. Decks are written, not kept: for campaigns of this
-repository to run in place, FOLDER is the case's own (configs/garteur).
+and so bracket, fixture, four_storey, frame, launcher, six_mass. Decks are written, not kept: for
+campaigns of this repository to run in place, FOLDER is the case's own (configs/garteur).
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from modetune.configs.bracket import bracket, lab
 from modetune.configs.fixture import fixture
 from modetune.configs.garteur import aircraft, shell
 from modetune.configs.launcher import launcher
 
-#: What writes the decks of each case into a folder.
+#: What writes the decks of each case into a folder, and the bracket's test.
 DECKS: dict[str, tuple[Callable[[Path], None], ...]] = {
     "garteur": (aircraft.write_decks, shell.write_decks),
+    "bracket": (bracket.write_decks, lab.write_lab),
     "fixture": (fixture.write_decks,),
     "launcher": (launcher.write_decks,),
     # Models that are campaign data stand beside the campaign.
+    "four_storey": (),
     "frame": (),
     "six_mass": (),
 }

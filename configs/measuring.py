@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
@@ -14,7 +14,9 @@ import numpy as np
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.modes import ModeSet
+from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.modes import Floats, ModeSet
 from modetune.core.parameters import Parameter
 from modetune.core.updating.results import ModalResult
 
@@ -71,4 +73,47 @@ def noisy(modes: ModeSet, frequency: float, shape: float, seed: int) -> ModeSet:
         * (1.0 + frequency * noise.standard_normal(modes.n_modes)),
         mode_shapes=shapes + shape * rms * noise.standard_normal(shapes.shape),
         normalisation="unknown",
+    )
+
+
+def accelerances(
+    lines_hz: Floats, modes: ModeSet, shapes: Floats, force: Floats, damping: float
+) -> Complexes:
+    """(n_lines, n_sensors), (m/s^2)/N, of mass-normalised modes in mm and t.
+
+    shapes: (n_modes, n_sensors), motion along the sensors; force: (n_modes,), that along the
+    force; damping: of every mode, a share of the critical one.
+    """
+    lam, omega = modes.eigenvalues, 2.0 * np.pi * lines_hz[:, None]
+    gains = 1.0 / (lam - omega**2 + 2j * damping * np.sqrt(lam) * omega)
+    return np.asarray(-1e-3 * omega**2 * ((gains * force) @ shapes.T))  # 1/t is 1e-3/kg
+
+
+def noisy_functions(
+    lines_hz: Floats,
+    values: Complexes,
+    sensors: Sequence[tuple[int, int]],
+    shakers: Sequence[tuple[int, int]],
+    noise: float,
+    random: np.random.Generator,
+) -> MeasuredFrfs:
+    """Accelerances as a lab measures them, by shaker and then by sensor.
+
+    values: (n_lines, n_shakers * n_sensors), (m/s^2)/N; sensors, shakers: number of the point and
+    component; noise: standard deviation, of each function's rms.
+    """
+    parts = random.standard_normal(values.shape) + 1j * random.standard_normal(values.shape)
+    rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=0))
+    (nodes, components), (forced, along) = np.transpose(sensors), np.transpose(shakers)
+    return MeasuredFrfs(
+        kind="accelerance",
+        frequencies_hz=lines_hz,
+        values=values + noise * rms * parts / np.sqrt(2.0),
+        nodes=np.tile(nodes, len(shakers)),
+        components=np.tile(components, len(shakers)),
+        signs=np.ones(values.shape[1]),
+        reference_nodes=np.repeat(forced, len(sensors)),
+        reference_components=np.repeat(along, len(sensors)),
+        reference_signs=np.ones(values.shape[1]),
+        coherences=np.zeros((0, 0)),
     )

@@ -22,9 +22,9 @@ from modetune.adapters.test_files.universal.write import write_universal
 from modetune.configs.claims import Claim
 from modetune.configs.garteur.aircraft import COARSE, aircraft, node_at
 from modetune.configs.garteur.twin import truth_modes
-from modetune.core.measurement.frf import Complexes
-from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
-from modetune.core.modes import Floats, Integers, ModeSet
+from modetune.configs.measuring import accelerances, noisy_functions
+from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.modes import Floats, ModeSet
 from modetune.core.storage.record import CampaignRecord
 
 #: Young's moduli relative to the nominal 71,000 MPa.
@@ -90,7 +90,7 @@ def lab_measurement() -> Measurement:
     at = dict(zip(range(1, len(POINTS) + 1), nodes, strict=True))
     shapes = np.array([_motion(modes, at[point], point, component) for point, component in names])
     forces = [names.index(shaker) for shaker in SHAKERS]
-    columns = [_accelerances(modes, shapes, shapes[row]) for row in forces]
+    columns = [accelerances(LINES_HZ, modes, shapes, shapes[row], DAMPING) for row in forces]
     moved = places + POINT_NOISE_MM * random.standard_normal(places.shape)
     return Measurement(
         geometry=TestGeometry(
@@ -101,7 +101,9 @@ def lab_measurement() -> Measurement:
             faces=np.zeros((0, 3), dtype=np.int64),
             metres=1.0,
         ),
-        frfs=_functions(np.concatenate(columns, axis=1), names, random),
+        frfs=noisy_functions(
+            LINES_HZ, np.concatenate(columns, axis=1), names, SHAKERS, NOISE, random
+        ),
     )
 
 
@@ -113,38 +115,6 @@ def _motion(modes: ModeSet, node: int, number: int, component: int) -> Floats:
         direction = tilt[component - 1]
     rows = [np.flatnonzero((modes.nodes == node) & (modes.components == k))[0] for k in (1, 2, 3)]
     return np.asarray(direction @ modes.mode_shapes[rows])
-
-
-def _accelerances(modes: ModeSet, shapes: Floats, force: Floats) -> Complexes:
-    """(n_lines, n_sensors), (m/s^2)/N, from mass-normalised modes, t and mm."""
-    lam, omega = modes.eigenvalues, 2.0 * np.pi * LINES_HZ[:, None]
-    gains = 1.0 / (lam - omega**2 + 2j * DAMPING * np.sqrt(lam) * omega)
-    return np.asarray(-1e-3 * omega**2 * ((gains * force) @ shapes.T))  # 1/t is 1e-3/kg
-
-
-def _functions(
-    values: Complexes, names: list[tuple[int, int]], random: np.random.Generator
-) -> MeasuredFrfs:
-    noise = random.standard_normal(values.shape) + 1j * random.standard_normal(values.shape)
-    rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=0))
-    nodes, components = _column(names, 0), _column(names, 1)
-    count, shakers = len(names), np.array(SHAKERS)
-    return MeasuredFrfs(
-        kind="accelerance",
-        frequencies_hz=LINES_HZ,
-        values=values + NOISE * rms * noise / np.sqrt(2.0),
-        nodes=np.tile(nodes, len(shakers)),
-        components=np.tile(components, len(shakers)),
-        signs=np.ones(len(shakers) * count),
-        reference_nodes=np.repeat(shakers[:, 0], count),
-        reference_components=np.repeat(shakers[:, 1], count),
-        reference_signs=np.ones(len(shakers) * count),
-        coherences=np.zeros((0, 0)),
-    )
-
-
-def _column(names: list[tuple[int, int]], place: int) -> Integers:
-    return np.array([name[place] for name in names], dtype=np.int64)
 
 
 def write_lab(folder: Path) -> None:

@@ -1,0 +1,123 @@
+"""What a page shows as printed is what the program prints.
+
+    python tools/printed.py docs/bracket.md [--write]
+
+A block that begins with `$ ` holds commands, run one after the other in one new folder a page, and
+lines of what they print, in order; `...` stands for any lines. Words must be the same, numbers
+within two units of their last digit or half a percent. With --write the lines that differ are
+replaced by the likest ones that were printed.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+BLOCK = re.compile(r"^```\n(\$ .*?)^```$", re.DOTALL | re.MULTILINE)
+NUMBER = re.compile(r"[-+±]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+#: Numbers may differ by so many units of their last digit, or by this share of themselves.
+UNITS, SHARE = 2, 0.005
+#: Wide enough for every table.
+COLUMNS = "200"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A line of a page, and the printed line that is likest to it."""
+
+    command: str
+    shown: str
+    printed: str
+
+    def __str__(self) -> str:
+        return f"$ {self.command}\n  shown:   {self.shown}\n  printed: {self.printed}"
+
+
+def differences(page: Path) -> Iterator[Difference]:
+    """Run a page's commands; every shown line that was not printed, after the one before it."""
+    with tempfile.TemporaryDirectory(prefix="modetune-page-") as name:
+        folder = Path(name)
+        for block in BLOCK.findall(page.read_text()):
+            command, printed = "", list[str]()
+            for line in block.splitlines():
+                if line.startswith("$ "):
+                    command = line[2:]
+                    folder, printed = _run(command, folder)
+                elif line.strip() not in ("", "..."):
+                    at = next((k for k, other in enumerate(printed) if alike(line, other)), None)
+                    if at is None:
+                        yield Difference(command, line, _likest(line, printed))
+                    else:
+                        printed = printed[at + 1 :]
+
+
+def alike(shown: str, printed: str) -> bool:
+    """Whether two lines have the same words, and numbers as near as UNITS and SHARE allow."""
+    if " ".join(NUMBER.sub("#", shown).split()) != " ".join(NUMBER.sub("#", printed).split()):
+        return False
+    return all(
+        abs(_value(a) - _value(b)) <= max(UNITS * _last_digit(a), SHARE * abs(_value(a)))
+        for a, b in zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True)
+    )
+
+
+def _value(number: str) -> float:
+    return float(number.lstrip("±"))
+
+
+def _last_digit(number: str) -> float:
+    mantissa, _, exponent = number.lstrip("±+-").partition("e")
+    _, _, decimals = mantissa.partition(".")
+    return float(10.0 ** (int(exponent or 0) - len(decimals)))
+
+
+def _run(command: str, folder: Path) -> tuple[Path, list[str]]:
+    """Where the next command runs, and what this one printed."""
+    words = shlex.split(command)
+    if words[0] == "mkdir":
+        (folder / words[1]).mkdir()
+        return folder, []
+    if words[0] == "cd":
+        return folder / words[1], []
+    words = [
+        sys.executable,
+        *(["-m", "modetune", *words[1:]] if words[0] == "modetune" else words[1:]),
+    ]
+    environment = {**os.environ, "MODETUNE_NO_PREFECT": "1", "COLUMNS": COLUMNS}
+    done = subprocess.run(
+        words, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    if done.returncode not in (0, 3):
+        raise RuntimeError(f"$ {command}: exit {done.returncode}\n{done.stderr}")
+    return folder, [*done.stderr.splitlines(), *done.stdout.splitlines()]
+
+
+def _likest(line: str, printed: list[str]) -> str:
+    found = difflib.get_close_matches(line, printed, 1, cutoff=0.3)
+    return found[0].rstrip() if found else ""
+
+
+def main(page: Path, write: bool) -> int:
+    """Tell differences, or mend the page; 1 where any is left."""
+    found = list(differences(page))
+    if write:
+        text = page.read_text()
+        for item in found:
+            if item.printed:
+                text = text.replace(item.shown, item.printed, 1)
+        page.write_text(text)
+    for item in found:
+        print(item)  # noqa: T201
+    return int(any(not (write and item.printed) for item in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), "--write" in sys.argv[2:]))
