@@ -745,7 +745,7 @@ def test_a_solver_that_fails_is_told_with_all_the_rest(bench: Any) -> None:
 def command(monkeypatch: pytest.MonkeyPatch, campaign: Any, *options: str) -> Any:
     app = typer.Typer()
     app.command()(check_command)
-    monkeypatch.setattr("modetune.flows.campaign.campaign.load_campaign", lambda *_: campaign)
+    monkeypatch.setattr("modetune.flows.campaign.sketch.looked_at", lambda *_: campaign)
     return CliRunner().invoke(app, ["c.yaml", *options])
 
 

@@ -1,0 +1,65 @@
+"""Pages and notebooks that show real runs: what they show is what is printed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from tests.test_docs import DOCS, tool
+
+printed = tool("printed")
+
+
+def test_a_line_that_is_not_printed_is_told(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("```\n$ modetune --version\nmodetune 999\n...\n```\n")
+    (found,) = printed.differences(page)
+    assert found.shown == "modetune 999"
+    assert found.printed.startswith("modetune ")
+
+
+@pytest.mark.parametrize(
+    ("shown", "other", "same"),
+    [
+        ("error -0.39 %", "error -0.40 %", True),
+        ("error -0.39 %", "error -0.45 %", False),
+        ("E_wing 58594.4", "E_wing   58601.2", True),
+        ("trusted", "not to be trusted", False),
+        ("p 2e-123", "p 2e-3", False),
+    ],
+)
+def test_numbers_are_compared_as_they_are_printed(shown: str, other: str, same: bool) -> None:
+    assert printed.alike(shown, other) is same
+
+
+@pytest.mark.parametrize("page", ["gallery.md", "bracket.md"])
+def test_a_page_shows_what_is_printed(page: str) -> None:
+    found = list(printed.differences(DOCS / page))
+    assert not found, "\n".join(map(str, found))
+
+
+@pytest.mark.parametrize("path", sorted((DOCS / "notebooks").glob("*.ipynb")), ids=lambda p: p.stem)
+@pytest.mark.filterwarnings("default")  # of the notebook's packages
+def test_a_notebook_shows_what_is_printed(path: Path, tmp_path: Path) -> None:
+    shown = nbformat.read(path, 4)
+    run = nbformat.read(path, 4)
+    where = {"metadata": {"path": str(tmp_path)}}
+    NotebookClient(run, timeout=250, kernel_name="python3", resources=where).execute()
+    texts = [line for cell in run.cells for line in _printed(cell)]
+    told = [line for cell in shown.cells for line in _printed(cell)]
+    assert len(told) > 10
+    wrong = [(a, b) for a, b in zip(told, texts, strict=True) if not printed.alike(a, b)]
+    assert not wrong
+
+
+def _printed(cell: nbformat.NotebookNode) -> list[str]:
+    """The lines under a cell, without what goes to standard error."""
+    return [
+        line
+        for item in cell.get("outputs", [])
+        if item.get("name") != "stderr"
+        for line in (item.get("text") or item["data"]["text/plain"]).splitlines()
+    ]
