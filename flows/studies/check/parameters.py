@@ -20,7 +20,7 @@ DEAD = 1e-3
 WIDEST, NARROWEST = 10.0, 0.02
 #: An isotropic material does not bear more.
 POISSON_LIMIT = 0.5
-#: Steps that need at least as many data as parameters.
+#: Steps that need more data than parameters.
 DETERMINED = ("pseudo_inverse", "weighted_least_squares")
 
 
@@ -50,14 +50,15 @@ def bound_findings(campaign: Campaign) -> list[Finding]:
         for case in campaign.used
     )
     count = len(campaign.parameters)
-    if count > data and campaign.update.step in DETERMINED:
+    if count >= data and campaign.update.step in DETERMINED:
         found.append(
             Finding(
                 "doubtful",
                 "parameters",
-                f"{count} parameters from {data} measured numbers by {campaign.update.step}",
+                f"{count} parameters from {data} measured numbers by {campaign.update.step}, which "
+                "can match any test",
                 "update.step",
-                "use regularised or pulled_to_initial, or fewer parameters",
+                "compare more modes or shapes, use pulled_to_initial, or fewer parameters",
             )
         )
     return found
