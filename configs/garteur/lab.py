@@ -2,7 +2,7 @@
 
     python -m modetune.configs.garteur.lab FOLDER
 
-writes lab.unv, a universal file: accelerances at 39 sensors from two shakers, 1 % noise, seed 2026,
+writes the deck aircraft.inp and lab.unv, a universal file: accelerances at 39 sensors from two shakers, 1 % noise, seed 2026,
 from CalculiX's modes of the aircraft with moduli that the campaign does not know (TRUTH). The lab
 numbers its points from 1, measures in metres from the tail forwards, and knows its points to 2 mm;
 one accelerometer at the nose is tilted by 30 degrees.
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from modetune.adapters.test_files.universal.write import write_universal
 from modetune.configs.claims import Claim
-from modetune.configs.garteur.aircraft import COARSE, aircraft, node_at
+from modetune.configs.garteur.aircraft import COARSE, aircraft, calculix_deck, node_at
 from modetune.configs.garteur.twin import truth_modes
 from modetune.configs.measuring import accelerances, noisy_functions
 from modetune.core.measurement.measurement import Measurement, TestGeometry
@@ -122,6 +122,12 @@ def write_lab(folder: Path) -> None:
     write_universal(folder / "lab.unv", lab_measurement())
 
 
+def write_first_campaign(folder: Path) -> None:
+    """Write what docs/first-campaign.md begins with: lab.unv, and the deck aircraft.inp."""
+    write_lab(folder)
+    (folder / "aircraft.inp").write_text(calculix_deck(COARSE))
+
+
 def claims(record: CampaignRecord) -> list[Claim]:
     """What was found beside what the responses were made from."""
     measured = record.test.modes.frequencies_hz
@@ -159,4 +165,4 @@ def _listed(record: CampaignRecord, errors: Floats, which: NDArray[np.bool_]) ->
 
 
 if __name__ == "__main__":
-    write_lab(Path(sys.argv[1]))
+    write_first_campaign(Path(sys.argv[1]))
