@@ -2,10 +2,10 @@
 
     python -m modetune.configs.garteur.lab FOLDER
 
-writes the deck aircraft.inp and lab.unv, a universal file: accelerances at 39 sensors from two shakers, 1 % noise, seed 2026,
-from CalculiX's modes of the aircraft with moduli that the campaign does not know (TRUTH). The lab
-numbers its points from 1, measures in metres from the tail forwards, and knows its points to 2 mm;
-one accelerometer at the nose is tilted by 30 degrees.
+writes the deck aircraft.inp and lab.unv, a universal file: accelerances at 39 sensors from two
+shakers, 1 % noise, seed 2026, from CalculiX's modes of the aircraft with moduli that the campaign
+does not know (TRUTH). The lab numbers its points from 1, measures in metres from the tail forwards,
+and knows its points to 2 mm; one accelerometer at the nose is tilted by 30 degrees.
 """
 
 from __future__ import annotations
