@@ -19,27 +19,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from modetune.core.measurement.alignment import Alignment, require_spread
 from modetune.core.measurement.closest_points import SurfacePoints
-from modetune.core.modes import Floats, Integers
+from modetune.core.measurement.poses import (
+    Poses,
+    chosen,
+    diagonal,
+    joined,
+    normal_equations,
+    nudged,
+    spread,
+    step,
+    umeyamas,
+)
+from modetune.core.measurement.starts import CUT, promising, starts
+from modetune.core.modes import Floats
 
 #: Points that find starts, that fit poses, and that decide.
 FEW, SOME, MANY = 30, 60, 600
-#: Rotations of starts, cubes along each side that distances are looked up in, samples in them.
-ROTATIONS, CUBES, SAMPLES = 2400, 44, 20_000
-#: Starts that go on, poses that are fitted exactly, and that are compared.
-STARTED, FITTED, COMPARED = 1500, 60, 12
-#: Distances count up to this part of the test's size.
-CUT = 0.1
-#: Translations are tried this part of the test's size apart, at most so many a rotation.
-APART, TRANSLATIONS = 0.15, 150
+#: Poses that are fitted exactly, and that are compared.
+FITTED, COMPARED = 60, 12
 #: Poses that move points by less than this part of the test's size are one.
 SAME = 0.03
 #: Coordinates are written no better than this part of the test's size.
@@ -50,29 +54,6 @@ EVIDENCE = 7.0
 #: where this part of the points is.
 ON_NODE = 2e-3
 HIT = 0.75
-#: How far, as a factor, a fitted scale may go from the ratio of the boxes.
-SCALE_RANGE = 1.4
-
-
-@dataclass(frozen=True, slots=True)
-class Poses:
-    """Several poses y = s R x + t: scales (m,), rotations (m, 3, 3), translations (m, 3)."""
-
-    scales: Floats
-    rotations: Floats
-    translations: Floats
-
-    def apply(self, points: Floats) -> Floats:
-        """Points (n, 3), at each pose (m, n, 3)."""
-        turned = np.matmul(points, self.rotations.transpose(0, 2, 1))
-        return np.asarray(self.scales[:, None, None] * turned + self.translations[:, None, :])
-
-    def take(self, rows: Integers | NDArray[np.bool_] | list[int] | slice) -> Poses:
-        """Some of them, in this order."""
-        return Poses(self.scales[rows], self.rotations[rows], self.translations[rows])
-
-    def __len__(self) -> int:
-        return self.scales.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,15 +108,15 @@ class _Search:
 
     @property
     def size(self) -> float:
-        return _diagonal(self.points)
+        return diagonal(self.points)
 
     def fits(self, near: Alignment | None) -> tuple[Poses, Floats, bool]:
         """Poses that cannot be told apart, what they leave, and whether points are on nodes."""
         few, some = spread(self.points, FEW), spread(self.points, SOME)
-        poses = _starts(few, self.surface.samples, self.scale)
+        poses = starts(few, self.surface.samples, self.scale)
         if near is not None:
-            poses = _joined(poses, _poses(near))
-        poses = _promising(poses, few, self.surface.samples, self.scale is None)
+            poses = joined(poses, _poses(near))
+        poses = promising(poses, few, self.surface.samples, self.scale is None)
         poses = self.different(poses, FITTED, some)
         poses = self.fitted(poses, some, 6)
         poses = self.different(poses, COMPARED, some)
@@ -202,7 +183,7 @@ class _Search:
             distances = feet.distances.reshape(places.shape[:2]) / lengths[:, None]
             costs = np.sqrt(np.mean(np.minimum(distances, CUT) ** 2, axis=1))
             gained = (costs < 0.99 * least) & (least > 1e-9)
-            best = _chosen(costs < least, poses, best)
+            best = chosen(costs < least, poses, best)
             least = np.minimum(costs, least)
             if iteration == iterations or (iteration > 12 and not gained.any()):
                 break
@@ -210,7 +191,7 @@ class _Search:
             held = np.eye(3) - feet.free.reshape(*places.shape, 3)
             left = places - feet.points.reshape(places.shape)
             weights = distances <= reach[:, None]
-            poses = _step(poses, places, left, held, weights, lengths, self.scale is None)
+            poses = step(poses, places, left, held, weights, lengths, self.scale is None)
         return best
 
     def on_nodes(self, poses: Poses) -> Poses | None:
@@ -221,11 +202,11 @@ class _Search:
         found, most = [], HIT
         for row in range(len(poses)):
             pose = poses.take([row])
-            tried = _joined(pose, self._onto_nodes(pose, some))
+            tried = joined(pose, self._onto_nodes(pose, some))
             for _ in range(6):
                 away, to = self.nodes.query(tried.apply(some))
                 kept = away <= 1.5 * np.median(away, axis=1, keepdims=True) + near * pose.scales[0]
-                tried = _umeyamas(some, self.nodes.data[to], kept, tried.scales, free)
+                tried = umeyamas(some, self.nodes.data[to], kept, tried.scales, free)
             away = self.nodes.query(tried.apply(some))[0]
             hits = (away <= near * pose.scales[0]).mean(axis=1)
             if hits.max() >= most:
@@ -233,10 +214,10 @@ class _Search:
                 found.append((most, tried.take(hits == most)))
         if not found:
             return None
-        best = _joined(*(tried for hits, tried in found if hits == most))
+        best = joined(*(tried for hits, tried in found if hits == most))
         best = best.take(self.distinct(best, COMPARED, some, 10.0 * near / self.size))
         away, to = self.nodes.query(best.apply(self.points))
-        return _umeyamas(
+        return umeyamas(
             self.points, self.nodes.data[to], away <= near * best.scales[:, None], best.scales, free
         )
 
@@ -270,7 +251,9 @@ class _Search:
         feet = self.surface.closest(places[0])
         length = float(pose.scales[0] * self.size)
         held = np.eye(3) - feet.free[None]
-        normal, _ = _normal(places, places * 0.0, held, np.ones(places.shape[:2], bool), length)
+        normal, _ = normal_equations(
+            places, places * 0.0, held, np.ones(places.shape[:2], bool), length
+        )
         cost = float(self.costs(pose, some)[0])
         widest = 0.0
         for motion in np.linalg.eigh(normal[0, :6, :6])[1].T:
@@ -278,7 +261,7 @@ class _Search:
                 reached = 0.0
                 for part in np.geomspace(1e-5, 0.3, 24):
                     delta = np.concatenate([sign * part * motion, [0.0]])[None]
-                    moved = _moved(pose, places, delta, np.array([length]))
+                    moved = nudged(pose, places, delta, np.array([length]))
                     if self.evidence(cost, float(self.costs(moved, some)[0])) > 2.0:
                         break
                     apart = moved.apply(some)[0] - places[0]
@@ -294,193 +277,17 @@ class _Search:
         return replace(found, residuals=away, used=np.asarray(away <= reach))
 
 
-def spread(points: Floats, at_most: int) -> Floats:
-    """So many of the points, each the farthest from those before it."""
-    if len(points) > 20 * at_most:  # multiples of the golden ratio miss no row of a grid
-        parts = np.arange(20 * at_most) * (np.sqrt(5.0) - 1.0) / 2.0 % 1.0
-        points = points[np.unique((parts * len(points)).astype(np.int64))]
-    if len(points) <= at_most:
-        return points
-    if at_most > 500:
-        return np.asarray(points[np.linspace(0, len(points) - 1, at_most).astype(np.int64)])
-    rows = [int(np.argmax(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))]
-    away = np.sum((points - points[rows[0]]) ** 2, axis=1)
-    while len(rows) < at_most:
-        rows.append(int(np.argmax(away)))
-        away = np.minimum(away, np.sum((points - points[rows[-1]]) ** 2, axis=1))
-    return np.asarray(points[rows])
-
-
-def _starts(points: Floats, samples: Floats, scale: float | None) -> Poses:
-    """Rotations all over, box on box, with translations over what the boxes leave open."""
-    frames = [np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (points, samples)]
-    of_points, of_model = (axes * np.sign(np.linalg.det(axes)) for axes in frames)
-    turns = _quarter_turns()
-    boxes = np.concatenate([turns, of_model.T @ turns @ of_points])
-    rotations = np.concatenate([boxes, _super_fibonacci(ROTATIONS)])
-    turned = np.matmul(points, rotations.transpose(0, 2, 1))
-    low, high = samples.min(axis=0), samples.max(axis=0)
-    extents = np.ptp(turned, axis=1)
-    boxed = np.linalg.norm(high - low) / np.linalg.norm(extents, axis=1)
-    scales = boxed if scale is None else np.full(len(rotations), scale)
-    middles = (turned.min(axis=1) + turned.max(axis=1)) / 2.0
-    # A stray point makes the test's box too large: then, too, the boxes do not say where it lies.
-    open_ways = np.abs((high - low) - scales[:, None] * extents) / 2.0
-    steps = APART * scales * _diagonal(points)
-    counts = np.prod(1.0 + 2.0 * open_ways / steps[:, None], axis=1)
-    counts = np.minimum(np.ceil(counts - 0.5), TRANSLATIONS).astype(np.int64)
-    rows = np.repeat(np.arange(len(rotations)), counts)
-    place = np.arange(rows.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    # Weyl sequence of the three-dimensional golden ratio, from the middle outwards.
-    parts = (0.5 + place[:, None] * np.array([0.8191725134, 0.6710436067, 0.5497004779])) % 1.0
-    centres = (low + high) / 2.0 + (2.0 * parts - 1.0) * open_ways[rows]
-    return Poses(scales[rows], rotations[rows], centres - scales[rows, None] * middles[rows])
-
-
-def _promising(poses: Poses, points: Floats, samples: Floats, free: bool) -> Poses:
-    """The better starts after iterations of closest points, looked up in cubes."""
-    size = _diagonal(points)
-    margin = 0.1 * _diagonal(samples)
-    low = samples.min(axis=0) - margin
-    cube = (np.ptp(samples, axis=0).max() + 2.0 * margin) / CUBES
-    shape = np.ceil((np.ptp(samples, axis=0) + 2.0 * margin) / cube).astype(np.int64)
-    few = samples[:: max(len(samples) // SAMPLES, 1)]
-    grid = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    nearest = few[KDTree(few).query(low + (grid + 0.5) * cube)[1]]
-
-    def closest(places: Floats) -> Floats:
-        inside = np.clip(((places - low) / cube).astype(np.int64), 0, shape - 1)
-        cubes = (inside[..., 0] * shape[1] + inside[..., 1]) * shape[2] + inside[..., 2]
-        return np.asarray(nearest[cubes])
-
-    def scores(some: Poses) -> Floats:
-        found = []
-        for first in range(0, len(some), 20_000):
-            part = some.take(slice(first, first + 20_000))
-            places = part.apply(points)
-            away = np.linalg.norm(closest(places) - places, axis=2)
-            found.append(
-                np.mean(np.minimum(away / (part.scales * size)[:, None], CUT) ** 2, axis=1)
-            )
-        return np.concatenate(found)
-
-    poses = poses.take(np.argsort(scores(poses), kind="stable")[:STARTED])
-    boxed = poses.scales
-    for iteration in range(14):
-        places = poses.apply(points)
-        targets = closest(places)
-        away = np.linalg.norm(targets - places, axis=2)
-        reach = np.maximum(
-            3.0 * np.median(away, axis=1), CUT * 0.9**iteration * poses.scales * size
-        )
-        poses = _umeyamas(points, targets, away <= reach[:, None], poses.scales, free)
-        if free:
-            held = np.clip(poses.scales, boxed / SCALE_RANGE, boxed * SCALE_RANGE)
-            poses = replace(poses, scales=held)
-    return poses.take(np.argsort(scores(poses), kind="stable")[: STARTED // 3])
-
-
-def _umeyamas(
-    points: Floats, targets: Floats, kept: NDArray[np.bool_], scales: Floats, free: bool
-) -> Poses:
-    """Points (n, 3) fitted to targets (m, n, 3) where kept (m, n): see alignment."""
-    weights = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)
-    of_points, of_targets = weights @ points, np.einsum("mn,mni->mi", weights, targets)
-    x = points - of_points[:, None, :]
-    y = (targets - of_targets[:, None, :]) * weights[:, :, None]
-    U, D, Vt = np.linalg.svd(np.matmul(y.transpose(0, 2, 1), x))
-    sign = np.ones((len(U), 3))
-    sign[:, 2] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
-    rotations = np.matmul(U * sign[:, None, :], Vt)
-    if free:
-        spreads = np.sum(weights[:, :, None] * x**2, axis=(1, 2))
-        scales = np.maximum(np.sum(D * sign, axis=1), 1e-300) / np.maximum(spreads, 1e-300)
-    moved = np.einsum("mij,mj->mi", rotations, of_points)
-    return Poses(scales, rotations, of_targets - scales[:, None] * moved)
-
-
-def _normal(
-    places: Floats, left: Floats, held: Floats, weights: NDArray[np.bool_], lengths: Floats | float
-) -> tuple[Floats, Floats]:
-    """Normal matrices (m, 7, 7) and right sides (m, 7) of a turn, a shift and a growth."""
-    lengths = np.reshape(lengths, (-1, 1, 1))
-    arms = (places - places.mean(axis=1, keepdims=True)) / lengths
-    count = places.shape[:2]
-    jacobian = np.zeros((*count, 3, 7))
-    jacobian[..., 0, 1], jacobian[..., 0, 2] = arms[..., 2], -arms[..., 1]
-    jacobian[..., 1, 0], jacobian[..., 1, 2] = -arms[..., 2], arms[..., 0]
-    jacobian[..., 2, 0], jacobian[..., 2, 1] = arms[..., 1], -arms[..., 0]
-    jacobian[..., 3:6] = np.eye(3)
-    jacobian[..., 6] = arms
-    seen = np.matmul(held, jacobian) * weights[..., None, None]
-    seen = seen.reshape(len(places), -1, 7)
-    right = (left / lengths).reshape(len(places), -1, 1)
-    return np.matmul(seen.transpose(0, 2, 1), seen), np.matmul(seen.transpose(0, 2, 1), right)[
-        ..., 0
-    ]
-
-
-def _step(
-    poses: Poses,
-    places: Floats,
-    left: Floats,
-    held: Floats,
-    weights: NDArray[np.bool_],
-    lengths: Floats,
-    free: bool,
-) -> Poses:
-    """Poses after a step of Gauss and Newton, none in directions that points do not see."""
-    normal, right = _normal(places, left, held, weights, lengths)
-    if not free:
-        normal, right = normal[:, :6, :6], right[:, :6]
-    trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-    unseen = np.maximum(1e-9 * trace, 1e-12) * np.eye(normal.shape[1])
-    delta = -np.linalg.solve(normal + unseen, right[..., None])[..., 0]
-    longest = np.linalg.norm(delta, axis=1, keepdims=True)
-    delta = delta * np.minimum(1.0, 0.3 / np.maximum(longest, 1e-300))
-    return _moved(poses, places, np.pad(delta, ((0, 0), (0, 7 - delta.shape[1]))), lengths)
-
-
-def _moved(poses: Poses, places: Floats, delta: Floats, lengths: Floats) -> Poses:
-    """Poses after a turn, a shift (in sizes of the test) and a growth (m, 7) about the middle."""
-    centres = places.mean(axis=1)
-    turns = np.asarray(Rotation.from_rotvec(delta[:, :3]).as_matrix())
-    growth = np.exp(delta[:, 6])
-    arms = np.einsum("mij,mj->mi", turns, poses.translations - centres)
-    return Poses(
-        poses.scales * growth,
-        np.matmul(turns, poses.rotations),
-        centres + growth[:, None] * arms + delta[:, 3:6] * lengths[:, None],
-    )
-
-
 def _shaken(poses: Poses, points: Floats) -> Poses:
     """All poses, and the first ones moved a little: a thin wall has its other side."""
     rng = np.random.default_rng(0)
     best = poses.take(np.repeat(np.arange(min(len(poses), 4)), 8))
     delta = np.pad(rng.normal(0.0, 0.025, (len(best), 6)), ((0, 0), (0, 1)))
-    lengths = best.scales * _diagonal(points)
-    return _joined(poses, _moved(best, best.apply(points), delta, lengths))
+    lengths = best.scales * diagonal(points)
+    return joined(poses, nudged(best, best.apply(points), delta, lengths))
 
 
 def _mirror(search: _Search) -> _Search:
     return replace(search, points=search.points * np.array([1.0, 1.0, -1.0]))
-
-
-def _joined(*several: Poses) -> Poses:
-    return Poses(
-        np.concatenate([poses.scales for poses in several]),
-        np.concatenate([poses.rotations for poses in several]),
-        np.concatenate([poses.translations for poses in several]),
-    )
-
-
-def _chosen(which: NDArray[np.bool_], these: Poses, those: Poses) -> Poses:
-    return Poses(
-        np.where(which, these.scales, those.scales),
-        np.where(which[:, None, None], these.rotations, those.rotations),
-        np.where(which[:, None], these.translations, those.translations),
-    )
 
 
 def _poses(one: Alignment) -> Poses:
@@ -490,26 +297,3 @@ def _poses(one: Alignment) -> Poses:
 def _degrees(rotations: Floats) -> Floats:
     cosine = (np.trace(rotations, axis1=1, axis2=2) - 1.0) / 2.0
     return np.asarray(np.round(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-
-
-def _quarter_turns() -> Floats:
-    """The 24 proper rotations (24, 3, 3) that take axes to axes."""
-    turns = [
-        np.eye(3)[list(order)] * np.array(signs)
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return np.array([turn for turn in turns if np.linalg.det(turn) > 0.0])
-
-
-def _super_fibonacci(count: int) -> Floats:
-    """Rotations (count, 3, 3) evenly all over."""
-    s = np.arange(count) + 0.5
-    r, big_r = np.sqrt(s / count), np.sqrt(1.0 - s / count)
-    alpha, beta = 2.0 * np.pi * s / np.sqrt(2.0), 2.0 * np.pi * s / 1.533751168755204288118041
-    parts = [r * np.sin(alpha), r * np.cos(alpha), big_r * np.sin(beta), big_r * np.cos(beta)]
-    return np.asarray(Rotation.from_quat(np.column_stack(parts)).as_matrix())
-
-
-def _diagonal(points: Floats) -> float:
-    return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -52,23 +52,24 @@ class SensorMap:
         A component the results lack is left out where its part of the direction is below 1e-6.
         Raises ModesError where a component that a sensor looks along is missing.
         """
-        names = zip(nodes.tolist(), components.tolist(), strict=True)
-        place = {dof: row for row, dof in enumerate(names)}
-        rows, columns, values = [], [], []
-        for sensor in range(self.n_sensors):
-            for axis in range(3):
-                part = float(self.directions[sensor, axis])
-                dof = int(self.model_nodes[sensor]), axis + 1 + 3 * bool(self.turns[sensor])
-                if dof in place:
-                    rows.append(sensor)
-                    columns.append(place[dof])
-                    values.append(part)
-                elif abs(part) > 1e-6:
-                    raise ModesError(
-                        f"the model's results have no component {dof[1]} at node {dof[0]}, along "
-                        f"which the sensor at test point {self.nodes[sensor]} looks"
-                    )
-        return sparse.csr_array((values, (rows, columns)), shape=(self.n_sensors, nodes.size))
+        places = 7 * nodes + components  # one number a degree of freedom
+        order = np.argsort(places, kind="stable")
+        axes = np.arange(1, 4) + 3 * self.turns[:, None]
+        wanted = 7 * self.model_nodes[:, None] + axes
+        # Of rows of one name the last counts.
+        last = np.searchsorted(places, wanted, side="right", sorter=order) - 1
+        columns = order[np.maximum(last, 0)] if order.size else np.zeros_like(wanted)
+        known = places[columns] == wanted if order.size else np.zeros(wanted.shape, bool)
+        lost = np.argwhere(~known & (np.abs(self.directions) > 1e-6))
+        if lost.size:
+            sensor, axis = lost[0]
+            raise ModesError(
+                f"the model's results have no component {axes[sensor, axis]} at node "
+                f"{self.model_nodes[sensor]}, along which the sensor at test point "
+                f"{self.nodes[sensor]} looks"
+            )
+        entries = self.directions[known], (np.nonzero(known)[0], columns[known])
+        return sparse.csr_array(entries, shape=(self.n_sensors, nodes.size))
 
     def observe(self, modes: ModeSet) -> ModeSet:
         """Computed modes as the test's sensors see them, named by the test. Raises ModesError."""
@@ -114,21 +115,21 @@ def next_nodes(places: Floats, mesh: Mesh) -> NextNodes:
 
 def result_directions(nodes: Integers, directions: Floats, mesh: Mesh) -> Floats:
     """Directions (n, 3) in global axes, in the axes in which each node's results stand."""
-    turned = [
-        mesh.frames[node] @ direction if node in mesh.frames else direction
-        for node, direction in zip(nodes.tolist(), directions, strict=True)
-    ]
-    return np.array(turned).reshape(-1, 3)
+    return _turned(nodes, directions, mesh, inward=True)
 
 
 def global_directions(nodes: Integers, directions: Floats, mesh: Mesh) -> Floats:
     """Directions (n, 3) in the axes of the results at these nodes, turned into the global ones."""
-    return np.array(
-        [
-            direction @ mesh.frames[node] if node in mesh.frames else direction
-            for node, direction in zip(nodes.tolist(), directions, strict=True)
-        ]
-    ).reshape(-1, 3)
+    return _turned(nodes, directions, mesh, inward=False)
+
+
+def _turned(nodes: Integers, directions: Floats, mesh: Mesh, inward: bool) -> Floats:
+    turned = np.array(directions, dtype=np.float64).reshape(-1, 3)
+    framed = np.isin(nodes, np.fromiter(mesh.frames, np.int64, len(mesh.frames)))
+    for row in np.flatnonzero(framed):
+        axes = mesh.frames[int(nodes[row])]
+        turned[row] = (axes if inward else axes.T) @ turned[row]
+    return turned
 
 
 def mean_edge(mesh: Mesh) -> float:

@@ -37,6 +37,8 @@ CHOICE = (
 )
 #: Poses that are told of many.
 TOLD = 6
+#: Sensors that are mapped: each has a sentence of its own, which takes seconds for so many.
+MOST = 100_000
 #: Part of the model's box diagonal that a sensor may be away from its node.
 TOLERANCE = 0.02
 
@@ -150,6 +152,11 @@ def map_sensors(
     components: 1..6, those that the model's results have.
     Raises CampaignError, all problems at once, for sensors that cannot be mapped.
     """
+    if modes.n_dof > MOST:
+        raise CampaignError(
+            f"the test has {modes.n_dof:,} sensors, at most {MOST:,} are mapped to the model; "
+            "give a test file with fewer measured points or directions"
+        )
     by_hand = {point: node for point, node in settings.match.items() if isinstance(node, int)}
     lost = sorted(set(by_hand.values()) - set(mesh.nodes.tolist()))
     if lost:

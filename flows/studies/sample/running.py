@@ -24,6 +24,7 @@ from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.sampling import LONGER, LONGEST, Chains, check_walkers, sample
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.modes_choice import MANY, Demand
+from modetune.flows.updating.poses import settled
 from modetune.flows.updating.running import solving_engine
 from modetune.flows.updating.small_matrices import one_thread
 
@@ -92,6 +93,7 @@ def sample_campaign(
     started, parameters = time.monotonic(), campaign.parameters
     if problems := request.problems(len(parameters)):
         raise CampaignError(problems)
+    campaign = settled(campaign, watcher)
     walkers = request.walkers or max(LEAST_WALKERS, WALKERS_EACH * len(parameters))
     check_walkers(walkers, len(parameters))
     centre = campaign.start if earlier is None else carried_over(campaign, earlier)

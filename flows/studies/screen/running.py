@@ -34,6 +34,7 @@ from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.modes_choice import Demand
 from modetune.flows.updating.pieces import outcomes_count
+from modetune.flows.updating.poses import settled
 from modetune.flows.updating.running import solving_engine
 
 #: What is being run, for people.
@@ -80,6 +81,7 @@ def screen_campaign(
     Points that fail are left out as the method allows. Raises CampaignError (a design that cannot
     be), SolverError, ModesError (too few points are left), StoreError.
     """
+    campaign = settled(campaign, watcher)
     started = time.monotonic()
     # One stream for the points and one for the analysis, so that either stays if the other changes.
     at_points, at_indices = np.random.default_rng(request.seed).spawn(2)

@@ -35,6 +35,7 @@ from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.modes_choice import STEPS, UPDATING, Demand
+from modetune.flows.updating.poses import settled
 from modetune.flows.updating.running import solving_engine
 from modetune.flows.updating.small_matrices import one_thread
 from modetune.flows.updating.updating import Updating
@@ -157,6 +158,7 @@ def leave_one_out(
     job, as Prefect's pages do.
     Raises CampaignError, SolverMissing, LicenceDenied, StoreError.
     """
+    campaign = settled(campaign, watcher)
     modes = [(number, case.name) for case in campaign.used for number in case.test.numbers]
     campaigns = [leave_out(campaign, *mode) for mode in modes]
     return _validated(campaign, modes, campaigns, working, watcher)
@@ -174,6 +176,7 @@ def validate(
             f"{campaign.file} holds out nothing to judge by: name modes with `test.hold_out`, or "
             "leave each mode out in turn with --leave-one-out"
         )
+    campaign = settled(campaign, watcher)
     return _validated(campaign, [(0, "")], [campaign], working, watcher)
 
 

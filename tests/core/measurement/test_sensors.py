@@ -115,3 +115,22 @@ def test_the_mean_edge_of_elements(kind: str, nodes: list[int], length: float) -
 
 def test_a_mesh_without_elements_has_no_edge() -> None:
     assert mean_edge(square()) == 0.0
+
+
+def test_a_million_sensors_see_what_their_nodes_do() -> None:
+    n = 1_000_000
+    rng = np.random.default_rng(5)
+    names, every = np.arange(1, 2001), np.tile(np.arange(1, 7), 2000)
+    shuffled = rng.permutation(12_000)  # rows of results come in any order
+    nodes, components = np.repeat(names, 6)[shuffled], every[shuffled]
+    motion = rng.normal(size=(2000, 6))
+    modes = mode_set([1.0], motion.reshape(-1, 1)[shuffled], nodes, components)
+    at, turns = rng.integers(1, 2001, n), rng.random(n) < 0.1
+    directions = rng.normal(size=(n, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    test_points = np.arange(n)
+    sensors = SensorMap(test_points, 1 + 3 * turns, at, directions, turns, np.zeros(n))
+    halves = np.where(turns[:, None], motion[at - 1, 3:], motion[at - 1, :3])
+    np.testing.assert_allclose(
+        sensors.observe(modes).mode_shapes[:, 0], np.sum(halves * directions, axis=1), atol=1e-12
+    )

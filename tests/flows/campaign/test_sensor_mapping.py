@@ -542,3 +542,10 @@ def test_a_model_without_places_cannot_be_drawn(tmp_path: Path) -> None:
     nowhere = Mesh(np.zeros(0, np.int64), np.zeros((0, 3)), ())
     with pytest.raises(CampaignError, match="no places to draw"):
         save_sensor_picture(tmp_path / "s.png", mapped(at_nodes(plate(), MAPPED_NODES)), nowhere)
+
+
+def test_more_sensors_than_can_be_told_of_are_refused_at_once() -> None:
+    n = 1_000_000
+    test = mode_set([10.0], np.ones((n, 1)), np.arange(n) + 1, np.full(n, 3))
+    with pytest.raises(CampaignError, match=r"has 1,000,000 sensors, at most 100,000 .* fewer"):
+        map_sensors(test, None, plate(), section(), MM)
