@@ -12,6 +12,9 @@ import pytest
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.alignment import Alignment
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.validate.leave_out import leave_one_out
 from modetune.flows.updating.poses import settled
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched
@@ -57,6 +60,28 @@ def test_an_alignment_in_doubt_stops_the_update_before_any_run(bench: Any, tmp_p
     doubted = recased(campaign, mapping=replace(campaign.case.mapping, doubts=("points slide",)))
     with pytest.raises(CampaignError, match=r"not certain: points slide.*landmarks in `match`"):
         update_from_starts(doubted, tmp_path / "run", Unwatched())
+    assert bench.runs() == 0
+
+
+SAMPLING = SamplingRequest(None, None, 2000, 1, None)
+SCREENING = ScreeningRequest("morris", None, 1, 4, False)
+
+
+@pytest.mark.parametrize(
+    "study",
+    [
+        lambda campaign: screen_campaign(campaign, SCREENING, Unwatched()),  # type: ignore[arg-type]
+        lambda campaign: sample_campaign(campaign, SAMPLING, Unwatched()),
+        lambda campaign: leave_one_out(campaign, print),
+    ],
+    ids=["screen", "sample", "validate"],
+)
+def test_an_alignment_in_doubt_stops_each_study_before_any_run(bench: Any, study: Any) -> None:
+    campaign = bench.campaign(TRUTH, shapes=True)
+    doubted = recased(campaign, mapping=replace(campaign.case.mapping, doubts=("points slide",)))
+    with pytest.raises(CampaignError, match=r"not certain: points slide.*landmarks") as raised:
+        study(doubted)
+    assert raised.value.exit_code == 2
     assert bench.runs() == 0
 
 
