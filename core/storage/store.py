@@ -38,6 +38,7 @@ from modetune.core.updating.results import (
     ReducedModel,
     ReducedRange,
     Result,
+    SolvedModes,
 )
 
 R = TypeVar("R")
@@ -55,6 +56,7 @@ KINDS: dict[str, type[Result]] = {
     "reduced": ReducedModel,
     "reduced_range": ReducedRange,
     "modes_forecast": ModesForecast,
+    "solved_modes": SolvedModes,
 }
 
 

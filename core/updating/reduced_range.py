@@ -18,12 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
 
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.matrices import upper_product
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.errors import ModesError
@@ -115,15 +115,17 @@ def reduce_over(
     observer: sparse.csr_array,
     accuracy: float,
     tell: Callable[[int, float], None] = lambda solutions, error: None,
+    keep: Callable[[Floats, Callable[[], SolvedModes]], SolvedModes] = lambda at, solve: solve(),
 ) -> ReducedRange:
     """A reduced model whose frequencies are as good as `accuracy`, relative, at all these sets.
 
     thetas: (n_sets, n_parameters), as of `range_sets`; begin: a reduced model around one set, and
     its basis (n, r); n_modes: the lowest ones wanted, rigid ones included; observer: (n_rows, n);
-    tell: hears of full solutions, how many so far and what frequencies were off by at the last.
-    Sets that leave parts loose are passed over. Where the number of
-    full solutions runs out the last of `errors` is above the accuracy. Raises ModelError where the
-    matrices allow no solution, ModesError where the model has no such modes.
+    tell: hears of full solutions, how many so far and what frequencies were off by at the last;
+    keep: gives the full solution at a set, by solving or from before. Sets that leave parts loose
+    are passed over. Where the number of full solutions runs out the last of `errors` is above the
+    accuracy. Raises ModelError where the matrices allow no solution, ModesError where the model has
+    no such modes.
     """
     model, basis = begin
     base = affine.base
@@ -146,9 +148,9 @@ def reduce_over(
         )
         here = affine.at(at)
         first = float(eigenvalues[min(n_rigid, n_modes - 1)])
-        found = solver.solve(
-            here.upper_stiffness, here.upper_mass, n_modes, shift_below(first), basis @ combined
-        )
+        matrices = here.upper_stiffness, here.upper_mass
+        start = basis @ combined
+        found = keep(at, partial(solver.solve, *matrices, n_modes, shift_below(first), start))
         apart = np.sqrt(eigenvalues[n_rigid:] / found.eigenvalues[n_rigid:]) - 1.0
         solved.append(at)
         errors.append(float(np.max(np.abs(apart), initial=0.0)))

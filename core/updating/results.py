@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from modetune.core.algebra.eigen import SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
@@ -26,6 +27,7 @@ __all__ = [
     "ReducedModel",
     "ReducedRange",
     "Result",
+    "SolvedModes",
     "finite",
 ]
 
@@ -146,6 +148,7 @@ Result = (
     | ReducedModel
     | ReducedRange
     | ModesForecast
+    | SolvedModes
 )
 
 
@@ -176,5 +179,7 @@ def _numbers(result: Result) -> list[Floats | NDArray[np.complex128]]:
             return [result.modes.mode_shapes, result.eigenvalues]
         case ModeDerivatives():
             return [result.mode_shapes, result.eigenvalues]
+        case SolvedModes():
+            return [result.shapes, result.eigenvalues]
         case ModesForecast():
             return [np.array([result.matrices_s, result.solver_s, result.run_s])]

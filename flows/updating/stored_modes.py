@@ -29,7 +29,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
@@ -326,7 +326,10 @@ class MatrixModes:
         tell: Callable[[int, float], None],
     ) -> tuple[str, ReducedRange]:
         """The key and a reduced model for all these sets (n_sets, n_parameters), from an evaluation
-        point on, whose frequencies are off by `accuracy` at most, relative."""
+        point on, whose frequencies are off by `accuracy` at most, relative.
+
+        Full solutions are in the store until the range is.
+        """
         self.reduced(point, analysis)
         around = self._around
         assert around is not None
@@ -338,6 +341,14 @@ class MatrixModes:
             "sets": hashlib.sha256(values.tobytes()).hexdigest(),
             "accuracy": accuracy,
         }
+
+        kept: list[str] = []
+
+        def keep(at: Floats, solve: Callable[[], SolvedModes]) -> SolvedModes:
+            # What it begins with, and so its last digits, follows from the ones before.
+            one: Json = {"full solution": len(kept), "of": asked, "theta": at.tolist()}
+            kept.append(content_key(canonical_json(one)))
+            return self.engine.derived(one, solve, SolvedModes)
 
         def compute() -> ReducedRange:
             begin, observer = self._solutions.basis(around), self._model.observer(*around.seen)
@@ -351,9 +362,12 @@ class MatrixModes:
                     observer,
                     accuracy,
                     tell,
+                    keep,
                 )
 
         found = self._derived(asked, compute, ReducedRange, "reduced model between the bounds")
+        for key in kept:  # large, and in the range now: only one that was killed needs them
+            self.engine.store.drop(key)
         return content_key(canonical_json(asked)), found
 
     def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:

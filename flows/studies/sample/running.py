@@ -30,8 +30,9 @@ from modetune.flows.updating.small_matrices import one_thread
 
 #: Without a number: runs over the range and walkers a parameter, and the least of both.
 POINTS_EACH, LEAST_POINTS, WALKERS_EACH, LEAST_WALKERS = 10, 16, 4, 32
-#: ... and times as many sets where a reduced model gives them.
-SETS_EACH = 4
+#: ... times as many sets where a reduced model gives them, and as many runs near the posterior at
+#: most, which end as soon as what they teach is good.
+SETS_EACH, NEAR_EACH = 4, 2
 #: Around the end of an update the range reaches so many standard deviations of the prior.
 RANGE = 3.0
 #: More of anything than this is a slip of the hand.
@@ -42,8 +43,9 @@ MOST = 100_000
 class SamplingRequest:
     """What is asked for.
 
-    points: sets over the range; as many again may follow near the posterior. steps: of each
-    walker at first. checks: sets of the posterior that are solved for. None: by the number of
+    points: sets over the range; as many again may follow near the posterior, twice as many where
+    nobody says how many. steps: of each walker at first.
+    checks: sets of the posterior that are solved for. None: by the number of
     parameters, checks by what gives the samples.
     """
 
@@ -115,7 +117,8 @@ def sample_campaign(
             unit = latin_hypercube(n_sets, len(parameters), at_points)
             points = np.vstack([centre, limits[0] + unit * (limits[1] - limits[0])])
             tell = progress.working
-            learned = learn(solver, points, limits, asked, walkers, at_search, tell, reduced)
+            more = request.points or NEAR_EACH * asked
+            learned = learn(solver, points, limits, more, walkers, at_search, tell, reduced)
             tell("sampling")
             longest = LONGEST if learned.surrogate is reduced else LONGER
             with one_thread():

@@ -18,6 +18,8 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.studies.screen.record import Screening
+from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
@@ -26,7 +28,9 @@ from tests.flows.updating.test_by_matrices import MODULI, STORED, Case, row_of_m
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
 
-SILENT = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
+SILENT = SimpleNamespace(
+    working=lambda text: None, iteration=lambda record: None, points=lambda *counts: None
+)
 #: 45 bricks: enough unknowns that their modes are searched for, and not found all at once.
 LONG = Case(row_of_materials(45), MODULI, (1.25, 0.8, 1.15), tuple(range(5, 185, 3)))
 
@@ -155,6 +159,49 @@ def test_points_of_a_study_that_was_killed_have_the_same_bits(
         assert one.key == other.key
         np.testing.assert_array_equal(one.residual.values, other.residual.values)
         np.testing.assert_array_equal(one.seen.mode_shapes, other.seen.mode_shapes)
+
+
+def screened(file: Path, place: Path) -> Screening:
+    campaign = load_campaign(file, [f"store={place / 'store'}", STORED])
+    return screen_campaign(campaign, ScreeningRequest("lhs", points=16), SILENT)
+
+
+def test_a_range_that_was_killed_takes_each_full_solution_from_the_store(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ways: list[str]
+) -> None:
+    kinds: list[type] = []
+    with monkeypatch.context() as patch:
+        watch_puts(patch, lambda store, entry: kinds.append(type(entry.result)))
+        whole = screened(file, tmp_path / "whole")
+    assert whole.reduced_model is not None
+    grown, all_ways = kinds.count(SolvedModes), len(ways)
+    # The set it begins with is one of the solutions, and those that it grew by.
+    assert whole.reduced_model.solutions == 1 + grown >= 4
+    for count in range(1, grown + 1):
+        seen: list[type] = []
+
+        def stop(store: Store, entry: Entry, count: int = count, seen: Any = seen) -> None:
+            seen.append(type(entry.result))
+            if seen.count(SolvedModes) == count:
+                raise Killed
+
+        place = tmp_path / str(count)
+        with monkeypatch.context() as patch:
+            watch_puts(patch, stop)
+            with pytest.raises(Killed):
+                screened(file, place)
+        ways.clear()
+        again = screened(file, place)
+        assert len(ways) == all_ways - count
+        np.testing.assert_array_equal(
+            again.responses.frequencies_hz, whole.responses.frequencies_hz
+        )
+        assert again.points_by == whole.points_by
+        # What the range is made of is not kept beside it.
+        store = Store(place / "store")
+        held = {getattr(store.holding(path.name[:64]), "kind", "") for path in store.entries()}
+        assert "reduced_range" in held
+        assert "solved_modes" not in held
 
 
 def test_where_factors_are_kept_updating_ends_where_it_does_with_new_ones(

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
@@ -30,12 +29,14 @@ class Unwatched:
         return
 
 
-def frequencies(ends: tuple[float, float]) -> Floats:
-    """Of the row with the springs at both ends scaled so, (5,)."""
-    springs = np.array(SPRINGS) * [ends[0], 1.0, 1.0, 1.0, 1.0, ends[1]]
-    stiffness = np.diag(springs[:-1] + springs[1:])
-    stiffness -= np.diag(springs[1:-1], 1) + np.diag(springs[1:-1], -1)
-    return np.asarray(np.sqrt(eigh(stiffness, np.diag(MASSES), eigvals_only=True)) / (2 * np.pi))
+def frequencies(ends: Floats) -> Floats:
+    """Of the row with the springs at both ends scaled by (n, 2), (n, 5)."""
+    inner = np.array(SPRINGS)[1:-1]
+    stiffness = np.diag(np.append(inner, 0.0) + np.append(0.0, inner))
+    stiffness = np.tile(stiffness - np.diag(inner, 1) - np.diag(inner, -1), (len(ends), 1, 1))
+    stiffness[:, [0, -1], [0, -1]] += ends * [SPRINGS[0], SPRINGS[-1]]
+    roots = np.sqrt(MASSES)
+    return np.sqrt(np.linalg.eigvalsh(stiffness / roots / roots[:, None])) / (2 * np.pi)
 
 
 def row_of_masses(folder: Path, n_modes: int) -> Path:
@@ -46,7 +47,7 @@ def row_of_masses(folder: Path, n_modes: int) -> Path:
         for n, spring in enumerate(SPRINGS, 1)
     )
     (folder / "row.yaml").write_text(f"masses:\n{masses}springs:\n{springs}")
-    hz = ",".join(f"{value:.12g}" for value in frequencies(TRUTH)[:n_modes])
+    hz = ",".join(f"{value:.12g}" for value in frequencies(np.array([TRUTH]))[0, :n_modes])
     numbers = ",".join(str(n) for n in range(1, n_modes + 1))
     (folder / "test.csv").write_text(f"mode,{numbers}\nfrequency_hz,{hz}\n")
     items = "".join(
@@ -66,8 +67,8 @@ def on_grid(n_modes: int) -> tuple[Floats, Floats]:
     """Points (n, 2) between the bounds, and the exact posterior's share at each, (n,)."""
     axis = np.linspace(LOWER, UPPER, 201)
     points = np.stack([one.ravel() for one in np.meshgrid(axis, axis)], axis=1)
-    measured = frequencies(TRUTH)[:n_modes] ** 2
-    computed = np.array([frequencies((a, b))[:n_modes] ** 2 for a, b in points.tolist()])
+    measured = frequencies(np.array([TRUTH]))[0, :n_modes] ** 2
+    computed = frequencies(points)[:, :n_modes] ** 2
     misfit = (((measured - computed) / measured / (2.0 * DEVIATION)) ** 2).sum(axis=1)
     share = np.exp(-0.5 * (misfit + (((points - 1.0) / PRIOR) ** 2).sum(axis=1)))
     return points, share / share.sum()
@@ -128,7 +129,7 @@ def test_samples_of_a_surrogate_are_as_likely_by_the_reduced_model(
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
 def test_halves_that_may_be_exchanged_have_as_many_samples_either_way(tmp_path: Path) -> None:
-    record = sampled(written(HALVES, tmp_path / "part"), 0.004)
+    record = sampled(written(HALVES, tmp_path / "part"), 0.007)
     assert record.reduced_model is not None
     assert record.peaks.shape[0] == 2
     first = float((record.samples[:, 0] > record.samples[:, 1]).mean())

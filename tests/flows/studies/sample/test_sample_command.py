@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 
 from modetune.core.errors import CampaignError
 from modetune.flows.cli.main import app
+from modetune.flows.studies.sample import learning
 
 SIX_MASS = Path(__file__).resolve().parents[4] / "configs" / "six_mass"
 CAMPAIGN = """
@@ -56,6 +57,22 @@ def test_the_json_names_every_parameter_response_and_file(folder: Path) -> None:
     assert again.exit_code == 0
     assert "solver runs: 0, answered by the store" in again.stdout
     assert "Posterior, relative to the deck" in again.stdout
+
+
+def test_the_shipped_campaign_without_a_number_of_points_learns_until_it_is_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(SIX_MASS, tmp_path / "six", ignore=shutil.ignore_patterns("runs", "*store*"))
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("MODETUNE_STORE", raising=False)
+    monkeypatch.chdir(tmp_path / "six")
+    asked = ["sample", "campaign.yaml", "--no-prefect", "--steps", "500", "--json"]
+    result = CliRunner().invoke(app, asked)
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert told["status"] == "done"
+    # Forty runs near the posterior left it at 0.42.
+    assert told["density_error"] <= learning.GOOD
 
 
 def test_a_record_that_is_not_there_is_one_sentence(folder: Path) -> None:
