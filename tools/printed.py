@@ -3,9 +3,9 @@
     python tools/printed.py docs/bracket.md [--write]
 
 A block that begins with `$ ` holds commands, run one after the other in one new folder a page, and
-lines of what they print, in order; `...` stands for any lines. Words must be the same, numbers
-within two units of their last digit or half a percent. With --write the lines that differ are
-replaced by the likest ones that were printed.
+lines of what they print, in order; `...` stands for any lines, and at a line's end for its rest.
+Words must be the same, numbers within two units of their last digit or half a percent. With --write
+the lines that differ are replaced by the likest ones that were printed.
 """
 
 from __future__ import annotations
@@ -61,6 +61,9 @@ def differences(page: Path) -> Iterator[Difference]:
 
 def alike(shown: str, printed: str) -> bool:
     """Whether two lines have the same words, and numbers as near as UNITS and SHARE allow."""
+    if shown.endswith(" ..."):
+        words = shown.split()[:-1]
+        shown, printed = " ".join(words), " ".join(printed.split()[: len(words)])
     if " ".join(NUMBER.sub("#", shown).split()) != " ".join(NUMBER.sub("#", printed).split()):
         return False
     return all(
