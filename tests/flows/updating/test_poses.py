@@ -70,7 +70,7 @@ SCREENING = ScreeningRequest("morris", None, 1, 4, False)
 @pytest.mark.parametrize(
     "study",
     [
-        lambda campaign: screen_campaign(campaign, SCREENING, Unwatched()),  # type: ignore[arg-type]
+        lambda campaign: screen_campaign(campaign, SCREENING, Unwatched()),
         lambda campaign: sample_campaign(campaign, SAMPLING, Unwatched()),
         lambda campaign: leave_one_out(campaign, print),
     ],
