@@ -122,7 +122,7 @@ def test_a_twin_of_one_solver_tells_what_is_missing_and_fails(folder: Path) -> N
 def test_a_missing_nastran_is_told_with_its_remedy(folder: Path) -> None:
     ended = run(folder, "modes", "shell.yaml", "--set", "model.solver=nastran")
     assert ended.returncode == 4
-    assert ended.stderr.startswith("modetune: ")
+    assert "\nmodetune: " in f"\n{ended.stderr}"
     assert "MODETUNE_NASTRAN" in ended.stderr
     assert "Traceback" not in ended.stderr
 

@@ -94,7 +94,7 @@ def test_a_mistake_is_one_sentence_before_any_run(
 ) -> None:
     done = screen(folder, *arguments)
     assert done.returncode == 2
-    assert done.stderr.startswith("modetune: ")
+    assert "\nmodetune: " in f"\n{done.stderr}"
     assert said in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(folder.glob(".modetune/store/??/*.h5"))
