@@ -86,7 +86,7 @@ def test_the_hidden_values_are_found_as_well_as_a_coarser_model_lets_them(
 
 
 def test_matrices_serve_all_columns_with_four_jobs(run: CampaignRun) -> None:
-    assert set(run.record.best.sensitivity_methods) == {"semi_analytic"}
+    assert set(run.record.best.sensitivity_methods) == {"reduced_model"}
     # The model, and a job for each direction of the springs at the same nodes, the two moduli
     # among them, once and for all.
     assert run.record.runs.sensitivity == 4

@@ -201,7 +201,11 @@ def test_what_the_pre_check_found_is_a_summary_and_tests(repository: Path) -> No
     assert len(suite) == len(json.loads(said.stdout)["findings"]) > 3
     assert all(case.find("failure") is None for case in suite)
     said = run(repository, "modetune check campaign.yaml --summary no/s.md")
-    assert (said.returncode, said.stderr) == (2, "modetune: no/s.md: No such file or directory\n")
+    assert (said.returncode, said.stderr) == (
+        2,
+        "reading campaign.yaml\nmodes at the start\n"
+        "modetune: no/s.md: No such file or directory\n",
+    )
 
 
 def test_a_record_without_a_baseline_is_refused(repository: Path) -> None:

@@ -790,7 +790,10 @@ def test_long_findings_go_on_under_their_own_beginning(
     campaign = recased(campaign, measurement=replace(campaign.case.measurement, notes=(note,)))
     said = StringIO()
     wide = Console(file=said, force_terminal=True, width=60, color_system=None)
-    monkeypatch.setattr("modetune.flows.campaign.terminal.terminal", lambda: wide)
+    spare = Console(file=StringIO())
+    monkeypatch.setattr(
+        "modetune.flows.campaign.terminal.terminal", lambda stderr=False: spare if stderr else wide
+    )
     command(monkeypatch, campaign, "--no-run")
     lines = said.getvalue().splitlines()
     first = next(n for n, line in enumerate(lines) if line.startswith("doubtful sensors    twelve"))

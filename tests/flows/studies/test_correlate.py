@@ -325,7 +325,7 @@ def test_a_campaign_beside_a_record_is_run_and_seen_by_its_sensors(
     run_folder: Path, bench: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     campaign = bench.campaign({"k1": 1.2, "k2": 0.8}, shapes=True)
-    monkeypatch.setattr("modetune.flows.studies.correlate.sides.load_campaign", lambda *_: campaign)
+    monkeypatch.setattr("modetune.flows.campaign.sketch.load_campaign", lambda *_: campaign)
     (tmp_path / "chain.yaml").write_text("name: chain")
     before = bench.runs()
     found = correlate_sources(source(tmp_path / "chain.yaml"), source(run_folder), "initial")
