@@ -203,8 +203,7 @@ def test_what_the_pre_check_found_is_a_summary_and_tests(repository: Path) -> No
     said = run(repository, "modetune check campaign.yaml --summary no/s.md")
     assert (said.returncode, said.stderr) == (
         2,
-        "reading campaign.yaml\nmodes at the start\n"
-        "modetune: no/s.md: No such file or directory\n",
+        "reading campaign.yaml\nmodes at the start\nmodetune: no/s.md: No such file or directory\n",
     )
 
 
