@@ -205,7 +205,8 @@ def test_the_thesiss_case_on_the_coarse_mesh_beats_its_errors(folder: Path, watc
     assert errors.mean() < 0.021  # thesis Table 21: 1.6, 0.4, 3.6, 5.9, 1.0, 0.2 %
     assert (np.abs(record.updated - 1.0) <= 0.3).all()
     assert record.iterations[0].computed.n_modes == 10  # sixteen less the six rigid ones
-    assert (record.runs.modal, record.runs.sensitivity) == (1, 2)  # matrices, and the last word
+    assert record.runs.modal == 1  # the solver's last word; all else by the store's matrices
+    assert record.runs.sensitivity <= 2
 
 
 def test_emphasis_moves_the_answer_to_the_first_two_frequencies(folder: Path, watcher: Any) -> None:
