@@ -450,3 +450,20 @@ def api_of(home: Path) -> PrefectApi:
     assert address is not None
     login = prefect_server.read_login(home)
     return PrefectApi(address.url.replace("://", f"://{login}@"))
+
+
+#: How Chromium draws in three dimensions where there is no graphics card.
+BROWSER = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium without a window, for the tests of a file."""
+    program = shutil.which("chromium")
+    if program is None:
+        pytest.skip("there is no chromium on PATH")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=program, args=BROWSER)
+        yield browser
+        browser.close()

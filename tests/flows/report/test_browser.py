@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +17,6 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.surface import Surface
 from modetune.flows.report.page import write_page
 
-#: WebGL without a graphics card.
-ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PLAYER = "modetune.player"
 #: The layer that is the model's surface, and the sum of its vertices' motions in z as drawn now.
 SURFACE = f"{PLAYER}.space.layers.find((one) => one.which === 0)"
@@ -89,18 +86,6 @@ class Opened:
     def to_shapes(self) -> None:
         self.page.locator("#shape-view").scroll_into_view_if_needed()
         self.wait(READY)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    program = shutil.which("chromium")
-    if program is None:
-        pytest.skip("there is no chromium on PATH")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=program, args=ARGUMENTS)
-        yield browser
-        browser.close()
 
 
 Open = Callable[..., Opened]

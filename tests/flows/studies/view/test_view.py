@@ -25,7 +25,6 @@ from modetune.flows.updating.running import update_campaign
 from tests.flows.studies.view.hook import MOVED, TURN, Hook, write_hook
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
-ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PATIENCE_MS = 60_000
 
 
@@ -74,18 +73,6 @@ def viewed(hook: Hook) -> Iterator[Viewed]:
     server.send_signal(signal.SIGINT)
     server.stdout.close()
     assert server.wait(30) == 130
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    program = shutil.which("chromium")
-    if program is None:
-        pytest.skip("there is no chromium on PATH")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=program, args=ARGUMENTS)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture
