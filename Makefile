@@ -8,14 +8,10 @@ BIN := $(VENV)/bin
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
 
-# Test files side by side, at most four at once: many start processes of their own. Where one of
-# those that run tests is lost, the plan of files breaks (exit 3), and all is run again.
+# Test files side by side, at most four at once: many start processes of their own.
 test: $(VENV)/.ready-dev
-	for again in 1 2 3; do \
-		PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest \
-			--numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder; \
-		code=$$?; [ $$code -eq 3 ] || break; \
-	done; exit $$code
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest \
+		--numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 # All speeds in one table, some 40 minutes; options: BENCH_FLAGS="--rounds 3 --large".
 bench: $(VENV)/.ready-bench

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from benchmarks.mesher import gmsh_model
 from numpy.random import Generator
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -45,11 +46,7 @@ def mesh_of(places: Floats, *blocks: tuple[CellKind, Integers]) -> Mesh:
 
 def bracket() -> Mesh:
     """An angle of two plates with a rib to one side of its middle and two holes, mm."""
-    import gmsh
-
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model() as gmsh:
         shape = gmsh.model.occ
         parts = [
             (3, shape.addBox(0, 0, 0, 120, 80, 8)),
@@ -69,8 +66,6 @@ def bracket() -> Mesh:
         numbers, places, _ = gmsh.model.mesh.getNodes()
         row = {int(number): place for place, number in enumerate(numbers)}
         table = np.reshape(gmsh.model.mesh.getElements(3)[2][0], (-1, 10)).astype(int)
-    finally:
-        gmsh.finalize()
     table = np.vectorize(row.__getitem__)(table)[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]]
     return mesh_of(np.reshape(places, (-1, 3)), ("tetra10", table))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,6 +63,15 @@ def _in_this_process() -> Iterator[None]:
         patch.setattr("modetune.flows.jobs.engine.run_process", run_embedded)
         patch.setattr("os.fsync", lambda number: None)
         yield
+
+
+@pytest.fixture(autouse=True)
+def _a_closed_pipe_ends_no_process() -> Iterator[None]:
+    """SIGPIPE stays ignored: given back to the system it ends the process that runs the tests."""
+    yield
+    lines = Path("/proc/self/status").read_text().splitlines()
+    ignored = int(next(line for line in lines if line.startswith("SigIgn:")).split()[1], 16)
+    assert ignored >> (signal.SIGPIPE - 1) & 1, "SIGPIPE is no longer ignored"
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from benchmarks.mesher import gmsh_model
 
 from modetune.core.modes import Floats
 
@@ -327,12 +328,8 @@ def grillage(rng: Generator) -> Structure:
 def bracket(rng: Generator) -> Structure:
     """An angle with a hole, meshed with tetrahedra by gmsh, held by the hole; coordinates carry the
     mesher's rounding."""
-    import gmsh
-
     size, thick = rng.uniform(60, 120), rng.uniform(6, 12)
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model() as gmsh:
         shape = gmsh.model.occ
         foot = shape.addBox(0, 0, 0, size, 0.7 * size, thick)
         wall = shape.addBox(0, 0, thick, thick, 0.7 * size, 0.8 * size)
@@ -350,8 +347,6 @@ def bracket(rng: Generator) -> Structure:
         for _, volume in gmsh.model.getEntities(3):
             _, _, held = gmsh.model.mesh.getElements(3, volume)
             groups.append([[ids[int(n)] for n in row] for row in np.reshape(held[0], (-1, 10))])
-    finally:
-        gmsh.finalize()
     table = [[*row[:8], row[9], row[8]] for group in groups for row in group]  # gmsh's last two
     first = len(groups[0])
     axis = np.hypot(points[:, 0] - 0.6 * size, points[:, 1] - 0.35 * size)

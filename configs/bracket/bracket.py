@@ -8,6 +8,7 @@ bracket lies over itself in one way only.
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -51,6 +52,7 @@ def mesh(size: float = SIZE, points: Sequence[tuple[float, float, float]] = ()) 
     except ImportError as error:
         raise CampaignError("the bracket's mesh requires gmsh: pip install gmsh") from error
     gmsh.initialize(interruptible=False)
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # gmsh lets a closed pipe end the process
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         shape = gmsh.model.occ
