@@ -70,6 +70,22 @@ class Alignment:
         return degrees_of(self.rotation)
 
 
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """Ways to lay a test over a model.
+
+    best: the likeliest. others: those that cannot be told from it, likelier ones first. slides:
+    how far points may move at most in motions that the fit cannot tell, the model's length.
+    on_nodes: whether points lie on nodes. mirrored: whether the mirrored points fit far better.
+    """
+
+    best: Alignment
+    others: tuple[Alignment, ...] = ()
+    slides: float = 0.0
+    on_nodes: bool = False
+    mirrored: bool = False
+
+
 def fit_similarity(points: Floats, targets: Floats, scale: float | None = None) -> Alignment:
     """The alignment that brings points nearest to their known partners.
 

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from modetune.core.measurement.alignment import Alignment, require_spread
+from modetune.core.measurement.alignment import Alignment, Registration, require_spread
 from modetune.core.measurement.closest_points import SurfacePoints
 from modetune.core.measurement.poses import (
     Poses,
@@ -54,22 +54,6 @@ EVIDENCE = 7.0
 #: where this part of the points is.
 ON_NODE = 2e-3
 HIT = 0.75
-
-
-@dataclass(frozen=True, slots=True)
-class Registration:
-    """Ways to lay a test over a model.
-
-    best: the likeliest. others: those that cannot be told from it, likelier ones first. slides:
-    how far points may move at most in motions that the fit cannot tell, the model's length.
-    on_nodes: whether points lie on nodes. mirrored: whether the mirrored points fit far better.
-    """
-
-    best: Alignment
-    others: tuple[Alignment, ...] = ()
-    slides: float = 0.0
-    on_nodes: bool = False
-    mirrored: bool = False
 
 
 def register(

@@ -37,6 +37,7 @@ from modetune.core.updating.results import (
     ParameterMatrices,
     ReducedModel,
     ReducedRange,
+    Registration,
     Result,
     SolvedModes,
 )
@@ -56,6 +57,7 @@ KINDS: dict[str, type[Result]] = {
     "reduced": ReducedModel,
     "reduced_range": ReducedRange,
     "modes_forecast": ModesForecast,
+    "registration": Registration,
     "solved_modes": SolvedModes,
 }
 

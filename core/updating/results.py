@@ -11,6 +11,7 @@ from modetune.core.algebra.eigen import SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
+from modetune.core.measurement.alignment import Registration
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.core.updating.modes_forecast import ModesForecast
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -26,6 +27,7 @@ __all__ = [
     "ParameterMatrices",
     "ReducedModel",
     "ReducedRange",
+    "Registration",
     "Result",
     "SolvedModes",
     "finite",
@@ -148,6 +150,7 @@ Result = (
     | ReducedModel
     | ReducedRange
     | ModesForecast
+    | Registration
     | SolvedModes
 )
 
@@ -183,3 +186,6 @@ def _numbers(result: Result) -> list[Floats | NDArray[np.complex128]]:
             return [result.shapes, result.eigenvalues]
         case ModesForecast():
             return [np.array([result.matrices_s, result.solver_s, result.run_s])]
+        case Registration():
+            poses = (result.best, *result.others)
+            return [np.array([result.slides, *(pose.scale for pose in poses)])]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import isnan
 
 import numpy as np
 
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.alignment import Alignment, fit_similarity
+from modetune.core.measurement.alignment import Alignment, Registration, fit_similarity
 from modetune.core.measurement.closest_points import SurfacePoints
 from modetune.core.measurement.measurement import TestGeometry
-from modetune.core.measurement.registration import Registration, register
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
+from modetune.core.storage.store import Store
 from modetune.core.surface import facets
+from modetune.flows.campaign.kept_poses import PoseSearch
 from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.units import LENGTH_METRES
 
@@ -54,18 +56,23 @@ class Laid:
 
 
 def align_test(
-    geometry: TestGeometry, mesh: Mesh, settings: SensorSection, metres: float, tolerance: float
+    geometry: TestGeometry,
+    mesh: Mesh,
+    settings: SensorSection,
+    metres: float,
+    tolerance: float,
+    store: Store | None = None,
 ) -> Laid:
     """Where the test's points lie in the model, and what is to be known of it.
 
     metres: of the model's length. tolerance: the model's length, within which places count as
-    found. All points of the geometry take part in a fit.
+    found. store: keeps what was found. All points of the geometry take part in a fit.
     Raises CampaignError where landmarks are not there or the points allow no fit.
     """
     known = not isnan(geometry.metres)
     scale = settings.scale or (geometry.metres / metres if known else None)
     if settings.fits:
-        laid = _fitted(geometry, mesh, settings, scale, metres, tolerance)
+        laid = _fitted(geometry, mesh, settings, scale, metres, tolerance, store)
     else:
         translation = np.array(settings.translation or (0.0, 0.0, 0.0))
         laid = Laid((Alignment(scale or 1.0, settings.matrix(), translation),))
@@ -93,6 +100,7 @@ def _fitted(
     scale: float | None,
     metres: float,
     tolerance: float,
+    store: Store | None,
 ) -> Laid:
     try:
         points, targets = _landmarks(geometry, mesh, settings)
@@ -103,15 +111,17 @@ def _fitted(
             near = fit_similarity(points, targets, scale) if len(points) > 2 else None
         except ModesError:  # on one line: they choose among poses all the same
             near = None
-        surface = SurfacePoints.of(facets(mesh))
-        found, notes = _registered(geometry.coordinates, surface, mesh, scale, metres, near)
+        corners = facets(mesh)
+        surface = cache(lambda: SurfacePoints.of(corners))
+        search = PoseSearch(corners, mesh.coordinates, surface, store)
+        found, notes = _registered(geometry.coordinates, search, scale, metres, near)
     except ModesError as error:
         raise CampaignError(
             f"the test cannot be laid over the model: {error}; give `scale`, `rotation` and "
             "`translation` instead of a fit"
         ) from error
     if near is not None and found.slides > tolerance:  # the surface says less than landmarks do
-        away = surface.closest(near.apply(geometry.coordinates)).distances
+        away = surface().closest(near.apply(geometry.coordinates)).distances
         found = Registration(replace(near, residuals=away, used=np.ones(away.size, bool)))
     size = diagonal(found.best.apply(geometry.coordinates))
     poses = _nearest((found.best, *found.others), points, targets, settings, size)
@@ -174,8 +184,7 @@ def _nearest(
 
 def _registered(
     points: Floats,
-    surface: SurfacePoints,
-    mesh: Mesh,
+    search: PoseSearch,
     scale: float | None,
     metres: float,
     near: Alignment | None,
@@ -185,17 +194,17 @@ def _registered(
     Of units in which the test fits the largest is taken: a part of the model fits anything small.
     """
     if scale is not None:
-        return register(points, surface, mesh.coordinates, scale, near), []
+        return search.register(points, scale, near), []
     told = "the test does not tell its unit of length"
-    ratio = diagonal(mesh.coordinates) / max(diagonal(points), 1e-300)
+    ratio = diagonal(search.nodes) / max(diagonal(points), 1e-300)
     units = {name: size / metres for name, size in LENGTH_METRES.items()}
     for name, of_units in sorted(units.items(), key=lambda item: -item[1]):
         if not LEAST_PART * ratio <= of_units <= ratio / LEAST_PART**0.25:
             continue
-        fixed = register(points, surface, mesh.coordinates, of_units, near)
+        fixed = search.register(points, of_units, near)
         if fixed.best.rms <= GOOD_FIT * diagonal(points) * of_units and fixed.best.used.all():
             return fixed, [f"{told}; taken as {name}, which fits the model"]
-    free = register(points, surface, mesh.coordinates, None, near)
+    free = search.register(points, None, near)
     return free, [f"{told} and fits in none; the scale {free.best.scale:.6g} was fitted"]
 
 

@@ -270,7 +270,8 @@ def _read_case(
     solver = solver or _read_model(source, file, problems)
     mapping = None
     if measurement is not None and solver is not None:
-        mapping = map_test(source, file, measurement, solver, problems)
+        store = Store(_store_folder(source, file))
+        mapping = map_test(source, file, measurement, solver, problems, store)
         problems += method_problems(source, file, solver)
     if problems or measurement is None or solver is None or mapping is None:
         return None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
@@ -65,8 +66,10 @@ class Case:
 
     @property
     def result_nodes(self) -> tuple[int, ...]:
-        """Nodes at which the modes of the whole model are wanted: for pairing, and to look at."""
-        return tuple(sorted({*self.nodes, *self.surface.nodes.tolist()}))
+        """Nodes at which the modes of the whole model are wanted: for pairing, to look at, and to
+        choose among poses of the test that its places cannot tell apart."""
+        poses = (item.sensors.model_nodes.tolist() for item in self.mapping.others)
+        return tuple(sorted({*self.nodes, *self.surface.nodes.tolist(), *chain(*poses)}))
 
     @property
     def n_modes(self) -> int:

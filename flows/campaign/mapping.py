@@ -20,6 +20,7 @@ from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.measurement.sensors import SensorMap, mean_edge, result_directions
 from modetune.core.mesh import Mesh
 from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
+from modetune.core.storage.store import Store
 from modetune.flows.campaign.alignment import align_test, diagonal, unit_name
 from modetune.flows.campaign.mapped_nodes import MappedNode, NodeMapping, listed
 from modetune.flows.campaign.sensors_section import SensorSection
@@ -37,6 +38,8 @@ CHOICE = (
 )
 #: Poses that are told of many.
 TOLD = 6
+#: Sensors that are named one by one with what is wrong with them.
+REASONS = 20
 #: Sensors that are mapped: each has a sentence of its own, which takes seconds for so many.
 MOST = 100_000
 #: Part of the model's box diagonal that a sensor may be away from its node.
@@ -126,6 +129,7 @@ class _Task:
     settings: SensorSection
     components: frozenset[int]
     node_mapping: NodeMapping
+    store: Store | None
 
     @property
     def mesh(self) -> Mesh:
@@ -146,10 +150,11 @@ def map_sensors(
     settings: SensorSection,
     metres_per_model_length: float,
     components: frozenset[int] = frozenset(range(1, 7)),
+    store: Store | None = None,
 ) -> Mapping:
     """Map the sensors of a test (the degrees of freedom of `modes`) to nodes of a model.
 
-    components: 1..6, those that the model's results have.
+    components: 1..6, those that the model's results have. store: keeps a pose that was found.
     Raises CampaignError, all problems at once, for sensors that cannot be mapped.
     """
     if modes.n_dof > MOST:
@@ -164,7 +169,7 @@ def map_sensors(
     tolerance = tolerance_of(settings, mesh)
     unit = unit_name(metres_per_model_length)
     node_mapping = NodeMapping(mesh, by_hand, tolerance, unit)
-    task = _Task(modes, settings, components, node_mapping)
+    task = _Task(modes, settings, components, node_mapping, store)
     if geometry is not None and settings.by == "position" and modes.n_dof:
         return _by_position(task, geometry, metres_per_model_length)
     if geometry is None and settings.places:
@@ -190,7 +195,9 @@ def _by_number(task: _Task) -> Mapping:
 
 
 def _by_position(task: _Task, geometry: TestGeometry, metres: float) -> Mapping:
-    laid = align_test(geometry, task.mesh, task.settings, metres, task.node_mapping.tolerance)
+    laid = align_test(
+        geometry, task.mesh, task.settings, metres, task.node_mapping.tolerance, task.store
+    )
     best = _at_pose(task, geometry, laid.poses[0], laid.misfits, laid.notes)
     others = []
     for pose in laid.poses[1:]:
@@ -301,7 +308,9 @@ def _refused(
     count = "1 sensor is" if len(reasons) == 1 else f"{len(reasons)} sensors are"
     said = (
         f"{count} not seen by the model (tolerance "
-        f"{task.node_mapping.length(task.node_mapping.tolerance)}): {'; '.join(reasons)}"
+        f"{task.node_mapping.length(task.node_mapping.tolerance)}): "
+        + "; ".join([*reasons][:REASONS])
+        + (f"; and {len(reasons) - REASONS} more" if len(reasons) > REASONS else "")
     )
     remain = any(row.verdict != "left out" for row in table)
     if task.settings.unmapped == "leave_out" and remain:

@@ -15,6 +15,7 @@ from modetune.core.measurement.repeated import mean_of_tests
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes, mode_set
+from modetune.core.storage.store import Store
 from modetune.flows.campaign.mapping import Mapping, map_sensors
 from modetune.flows.campaign.schema import NO_TEST, CampaignFile, OpenFile
 from modetune.flows.campaign.units import LENGTH_METRES, METRES
@@ -158,8 +159,9 @@ def map_test(
     measurement: Measurement,
     solver: Solver,
     problems: list[str],
+    store: Store,
 ) -> Mapping | None:
-    """Where the test's sensors are on the model."""
+    """Where the test's sensors are on the model; store: keeps a pose that was found."""
     mesh, geometry = solver.deck.mesh(), measurement.geometry
     if mesh.nodes.size == 0:  # matrices alone have no places
         nodes = np.array(sorted(solver.deck.summary.node_ids), dtype=np.int64)
@@ -172,6 +174,7 @@ def map_test(
             file.test.sensors,
             METRES[file.model.units],
             solver.deck.summary.components,
+            store,
         )
     except CampaignError as error:
         where = source.where(("test",))

@@ -6,18 +6,22 @@ Heavy packages are imported where they are needed.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, CampaignPath, Settings
+from modetune.flows.cli.options import AsJson, CampaignPath, Settings, begun
 from modetune.flows.report.tables import Column, Table, json_object, show_table
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
-    from modetune.flows.campaign.mapping import Mapping
+    from modetune.flows.campaign.mapping import Mapping, SensorRow
+
+#: Sensors in the table: nobody reads more, and a terminal takes minutes to lay them out.
+SHOWN = 500
 
 
 def sensors(
@@ -29,11 +33,16 @@ def sensors(
     as_json: AsJson = False,
 ) -> None:
     """Tell at which node and along which direction each sensor is read. Runs no solver."""
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.campaign.terminal import terminal
+    with begun(f"reading {campaign_file}"):
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.campaign.terminal import terminal
+        from modetune.flows.updating.poses import from_store
 
-    campaign = load_campaign(campaign_file, settings or [])
+        campaign = load_campaign(campaign_file, settings or [])
+        posed = from_store(campaign)
     mapping: Mapping = campaign.case.mapping
+    if posed is not None:
+        mapping = replace(posed[0].mapping, notes=(*posed[0].mapping.notes, posed[1]))
     if picture is not None:
         from modetune.flows.report.sensor_figure import save_sensor_picture
 
@@ -49,7 +58,8 @@ def sensors(
 
 
 def sensor_table(mapping: Mapping) -> Table:
-    """Every sensor of the test with its node; those left out or in doubt are outside."""
+    """The sensors of the test with their nodes; those left out or in doubt are outside."""
+    shown = shown_sensors(mapping)
     fitted = any(isfinite(row.misfit) for row in mapping.table)
     columns = (
         Column("sensor"),
@@ -70,18 +80,25 @@ def sensor_table(mapping: Mapping) -> Table:
             row.verdict,
             row.reason,
         )
-        for row in mapping.table
+        for row in shown
     )
-    outside = [
-        (place, "verdict") for place, row in enumerate(mapping.table) if row.verdict != "good"
-    ]
+    outside = [(place, "verdict") for place, row in enumerate(shown) if row.verdict != "good"]
     return Table("Sensors on the model", columns, rows, outside=frozenset(outside))
+
+
+def shown_sensors(mapping: Mapping) -> tuple[SensorRow, ...]:
+    """All sensors of a test in its order, or of very many those in doubt first."""
+    if len(mapping.table) <= SHOWN:
+        return mapping.table
+    return tuple(sorted(mapping.table, key=lambda row: row.verdict == "good")[:SHOWN])
 
 
 def sensor_lines(mapping: Mapping) -> list[str]:
     """What is said below the table: counts, the alignment, what is doubtful."""
     counts = [len(mapping.table), len(mapping.doubtful), len(mapping.left_out)]
+    more = f"shown are {SHOWN} sensors, those in doubt first; --json tells all"
     return [
+        *([more] if counts[0] > SHOWN else []),
         f"{counts[0]} sensors: {counts[0] - counts[1] - counts[2]} good, {counts[1]} doubtful, "
         f"{counts[2]} left out; tolerance {mapping.tolerance:.4g} {mapping.unit}".rstrip(),
         alignment_line(mapping),

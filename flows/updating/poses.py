@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from modetune.core.correlation.pairing import mac_or_zero
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, NotStored, SolverError
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
@@ -42,8 +42,10 @@ def settled(campaign: Campaign, watcher: JobWatcher | None = None) -> Campaign:
     cases, problems = [], []
     for case in campaign.cases:
         found = case
-        if case.mapping.others and not case.mapping.doubts and case.test.has_shapes:
-            found, said = by_shapes(campaign.alone(case), watcher)
+        if may_choose(case):
+            own = campaign.alone(case)
+            (outcome,) = solved(job_engine(own, watcher), [_modal_job(own)])
+            found, said = by_shapes(case, outcome.result(ModalResult))
             logger.info("%s", said)
             if found.mapping.uncertain:
                 problems.append(f"{case.of('the test')}: {said}")
@@ -57,18 +59,28 @@ def settled(campaign: Campaign, watcher: JobWatcher | None = None) -> Campaign:
     return replace(campaign, cases=tuple(cases))
 
 
-def by_shapes(campaign: Campaign, watcher: JobWatcher | None = None) -> tuple[Case, str]:
-    """The campaign's only case at the pose its shapes speak for, and what they say of each.
+def may_choose(case: Case) -> bool:
+    """Whether a test has several poses, of which measured shapes may choose one."""
+    return bool(case.mapping.others) and not case.mapping.doubts and case.test.has_shapes
 
-    The case stays where they speak for none.
+
+def from_store(campaign: Campaign) -> tuple[Case, str] | None:
+    """What `by_shapes` tells of a campaign of one model whose modes the store has; None without."""
+    if not may_choose(campaign.case):
+        return None
+    engine = replace(job_engine(campaign), may_run=False)
+    try:
+        return by_shapes(campaign.case, engine.solve(_modal_job(campaign)).result(ModalResult))
+    except (NotStored, SolverError):
+        return None
+
+
+def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
+    """The case at the pose its shapes speak for, and what they say of each.
+
+    result: with the nodes of all poses. The case stays where shapes speak for none.
     """
-    case = campaign.case
     mappings = (case.mapping, *case.mapping.others)
-    nodes = np.unique(np.concatenate([item.sensors.model_nodes for item in mappings]))
-    analysis = replace(campaign_analysis(campaign), nodes=tuple(nodes.tolist()))
-    job = Job(campaign.parameters.values(campaign.start), analysis)
-    (outcome,) = solved(job_engine(campaign, watcher), [job])
-    result = outcome.result(ModalResult)
     macs = np.array([_mean_mac(case, item, result) for item in mappings])
     order = np.argsort(-macs, kind="stable")
     told = "; ".join(f"{pose_of(mappings[row])}: mean MAC {macs[row]:.3f}" for row in order)
@@ -80,6 +92,10 @@ def by_shapes(campaign: Campaign, watcher: JobWatcher | None = None) -> tuple[Ca
         case, mapping=chosen, nodes=pairing_nodes(case.test, chosen.sensors, case.solver)
     )
     return settled_case, f"of poses that places cannot tell apart measured shapes choose: {told}"
+
+
+def _modal_job(campaign: Campaign) -> Job:
+    return Job(campaign.parameters.values(campaign.start), campaign_analysis(campaign))
 
 
 def _mean_mac(case: Case, mapping: Mapping, result: ModalResult) -> float:

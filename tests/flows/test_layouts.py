@@ -61,6 +61,7 @@ def digest(kind: Any) -> str:
         (store.KINDS["reduced"], store.FORMAT, (4, "adff64dcddcc")),
         (store.KINDS["reduced_range"], store.FORMAT, (4, "3947a67c6b4b")),
         (store.KINDS["modes_forecast"], store.FORMAT, (4, "ab1c5574bce3")),
+        (store.KINDS["registration"], store.FORMAT, (4, "fc6b6dd27463")),
         (store.KINDS["solved_modes"], store.FORMAT, (4, "7cb524389032")),
     ],
     ids=lambda item: getattr(item, "__name__", None),

@@ -7,7 +7,7 @@ key, so updating finds it in the store.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from modetune.core.errors import ModesError, SolverError
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import solved
@@ -47,6 +48,7 @@ from modetune.flows.studies.check.parameters import (
 from modetune.flows.studies.check.sensors import sensor_findings
 from modetune.flows.studies.check.suspects import suspected_sensors
 from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.poses import by_shapes, from_store, may_choose
 from modetune.flows.updating.running import job_engine
 
 NO_RUN = RunCounts()
@@ -92,15 +94,9 @@ def check_campaign(
     Where parameters start from nothing a second job tells whether they leave parts loose so.
     A solver that fails is a finding. Raises StoreError.
     """
-    tested = bool(campaign.test.numbers)
-    static = (
-        *(data_findings(campaign.test) if tested else [WITHOUT_TEST]),
-        *(sensor_findings(campaign) if tested else []),
-        *size_findings(campaign),
-        *bound_findings(campaign),
-    )
     if not run:
-        return PreCheckReport(static)
+        return PreCheckReport(_without_run(*_posed(campaign, from_store(campaign))))
+    static = _without_run(campaign)
     engine = job_engine(campaign, watcher)
     analysis = campaign_analysis(campaign)
     job = Job(campaign.parameters.values(campaign.start), analysis)
@@ -116,10 +112,29 @@ def check_campaign(
     engine.keep_text()
     reused = sum(outcome.reused for outcome in outcomes)
     runs = RunCounts(modal=len(outcomes) - reused, reused=reused)
+    posed = by_shapes(campaign.case, result) if may_choose(campaign.case) else None
+    campaign, said = _posed(campaign, posed)
+    static = (*_without_run(campaign, said),) if said else static
     static += tuple(
         item for other in joined for item in loose_findings(campaign, nothing, result, other)
     )
     return judged(campaign, result, static, analysis.n_modes, runs)
+
+
+def _posed(campaign: Campaign, found: tuple[Case, str] | None) -> tuple[Campaign, str]:
+    """The campaign in the pose that measured shapes choose, and what they say; "" of one pose."""
+    return (campaign, "") if found is None else (replace(campaign, cases=(found[0],)), found[1])
+
+
+def _without_run(campaign: Campaign, said: str = "") -> tuple[Finding, ...]:
+    """What needs no solver; said: by measured shapes of the test's poses."""
+    tested = bool(campaign.test.numbers)
+    return (
+        *(data_findings(campaign.test) if tested else [WITHOUT_TEST]),
+        *(sensor_findings(campaign, said) if tested else []),
+        *size_findings(campaign),
+        *bound_findings(campaign),
+    )
 
 
 def judged(

@@ -6,7 +6,7 @@ import numpy as np
 
 from modetune.core.modes import Integers
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.campaign.mapping import SensorRow
+from modetune.flows.campaign.mapping import CHOICE, REASONS, SensorRow
 from modetune.flows.studies.check.findings import Finding, listed
 from modetune.flows.studies.check.measured_modes import sensor_name
 
@@ -16,14 +16,25 @@ DOUBT = "doubtful:"
 ONE_DIRECTION = 0.99
 
 
-def sensor_findings(campaign: Campaign) -> list[Finding]:
-    """Sensors that are doubtful, left out, or see the same; what reader and mapping say."""
+def sensor_findings(campaign: Campaign, said: str = "") -> list[Finding]:
+    """Sensors that are doubtful, left out, or see the same; what reader and mapping say.
+
+    said: by measured shapes of the test's poses, in place of a doubt about these.
+    """
     if not campaign.test.has_shapes:
         return []
     mapping = campaign.case.mapping
+    uncertain = [
+        Finding("doubtful", "sensors", what, "", remedy)
+        for what, remedy in mapping.uncertain
+        if not (said and remedy == CHOICE)
+    ]
+    if said:
+        remedy = CHOICE if mapping.others else ""
+        uncertain.append(Finding("doubtful" if remedy else "good", "sensors", said, "", remedy))
     found = (
         [_of_note(note) for note in (*campaign.case.measurement.notes, *mapping.notes)]
-        + [Finding("doubtful", "sensors", what, "", remedy) for what, remedy in mapping.uncertain]
+        + uncertain
         + _by_reason(mapping.doubtful)
         + _by_reason(mapping.left_out, "left out: ")
     )
@@ -50,6 +61,10 @@ def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
     names: dict[str, list[str]] = {}
     for row in rows:
         names.setdefault(row.reason, []).append(f"{row.test_node}.{row.component}")
+    told = [*names.items()][:REASONS]
+    if len(names) > REASONS:
+        others = [sensor for sensors in [*names.values()][REASONS:] for sensor in sensors]
+        told.append(("for reasons like these", others))
     return [
         Finding(
             "doubtful",
@@ -58,7 +73,7 @@ def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
             f"sensor {listed(sensors)}",
             "look at the test's geometry and `test.sensors`, or name the node by hand",
         )
-        for reason, sensors in names.items()
+        for reason, sensors in told
     ]
 
 

@@ -433,6 +433,39 @@ def test_a_rotation_or_one_landmark_chooses_among_poses(keys: dict[str, Any], no
     np.testing.assert_allclose(found.sensors.distances, 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_geometry_of_two_points_cannot_be_fitted_and_is_told_what_helps(count: int) -> None:
+    names = NAMES[:count]
+    places = at_nodes(plate(), MAPPED_NODES[:count])
+    measured = sensors(names, [3] * count)
+    if count:
+        with pytest.raises(
+            CampaignError, match=rf"points are {count}; .*three or more.*give `scale`, `rotation`"
+        ):
+            map_sensors(measured, geometry(names, places), plate(), section(align="fit"), MM)
+    # In the model's axes two points, or none, are as good as many.
+    found = map_sensors(measured, geometry(names, places), plate(), section(), MM)
+    assert found.sensors.model_nodes.tolist() == MAPPED_NODES[:count]
+
+
+def test_of_very_many_sensors_those_in_doubt_are_shown_and_few_are_named() -> None:
+    rng = np.random.default_rng(2)
+    places = rng.uniform([0, 0, -1], [700, 250, 1], (3000, 3))
+    places[1700, 2] = 12.0  # more than half the tolerance away
+    names = list(range(1, 3001))
+    where = geometry(names, places)
+    measured = sensors(names, [3] * 3000)
+    found = map_sensors(measured, where, plate(), section(tolerance=200.0), MM)
+    table = sensor_table(found)
+    assert len(table.rows) == 500
+    assert "shown are 500 sensors" in sensor_lines(found)[0]
+    told = told_sensors(found)["sensors"]
+    assert isinstance(told, list)
+    assert len(told) == 3000
+    with pytest.raises(CampaignError, match=r"3000 sensors are not seen .*; and 2980 more\."):
+        map_sensors(measured, where, plate(), section(tolerance=0.01), MM)
+
+
 def test_landmarks_may_be_places_of_the_model() -> None:
     test = at_nodes(plate(), MAPPED_NODES) / 1000.0
     marks = {201: [0.0, 0.0, 0.0], 203: [0.0, 400.0, 0.0], 206: [800.0, 0.0, 0.0]}

@@ -1,0 +1,163 @@
+"""A test in axes of its own, laid over a symmetric plate: searched once, told by every command."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import modetune
+from modetune.core.modes import Floats, Integers
+from modetune.core.storage.store import Store
+from tests.command_line import run_command as run
+
+pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+
+#: Nodes 1.. of a plate of 800 x 400 mm, 9 by 5; sensors at eight of them, no three alike.
+X, Y = (100.0 * axis.ravel() for axis in np.meshgrid(np.arange(9.0), np.arange(5.0), indexing="ij"))
+PLACES = np.column_stack([X, Y, np.zeros(45)])
+SENSORS = np.array([1, 5, 23, 41, 45, 9, 32, 14])
+TURN = Rotation.from_euler("z", 20, degrees=True).as_matrix()
+
+
+def plate(folder: Path, thick: float) -> Path:
+    """A free plate of shells, 4 mm, its corner at the origin `thick`."""
+    cells = [
+        [1 + 5 * i + j, 6 + 5 * i + j, 7 + 5 * i + j, 2 + 5 * i + j]
+        for i in range(8)
+        for j in range(4)
+    ]
+    corner = [number for number, row in enumerate(cells, 1) if PLACES[row[2] - 1].max() <= 400.0
+              and PLACES[row[2] - 1, 1] <= 200.0]  # fmt: skip
+    rows = ["*NODE", *(f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(PLACES, 1))]
+    for name, chosen in (
+        ("CORNER", corner),
+        ("REST", [n for n in range(1, 33) if n not in corner]),
+    ):
+        rows += [f"*ELEMENT, TYPE=S4, ELSET={name}"]
+        rows += [f"{n}, {', '.join(map(str, cells[n - 1]))}" for n in chosen]
+    rows += ["*MATERIAL, NAME=AL", "*ELASTIC", "70000., 0.3", "*DENSITY", "2.7e-9"]
+    for name, height in (("CORNER", thick), ("REST", 4.0)):
+        rows += [f"*SHELL SECTION, ELSET={name}, MATERIAL=AL", f"{height}"]
+    rows += ["*STEP", "*FREQUENCY", "12", "*NODE FILE", "U", "*END STEP", ""]
+    (folder / "plate.inp").write_text("\n".join(rows))
+    return folder / "plate.inp"
+
+
+def campaign(folder: Path, thick: float) -> None:
+    """The plate's own modes as a test in metres whose axes are turned by 20 degrees."""
+    found = modetune.modes(plate(folder, thick), settings={"model.units": "mm-t-s"}).elastic
+    rows = [sensor_row(found.nodes, found.components, node) for node in SENSORS]
+    shapes = found.mode_shapes[rows, :4]
+    write_test(folder, found.frequencies_hz[:4], shapes, PLACES[SENSORS - 1] @ TURN / 1000.0)
+    (folder / "plate.yaml").write_text(
+        "name: plate\n"
+        "model: {deck: plate.inp, solver: calculix, units: mm-t-s}\n"
+        "test: {modes: [modes.csv, points.csv], length: m, sensors: {align: fit}}\n"
+        "parameters:\n"
+        "  - {name: E, quantity: youngs_modulus, material: AL, bounds: [0.8, 1.2]}\n"
+        "update: {max_iterations: 2}\n"
+    )
+
+
+def sensor_row(nodes: Integers, components: Integers, node: int) -> int:
+    return int(np.flatnonzero((nodes == node) & (components == 3))[0])
+
+
+def write_test(folder: Path, frequencies_hz: Floats, shapes: Floats, places: Floats) -> None:
+    names = [200 + number for number in range(1, len(places) + 1)]
+    lines = ["mode,frequency_hz," + ",".join(f"{name}.z" for name in names)]
+    lines += [
+        f"{mode},{hz:.8g}," + ",".join(f"{value:.8g}" for value in column)
+        for mode, (hz, column) in enumerate(zip(frequencies_hz, shapes.T, strict=True), 1)
+    ]
+    (folder / "modes.csv").write_text("\n".join(lines) + "\n")
+    points = [f"{name},{x!r},{y!r},{z!r}" for name, (x, y, z) in
+              zip(names, places.tolist(), strict=True)]  # fmt: skip
+    (folder / "points.csv").write_text("\n".join(["node,x,y,z", *points]) + "\n")
+
+
+def searches(folder: Path) -> list[str]:
+    """Keys of the poses that the campaign's store has."""
+    store = Store(folder / ".modetune" / "store")
+    keys = [path.name.partition(".")[0] for path in store.entries()]
+    return [key for key in keys if getattr(store.holding(key), "kind", "") == "registration"]
+
+
+INFO = {"MODETUNE_LOG": "INFO"}
+SEARCHING = "laying 8 test points over the model"
+
+
+def test_poses_that_nothing_tells_apart_end_update_with_the_poses_to_paste(tmp_path: Path) -> None:
+    campaign(tmp_path, 4.0)
+    first = run(tmp_path, "check", "plate.yaml", "--json", "--no-prefect", **INFO)
+    assert first.stderr.count(SEARCHING) == 1
+    report = json.loads(first.stdout)
+    (told,) = [item for item in report["findings"] if "mean MAC" in item["what"]]
+    assert told["level"] == "doubtful"
+    assert told["what"].startswith("measured shapes cannot tell its poses apart")
+    assert "beside `align: fit`" in told["remedy"]
+    assert not any("places cannot tell them apart" in item["what"] for item in report["findings"])
+
+    # The same points on the same surface: neither searched again nor solved again.
+    ended = run(tmp_path, "update", "plate.yaml", "--no-prefect", **INFO)
+    assert ended.returncode == 2
+    assert SEARCHING not in ended.stderr
+    assert "solved in" not in ended.stderr
+    paste = re.findall(r"rotation: \[[^]]*\], translation: \[[^]]*\]", ended.stderr)
+    assert "rotation: [0, 0, 20], translation: [0, 0, 0]" in paste
+    assert "rotation: [0, 0, -160], translation: [800, 400, 0]" in paste
+
+    # What was told, pasted beside `align: fit`, is taken.
+    text = (tmp_path / "plate.yaml").read_text()
+    pasted = text.replace("{align: fit}", f"{{align: fit, {paste[0]}}}")
+    (tmp_path / "plate.yaml").write_text(pasted)
+    good = run(tmp_path, "sensors", "plate.yaml", **INFO)
+    assert "not certain" not in good.stdout
+    assert SEARCHING not in good.stderr
+    assert len(searches(tmp_path)) == 1
+
+
+def test_shapes_choose_a_pose_in_each_command_at_the_cost_of_one_run(tmp_path: Path) -> None:
+    campaign(tmp_path, 8.0)
+    before = run(tmp_path, "sensors", "plate.yaml", **INFO)
+    assert "not certain: " in before.stdout
+    assert "solved in" not in before.stderr  # no solver runs for `sensors`
+    assert "mean MAC" not in run(tmp_path, "check", "plate.yaml", "--no-run").stdout
+
+    report = json.loads(run(tmp_path, "check", "plate.yaml", "--json", "--no-prefect").stdout)
+    assert report["solver_runs"]["modal"] == 1
+    (told,) = [item for item in report["findings"] if "mean MAC" in item["what"]]
+    assert told["level"] == "good"
+    assert "choose: rotation: [0, 0, 20], translation: [0, 0, 0]: mean MAC 1.000" in told["what"]
+
+    # From the store, without a run.
+    after = run(tmp_path, "sensors", "plate.yaml", "--json", **INFO)
+    assert "solved in" not in after.stderr
+    sensors = json.loads(after.stdout)
+    assert sensors["uncertain"] == []
+    assert [item["model_node"] for item in sensors["sensors"]] == SENSORS.tolist()
+    assert "mean MAC" in run(tmp_path, "check", "plate.yaml", "--no-run").stdout
+
+
+def test_a_kept_pose_is_believed_by_its_checksum_alone(tmp_path: Path) -> None:
+    campaign(tmp_path, 8.0)
+    run(tmp_path, "sensors", "plate.yaml")
+    (key,) = searches(tmp_path)
+    entry = Store(tmp_path / ".modetune" / "store").path(key)
+    data = bytearray(entry.read_bytes())
+    data[-200] ^= 1
+    entry.write_bytes(bytes(data))
+    again = run(tmp_path, "sensors", "plate.yaml", **INFO)
+    assert "checksum" in again.stderr
+    assert SEARCHING in again.stderr
+    # Another place of one sensor is another question.
+    text = (tmp_path / "points.csv").read_text()
+    (tmp_path / "points.csv").write_text(text.replace("0.4442", "0.4443", 1))
+    assert SEARCHING in run(tmp_path, "sensors", "plate.yaml", **INFO).stderr
+    assert len(searches(tmp_path)) == 2
