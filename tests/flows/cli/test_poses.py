@@ -53,7 +53,7 @@ def campaign(folder: Path, thick: float) -> None:
     """The plate's own modes as a test in metres whose axes are turned by 20 degrees."""
     found = modetune.modes(plate(folder, thick), settings={"model.units": "mm-t-s"}).elastic
     rows = [sensor_row(found.nodes, found.components, node) for node in SENSORS]
-    shapes = found.mode_shapes[rows, :4]
+    shapes = found.mode_shapes[rows, :4].real
     write_test(folder, found.frequencies_hz[:4], shapes, PLACES[SENSORS - 1] @ TURN / 1000.0)
     (folder / "plate.yaml").write_text(
         "name: plate\n"
