@@ -10,7 +10,10 @@
     frfs/               frequencies_hz (n_lines,), values (n_lines, n_functions), nodes, components,
                         signs, reference_nodes, reference_components, reference_signs
                         (n_functions,), coherences (n_lines, n_functions) or empty; attribute kind
-    deviations/         frequencies, shapes (n_modes,), relative, NaN: unknown
+    deviations/         frequencies, shapes (n_modes,), relative, NaN: unknown; correlation
+                        (n_modes, n_modes) of the frequencies
+    repeats/            of repeated tests: places, numbers, frequencies_hz, damping_ratios, used
+                        (n_tests, n_modes); attribute worth
 
 Each group may be missing. `core/storage/codec` writes it. The first 512 bytes hold a SHA-256 of all
 that follows, which is looked at before HDF5 sees the file (`core/storage/seal`). Programs other
@@ -32,6 +35,7 @@ from modetune.core.measurement.measurement import (
     MeasuredDeviations,
     MeasuredFrfs,
     Measurement,
+    RepeatedTests,
     TestGeometry,
 )
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, Normalisation
@@ -68,6 +72,7 @@ class _File:
     geometry: TestGeometry | None
     frfs: MeasuredFrfs | None
     deviations: MeasuredDeviations | None = None
+    repeats: RepeatedTests | None = None
 
 
 def write_test_hdf5(path: Path, measurement: Measurement) -> None:
@@ -84,6 +89,7 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
         measurement.geometry,
         measurement.frfs,
         measurement.deviations,
+        measurement.repeats,
     )
     data = sealed(FORMAT, lambda file: write_value(file, form))
     with writing(path) as part:
@@ -120,4 +126,4 @@ def read_test_hdf5(path: Path) -> Measurement:
             modes = MeasuredModes(tuple(form.modes.numbers.tolist()), ModeSet(**columns))
     except (StoreDamaged, ModesError) as problem:
         raise CampaignError(f"test file {path} is not a readable test ({problem})") from problem
-    return Measurement(modes, form.geometry, form.frfs, form.notes, form.deviations)
+    return Measurement(modes, form.geometry, form.frfs, form.notes, form.deviations, form.repeats)

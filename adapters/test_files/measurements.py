@@ -20,6 +20,7 @@ from modetune.adapters.test_files.hdf5 import read_test_hdf5
 from modetune.adapters.test_files.kinds import FileKind, kind_of
 from modetune.adapters.test_files.mat import read_mat
 from modetune.adapters.test_files.modes_csv import modes_of
+from modetune.adapters.test_files.repeated_csv import is_repeated, repeated_of
 from modetune.adapters.test_files.solver_results import (
     READERS,
     computed_modes,
@@ -157,7 +158,9 @@ def _tables(path: Path, kind: FileKind, computed: bool = False) -> Measurement:
     if kind.form == "table":
         return _of_table(tables[0], computed)
     wanted = [
-        table for table in tables if table.first in ("mode", "frequency_hz", "node", "metres")
+        table
+        for table in tables
+        if table.first in ("mode", "frequency_hz", "node", "metres") or is_repeated(table)
     ]
     if not wanted:
         sheets = ", ".join(table.name.removeprefix(f"{path}, sheet ") for table in tables)
@@ -171,11 +174,9 @@ def _tables(path: Path, kind: FileKind, computed: bool = False) -> Measurement:
 
 
 def _of_table(table: FileTable, computed: bool) -> Measurement:
-    return (
-        Measurement(geometry=geometry_of(table))
-        if is_geometry(table)
-        else modes_of(table, computed)
-    )
+    if is_geometry(table):
+        return Measurement(geometry=geometry_of(table))
+    return repeated_of(table) if is_repeated(table) else modes_of(table, computed)
 
 
 def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
@@ -204,6 +205,7 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
             frfs or whole.frfs,
             whole.notes + part.notes,
             whole.deviations or part.deviations,
+            whole.repeats or part.repeats,
         )
     return whole
 

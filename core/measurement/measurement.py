@@ -103,12 +103,14 @@ class MeasuredDeviations:
     """How exactly the modes of a test were measured, NaN where it does not tell.
 
     frequencies: (n_modes,), relative standard deviations of the frequencies; shapes: (n_modes,), of
-    the entries of each shape, relative to its root mean square.
+    the entries of each shape, relative to its root mean square. correlation: (n_modes, n_modes), of
+    the frequencies, None where nothing is known of it.
     Raises ModesError for values that are not above zero.
     """
 
     frequencies: Floats
     shapes: Floats
+    correlation: Floats | None = None
 
     def __post_init__(self) -> None:
         for values in (self.frequencies, self.shapes):
@@ -117,12 +119,36 @@ class MeasuredDeviations:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
+class RepeatedTests:
+    """What tests of one structure found, each on its own.
+
+    places: of each test, its file, or file and line; numbers: of the modes. frequencies_hz,
+    damping_ratios: (n_tests, n_modes), NaN where not found. used: (n_tests, n_modes), which
+    frequencies count, None where nobody looked yet; worth: how much of an independent test each is.
+    """
+
+    places: tuple[str, ...]
+    numbers: tuple[int, ...]
+    frequencies_hz: Floats
+    damping_ratios: Floats
+    used: NDArray[np.bool_] | None = None
+    worth: float = 1.0
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        shape = len(self.places), len(self.numbers)
+        if self.frequencies_hz.shape != shape or self.damping_ratios.shape != shape:
+            raise ModesError(f"the values do not fit {shape[0]} tests of {shape[1]} modes")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
 class Measurement:
     """A test as its files give it; each part may be missing.
 
     modes: real shapes at the test's own nodes, in the directions of `geometry.frames`.
     notes: what the reader decided or left out, a sentence each, for people.
-    deviations: of the modes, in their order.
+    deviations: of the modes, in their order; repeats: the tests that the modes are the mean of.
     """
 
     modes: MeasuredModes | None = None
@@ -130,6 +156,7 @@ class Measurement:
     frfs: MeasuredFrfs | None = None
     notes: tuple[str, ...] = ()
     deviations: MeasuredDeviations | None = None
+    repeats: RepeatedTests | None = None
 
     __repr__ = brief
 

@@ -1,13 +1,20 @@
 """A test that was repeated: the mean of its modes, and how exactly that is known.
 
-Frequencies are averaged. Shapes are brought to the first test's scale and sign (by least squares,
-the modal scale factor) before. With n tests the deviation of a mean is s / sqrt(n), s the standard
-deviation of what was averaged. Few tests tell s of one mode badly, so it is drawn to that of all
-modes, as if four more tests had scattered as modes do on average (moderated variance, Smyth 2004):
+Frequencies x_k of test k are averaged, and their covariance C is that of one test, without what is
+missing or wrong (`scatter`). Shapes are brought to the first test's scale and sign (by least
+squares, the modal scale factor) before. The mean of n tests has the covariance C / n. Few tests
+tell C badly, so
 
-    s_i^2 <- ((n - 1) s_i^2 + 4 mean(s^2)) / (n - 1 + 4).
+* standard deviations s are drawn to those of all modes, as if four more tests had scattered as
+  modes do on average (moderated variance, Smyth 2004): s_i^2 <- ((n - 1) s_i^2 + 4 mean(s^2)) / (n
+  + 3);
+* correlations r are drawn to none by the share that makes their expected error least (Ledoit and
+  Wolf 2004; Schaefer and Strimmer 2005): sum (1 - r^2)^2 / (n - 1) over sum r^2.
 
-What all tests have wrong alike (the suspension, a sensor on another place) does not show in it.
+Tests that follow each other may drift with whatever warms up or settles. With a of the scatter of
+one seen in the next (first autocorrelation), n tests tell as much as n (1 - a) / (1 + a) (Bayley
+and Hammersley 1946). What all tests have wrong alike (the suspension, a sensor on another place)
+does not show in any of this.
 """
 
 from __future__ import annotations
@@ -18,62 +25,135 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.errors import ModesError
-from modetune.core.measurement.measurement import MeasuredDeviations
-from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.measurement.measurement import (
+    MeasuredDeviations,
+    Measurement,
+    RepeatedTests,
+)
+from modetune.core.measurement.scatter import Scatter, scatter_of
+from modetune.core.modes import Floats, MeasuredModes, dof_name, mode_set
 
 #: Tests that the scatter of all modes counts for, beside those of the mode itself.
 BORROWED = 4
 #: Repeated tests differ by less: frequencies relatively, and shapes from MAC 1.
 APART, UNLIKE = 0.1, 0.3
+#: From so many tests on a drift is looked for, which is beyond so many of its standard errors.
+DRIFT_FROM, DRIFTS = 10, 2.0
+#: Values that are left out are told one by one up to so many.
+TOLD = 12
 
 
-def mean_of_tests(tests: Sequence[MeasuredModes]) -> tuple[MeasuredModes, MeasuredDeviations]:
-    """The mean of two or more tests of the same modes at the same sensors.
+def mean_of_tests(tests: Sequence[MeasuredModes], places: Sequence[str]) -> Measurement:
+    """The mean of two or more tests at the same sensors. places: the file of each.
 
-    Raises ModesError where they are not, or where nothing scatters.
+    The first test tells which modes there are; others may lack some. Raises ModesError where they
+    are other tests, or where nothing scatters.
     """
-    first, n = tests[0], len(tests)
+    first = tests[0]
     for other in tests[1:]:
-        _check_alike(first, other)
-    hz = np.stack([test.modes.frequencies_hz for test in tests])
-    mean_hz = hz.mean(axis=0)
-    frequencies = _of_mean(np.var(hz / mean_hz, axis=0, ddof=1), n)
-    shapes = np.full(mean_hz.size, np.nan)
-    modes = replace(first.modes, frequencies_hz=mean_hz)
-    if first.has_shapes:
-        scaled = np.stack([_scaled(np.real(first.modes.mode_shapes), test) for test in tests])
-        mean = scaled.mean(axis=0)
-        variances = np.mean(np.var(scaled, axis=0, ddof=1), axis=0) / np.mean(mean**2, axis=0)
-        shapes = _of_mean(variances, n)
-        modes = replace(modes, mode_shapes=mean)
-    if not (frequencies > 0.0).all() or (shapes == 0.0).any():
+        check_alike(first, other)
+    rows = [[first.numbers.index(number) for number in test.numbers] for test in tests]
+    found = np.full((2, len(tests), len(first.numbers)), np.nan)
+    for test, own, place in zip(tests, rows, range(len(tests)), strict=True):
+        found[0, place, own] = test.modes.frequencies_hz
+        if test.modes.damping_ratios.size:
+            found[1, place, own] = test.modes.damping_ratios
+    mean = measurement_of(RepeatedTests(tuple(places), first.numbers, *found))
+    assert mean.modes is not None
+    assert mean.deviations is not None
+    if not first.has_shapes:
+        return mean
+    wanted = np.real(first.modes.mode_shapes)
+    scaled = np.full((len(tests), *wanted.shape), np.nan)
+    for place, (test, own) in enumerate(zip(tests, rows, strict=True)):
+        scaled[place][:, own] = _scaled(wanted[:, own], test)
+    shapes = np.nanmean(scaled, axis=0)
+    counts = np.isfinite(scaled[:, 0]).sum(axis=0)
+    variances = np.nanmean(np.nanvar(scaled, axis=0), axis=0) * counts / (counts - 1)
+    deviations = _drawn(variances / np.mean(shapes**2, axis=0), len(tests)) / np.sqrt(counts)
+    if (deviations == 0.0).any():
         raise ModesError("the repeated tests are the same; they tell nothing of what scatters")
-    return MeasuredModes(first.numbers, modes), MeasuredDeviations(frequencies, shapes)
+    own_modes = mean.modes.modes
+    modes = replace(
+        first.modes,
+        mode_shapes=shapes,
+        frequencies_hz=own_modes.frequencies_hz,
+        damping_ratios=own_modes.damping_ratios,
+    )
+    return replace(
+        mean,
+        modes=MeasuredModes(first.numbers, modes),
+        deviations=replace(mean.deviations, shapes=deviations),
+    )
 
 
-def _check_alike(first: MeasuredModes, other: MeasuredModes) -> None:
+def measurement_of(repeats: RepeatedTests) -> Measurement:
+    """Mean frequencies and damping of repeated tests, what they are known by, and what was left
+    out, in words. Raises ModesError where a mode was found less than twice, or nothing scatters.
+    """
+    lost = np.flatnonzero(np.isfinite(repeats.frequencies_hz).sum(axis=0) < 2)
+    if lost.size:
+        raise ModesError(
+            f"mode {repeats.numbers[lost[0]]} was found in fewer than two of "
+            f"{len(repeats.places)} tests, so that nothing tells how it scatters"
+        )
+    scatter = scatter_of(repeats.frequencies_hz)
+    worth, notes = _independent(repeats, scatter)
+    counts = scatter.used.sum(axis=0)
+    relative = scatter.covariance / np.outer(scatter.mean, scatter.mean)
+    spread = _drawn(np.diag(relative), int(counts.min()))
+    deviations = spread / np.sqrt(counts * worth)
+    known = MeasuredDeviations(
+        deviations, np.full(counts.size, np.nan), _correlation(relative, int(counts.min()))
+    )
+    return Measurement(
+        MeasuredModes(repeats.numbers, mode_set(scatter.mean, damping_ratios=_damping(repeats))),
+        notes=(*_left_out(repeats, scatter), *notes),
+        deviations=known,
+        repeats=replace(repeats, used=scatter.used, worth=worth),
+    )
+
+
+def check_alike(first: MeasuredModes, other: MeasuredModes) -> None:
+    """Raise ModesError where another test does not repeat the first."""
     one, two = first.modes, other.modes
-    if first.numbers != other.numbers:
-        has, wanted = (", ".join(map(str, test.numbers)) for test in (other, first))
-        raise ModesError(f"modes {has}, and not {wanted}")
+    new = [str(number) for number in other.numbers if number not in first.numbers]
+    if new:
+        wanted = ", ".join(map(str, first.numbers))
+        raise ModesError(f"it has mode {', '.join(new)}, and the first only {wanted}")
     if not (
         np.array_equal(one.nodes, two.nodes) and np.array_equal(one.components, two.components)
     ):
-        raise ModesError("its sensors are others, or in another order")
-    far = np.flatnonzero(np.abs(two.frequencies_hz / one.frequencies_hz - 1.0) > APART)
+        raise ModesError(f"its sensors are others{_other_sensors(first, other)}")
+    rows = [first.numbers.index(number) for number in other.numbers]
+    far = np.flatnonzero(np.abs(two.frequencies_hz / one.frequencies_hz[rows] - 1.0) > APART)
     if far.size:
         place = int(far[0])
         raise ModesError(
-            f"mode {first.numbers[place]} at {two.frequencies_hz[place]:g} Hz, and at "
-            f"{one.frequencies_hz[place]:g} Hz in the first"
+            f"mode {other.numbers[place]} at {two.frequencies_hz[place]:g} Hz, and at "
+            f"{one.frequencies_hz[rows[place]]:g} Hz in the first"
         )
     if not first.has_shapes:
         return
-    a, b = one.mode_shapes, two.mode_shapes
+    a, b = one.mode_shapes[:, rows], two.mode_shapes
     mac = np.sum(a * b, axis=0) ** 2 / (np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
     if (mac < 1.0 - UNLIKE).any():
         place = int(np.argmin(mac))
-        raise ModesError(f"mode {first.numbers[place]} has another shape (MAC {mac[place]:.2f})")
+        raise ModesError(f"mode {other.numbers[place]} has another shape (MAC {mac[place]:.2f})")
+
+
+def _other_sensors(first: MeasuredModes, other: MeasuredModes) -> str:
+    """Which sensors two tests do not share, in words."""
+    names = [
+        {
+            dof_name(dof)
+            for dof in zip(test.modes.nodes.tolist(), test.modes.components.tolist(), strict=True)
+        }
+        for test in (first, other)
+    ]
+    sides = (("it lacks", names[0] - names[1]), ("the first lacks", names[1] - names[0]))
+    said = [f"{what} {', '.join(sorted(there)[:6])}" for what, there in sides if there]
+    return f" ({'; '.join(said)})" if said else ", or in another order"
 
 
 def _scaled(wanted: Floats, test: MeasuredModes) -> Floats:
@@ -81,7 +161,70 @@ def _scaled(wanted: Floats, test: MeasuredModes) -> Floats:
     return np.asarray(own * (np.sum(wanted * own, axis=0) / np.sum(own**2, axis=0)))
 
 
-def _of_mean(variances: Floats, n: int) -> Floats:
-    """Standard deviations of means of n from the variances of what was averaged."""
+def _drawn(variances: Floats, n: int) -> Floats:
+    """Standard deviations drawn to those of all modes, from variances that n tests tell."""
     drawn = ((n - 1) * variances + BORROWED * variances.mean()) / (n - 1 + BORROWED)
-    return np.asarray(np.sqrt(drawn / n))
+    return np.asarray(np.sqrt(drawn))
+
+
+def _correlation(covariance: Floats, n: int) -> Floats:
+    """The correlation (m, m) drawn to none, as far as n tests tell it badly."""
+    sizes = np.sqrt(np.diag(covariance))
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    r = covariance / np.outer(sizes, sizes)
+    np.fill_diagonal(r, 0.0)
+    m, size = len(r), float(np.sum(r**2))
+    errors = float(np.sum((1.0 - r**2) ** 2)) - m  # the diagonal has none
+    share = min(1.0, errors / (n - 1) / size) if size > 0.0 else 1.0
+    return np.asarray((1.0 - share) * r + np.eye(m))
+
+
+def _independent(repeats: RepeatedTests, scatter: Scatter) -> tuple[float, tuple[str, ...]]:
+    """How much of an independent test each is worth, and a sentence where that is not all of it."""
+    n = len(repeats.places)
+    if n < DRIFT_FROM:
+        return 1.0, ()
+    off = np.where(scatter.used, repeats.frequencies_hz - scatter.mean, 0.0) / scatter.deviations
+    alike = float(np.sum(off[1:] * off[:-1]) / np.sum(off**2))
+    if alike < DRIFTS / np.sqrt(n):
+        return 1.0, ()
+    worth = max((1.0 - alike) / (1.0 + alike), 2.0 / n)
+    return worth, (
+        f"the {n} tests drift: each resembles the one before it (correlation {alike:.2f}), so "
+        f"that their mean is known as by {worth * n:.0f} independent ones",
+    )
+
+
+def _left_out(repeats: RepeatedTests, scatter: Scatter) -> list[str]:
+    """What was missing, and what was left out as wrong, a sentence each."""
+    there = np.isfinite(repeats.frequencies_hz)
+    missing = int((~there).sum())
+    said = []
+    if missing:
+        by = ", ".join(
+            f"mode {number} in {lacks}"
+            for number, lacks in zip(repeats.numbers, (~there).sum(axis=0).tolist(), strict=True)
+            if lacks
+        )
+        said.append(f"of {len(repeats.places)} tests not all found every mode: {by} not")
+    wrong = np.argwhere(there & ~scatter.used)
+    for test, mode in wrong[:TOLD].tolist():
+        found = np.where(scatter.used[test], repeats.frequencies_hz[test], np.nan)
+        mean, deviation = scatter.expected(found, mode)
+        said.append(
+            f"{repeats.places[test]}: mode {repeats.numbers[mode]} at "
+            f"{repeats.frequencies_hz[test, mode]:.6g} Hz is left out: the other tests, and the "
+            f"other modes of this one, lead to expect {mean:.6g} Hz within {deviation:.2g}"
+        )
+    if len(wrong) > TOLD:
+        said.append(f"{len(wrong) - TOLD} more values are left out likewise")
+    return said
+
+
+def _damping(repeats: RepeatedTests) -> Floats:
+    """Mean damping ratios (n_modes,), none where a mode has fewer than two."""
+    if (np.isfinite(repeats.damping_ratios).sum(axis=0) < 2).any():
+        return np.zeros(0)
+    if (np.nanstd(repeats.damping_ratios, axis=0) == 0.0).all():
+        return np.asarray(np.nanmean(repeats.damping_ratios, axis=0))
+    return scatter_of(repeats.damping_ratios).mean

@@ -12,10 +12,11 @@ loud sensor that is not trusted draws no other with it. With all of them 1 nothi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 
 from modetune.core.modes import Floats
 
@@ -28,6 +29,8 @@ class Weighting:
     shape_deviations: (n_modes,), of the entries of a shape, relative to its root mean square;
     frequency_weights, shape_weights: (n_modes,), emphasis, dimensionless; 0 leaves out.
     sensor_deviations: (n_dof,), over that of the shape; sensor_weights: (n_dof,), emphasis.
+    frequency_correlation: (n_modes, n_modes), of errors of frequencies; (0, 0) where they are
+    independent.
     """
 
     frequency_deviations: Floats
@@ -36,6 +39,16 @@ class Weighting:
     shape_weights: Floats
     sensor_deviations: Floats
     sensor_weights: Floats
+    frequency_correlation: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def frequency_covariance(self) -> Floats:
+        """Of relative frequencies, (n_modes, n_modes); (n_modes,), variances, where errors are
+        independent."""
+        sizes = self.frequency_deviations
+        if not self.frequency_correlation.size:
+            return np.asarray(sizes**2)
+        return np.asarray(self.frequency_correlation * np.outer(sizes, sizes))
 
     @property
     def with_shapes(self) -> bool:
@@ -55,7 +68,12 @@ class Weighting:
     def modes(self, places: ArrayLike) -> Weighting:
         """That of the modes at these positions, in this order."""
         index = np.asarray(places, dtype=np.int64)
-        return replace(self, **{name: getattr(self, name)[index] for name in _OF_MODES})
+        known = self.frequency_correlation
+        return replace(
+            self,
+            **{name: getattr(self, name)[index] for name in _OF_MODES},
+            frequency_correlation=known[np.ix_(index, index)] if known.size else known,
+        )
 
     def sensor_scales(self, rows: ArrayLike) -> tuple[Floats, Floats]:
         """Factors of shape entries at these sensors (n,), and the variances (n,) that entries of a
@@ -67,7 +85,12 @@ class Weighting:
 
 
 #: Fields that have an entry a mode.
-_OF_MODES = tuple(item.name for item in fields(Weighting) if not item.name.startswith("sensor_"))
+_OF_MODES = (
+    "frequency_deviations",
+    "shape_deviations",
+    "frequency_weights",
+    "shape_weights",
+)
 
 
 def even_weighting(
@@ -91,5 +114,16 @@ def even_weighting(
 
 def weighting_side_by_side(parts: Sequence[Weighting]) -> Weighting:
     """That of several tests, modes after modes and sensors after sensors."""
-    names = [item.name for item in fields(Weighting)]
-    return Weighting(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    names = (*_OF_MODES, "sensor_deviations", "sensor_weights")
+    whole = Weighting(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return replace(whole, frequency_correlation=_diagonal_blocks(parts))
+
+
+def _diagonal_blocks(parts: Sequence[Weighting]) -> Floats:
+    """Correlations of several tests, which know nothing of each other."""
+    known = [part.frequency_correlation for part in parts]
+    if not any(own.size for own in known):
+        return np.zeros((0, 0))
+    sizes = [part.frequency_deviations.size for part in parts]
+    blocks = [own if own.size else np.eye(n) for own, n in zip(known, sizes, strict=True)]
+    return np.asarray(block_diag(*blocks))

@@ -11,7 +11,7 @@ from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import Measurement
-from modetune.core.measurement.repeated import mean_of_tests
+from modetune.core.measurement.repeated import check_alike, mean_of_tests
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes, mode_set
@@ -86,17 +86,19 @@ def _with_repeats(
 ) -> Measurement | None:
     """The mean of a test and its repetitions, with the deviations that their scatter tells."""
     where = source.where(("test", "repeats"))
+    own = file.test.modes if isinstance(file.test.modes, str) else ", ".join(file.test.modes)
     if measurement.modes is None or measurement.deviations is not None:
         lacks = "no modes" if measurement.modes is None else "deviations of its own"
         problems.append(f"{where}: `repeats` tell deviations, but the test has {lacks}")
         return None
-    tests = [measurement.modes]
+    first = measurement.modes
+    tests = [first]
     for name in file.test.repeats:
         try:
             found = read_measurement([source.path.parent / name])
             if found.modes is None:
                 raise CampaignError(f"{name} holds no modes")
-            mean_of_tests([measurement.modes, found.modes])
+            check_alike(first, found.modes)
             tests.append(found.modes)
         except CampaignError as error:
             problems += [f"{problem} (named in {where})" for problem in error.problems]
@@ -104,8 +106,17 @@ def _with_repeats(
             problems.append(f"{where}: {name} does not repeat the test: {error}")
     if len(tests) <= len(file.test.repeats):
         return None
-    modes, deviations = mean_of_tests(tests)
-    return replace(measurement, modes=modes, deviations=deviations)
+    try:
+        mean = mean_of_tests(tests, [own, *file.test.repeats])
+    except ModesError as error:
+        problems.append(f"{where}: {error}")
+        return None
+    return replace(
+        mean,
+        geometry=measurement.geometry,
+        frfs=measurement.frfs,
+        notes=(*measurement.notes, *mean.notes),
+    )
 
 
 def _pair_problems(source: YamlFile, file: CampaignFile, test: MeasuredModes) -> list[str]:

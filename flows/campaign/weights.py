@@ -6,7 +6,9 @@ the nearest name that there is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -37,7 +39,21 @@ def weighting_of(
         _by_sensor(values, test.modes)
         for values in (section.sensor_deviation, section.sensor_weight)
     ]
-    return Weighting(*by_mode, *by_sensor)
+    correlation = _correlation(section, measurement, test)
+    return replace(Weighting(*by_mode, *by_sensor), frequency_correlation=correlation)
+
+
+def _correlation(section: ResidualSection, measurement: Measurement, test: MeasuredModes) -> Floats:
+    """Correlation of frequencies (n, n) as far as the test tells their deviations; else none."""
+    modes, known = measurement.modes, measurement.deviations
+    if modes is None or known is None or known.correlation is None:
+        return np.zeros((0, 0))
+    rows = [modes.numbers.index(number) for number in test.numbers]
+    told = np.array([section.of_mode("frequency_deviation", n, math.nan) for n in test.numbers])
+    by_test = np.isnan(told)
+    found = np.where(np.outer(by_test, by_test), known.correlation[np.ix_(rows, rows)], 0.0)
+    np.fill_diagonal(found, 1.0)
+    return found
 
 
 def _told(measurement: Measurement) -> dict[str, dict[int, float]]:
