@@ -34,7 +34,7 @@ ASK = "PARAM,POST,-1 in the bulk data and DSAPRT(EXPORT,END=SENS)=ALL in the cas
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class DesignResponse:
     """One column.
 
     kind: weight, frequency (cycles), eigenvalue, displacement, or `other N` with the type N of
@@ -58,7 +58,7 @@ class DesignSensitivities:
     """
 
     design_variables: Integers
-    responses: tuple[Response, ...]
+    responses: tuple[DesignResponse, ...]
     values: Floats
 
 
@@ -147,7 +147,7 @@ def _cards(edom: Op2Table, mark: tuple[int, int]) -> Integers:
     return np.zeros(0, dtype=np.int64)
 
 
-def _responses(table: Op2Table, types: dict[int, int]) -> tuple[Response, ...]:
+def _responses(table: Op2Table, types: dict[int, int]) -> tuple[DesignResponse, ...]:
     words = table.records[0].integers()
     if words.size % WORDS or not words.size:
         raise ValueError(f"DSCMCOL has {words.size} words, {WORDS} belong to a response")
@@ -159,20 +159,20 @@ def _responses(table: Op2Table, types: dict[int, int]) -> tuple[Response, ...]:
     # Responses of DRESP2 cards, in a record of their own, take six words each.
     for record in table.records[1:]:
         rows = record.integers().reshape(-1, 6).tolist()
-        responses += [Response("other DRESP2", row[1]) for row in rows]
+        responses += [DesignResponse("other DRESP2", row[1]) for row in rows]
     return tuple(responses)
 
 
-def _response(row: list[int], types: dict[int, int]) -> Response:
+def _response(row: list[int], types: dict[int, int]) -> DesignResponse:
     _, number, kind, first, second, *_ = row
     if kind == WEIGHT:
-        return Response("weight", number)
+        return DesignResponse("weight", number)
     if kind == DISPLACEMENT:
-        return Response("displacement", number, node=first, component=second)
+        return DesignResponse("displacement", number, node=first, component=second)
     if kind == MODE:
         names = {EDOM_EIGENVALUE: "eigenvalue", EDOM_FREQUENCY: "frequency"}
         name = names.get(types.get(number, 0))
         if name is None:
             raise ValueError(f"EDOM does not say whether DRESP1 {number} is EIGN or FREQ")
-        return Response(name, number, mode=first)
-    return Response(f"other {kind}", number)
+        return DesignResponse(name, number, mode=first)
+    return DesignResponse(f"other {kind}", number)

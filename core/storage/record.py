@@ -49,7 +49,10 @@ front of the HDF5 content (`core/storage/seal`).
         computed/          all computed elastic modes at the record's sensors, as /test/modes/
         pairing/           measured, computed: positions (from 0) of the pairs; mac, subspace_mac
                            (against close modes together), reasons (n_pairs,)
-        residual/          values, weights, variances (n_residuals,); attribute n_frequencies
+        residual/          values, weights, variances, noise (n_residuals,)
+        residual/blocks/0000/...   what rows are of, in their order, a group a kind of response and
+                           configuration: attributes kind, scaled; names, sizes (n_items,), measured
+                           (n_rows,), mixing (n_rows, n_rows): `core/updating/responses/response`
         field/             shapes of the paired modes at the nodes of /surface/, as /test/modes/;
                            of the first and of the best accepted iteration only, else empty
 
@@ -73,7 +76,7 @@ from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import ParameterSet
 from modetune.core.surface import Surface
-from modetune.core.updating.residual import Residual
+from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.trust import Trust
 
 
@@ -156,7 +159,7 @@ class IterationRecord:
     @property
     def worst_error(self) -> float:
         """The largest error of a frequency that is compared."""
-        used = self.residual.of_used_frequencies(self.frequency_errors)
+        used = self.residual.of_used("frequencies", self.frequency_errors)
         return float(np.max(np.abs(used), initial=0.0))
 
 

@@ -22,8 +22,8 @@ class Tolerances:
     The MAC counts wherever shapes were measured, also if the residual leaves them out.
     """
 
-    frequency: float
-    mac: float
+    frequency: float = np.inf
+    mac: float = 0.0
 
 
 def frequency_errors(measured: ModeSet, computed: ModeSet, pairing: Pairing) -> Floats:

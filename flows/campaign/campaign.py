@@ -278,6 +278,7 @@ def _read_case(
     used, held = used_modes(file, measurement), held_out_modes(file, measurement)
     test = replace(used, modes=used.modes.rows(mapping.rows))
     parameters = file.parameter_set()
+    tolerances = Tolerances(file.update.e1.frequency, file.update.e1.mac)
     return Case(
         solver=solver,
         units=file.model.units,
@@ -300,6 +301,8 @@ def _read_case(
             drop=file.test.unmatched == "drop",
             reach=frequency_reach(parameters, parameters.initial),
         ),
+        compared=file.residuals.responses(tolerances, test.numbers),
+        tolerances=tolerances,
     )
 
 

@@ -20,6 +20,10 @@ from modetune.core.measurement.measurement import Measurement
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.surface import Surface
+from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.responses.frequencies import Frequencies
+from modetune.core.updating.responses.response import Need, Response
+from modetune.core.updating.responses.shapes import Shapes
 from modetune.core.updating.weighting import Weighting
 from modetune.flows.campaign.mapping import Mapping
 from modetune.flows.campaign.schema import Eigensolver, ModelCheck, Units
@@ -38,7 +42,8 @@ class Case:
     derivatives need shapes. name: of the configuration, empty where the campaign has one
     model; columns: positions of its parameters among the campaign's, all of them where None;
     accepted: doubts about the model that are known; weight: of its residuals; aside: whether it is
-    only judged by; rules: which pairs are allowed.
+    only judged by; rules: which pairs are allowed; compared: what is compared beside frequencies
+    and shapes; tolerances: e1's.
     """
 
     solver: Solver
@@ -58,6 +63,18 @@ class Case:
     weight: float = 1.0
     aside: bool = False
     rules: PairRules = field(default_factory=PairRules)
+    compared: tuple[Response, ...] = ()
+    tolerances: Tolerances = field(default_factory=Tolerances)
+
+    @property
+    def responses(self) -> tuple[Response, ...]:
+        """All that is compared, in the order of the residual's rows."""
+        shapes = (Shapes(self.tolerances.mac),) if self.weighting.with_shapes else ()
+        return (Frequencies(self.tolerances.frequency), *shapes, *self.compared)
+
+    def needs(self, what: Need) -> bool:
+        """Whether a response of the case needs it."""
+        return any(what in item.needs for item in self.responses)
 
     @property
     def sensors(self) -> SensorMap:

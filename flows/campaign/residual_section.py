@@ -2,38 +2,47 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Literal, Protocol, get_args
 
 from pydantic import BeforeValidator, Field
 
-from modetune.flows.campaign.section import NotNegative, Positive, Section
+from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.responses.response import Response
+from modetune.flows.campaign.mac_section import MacSection
+from modetune.flows.campaign.section import (
+    OTHERS,
+    Deviations,
+    NotNegative,
+    Positive,
+    Section,
+    Weights,
+    by_name,
+)
 
-#: Stands for the modes that a key does not name.
-OTHERS = "others"
 #: What a key of modes stands for.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]
 SensorKey = Literal["sensor_weight", "sensor_deviation"]
 
 
-def _by_name(given: object) -> object:
-    """A mapping with names as text, as the file's lines go by them."""
-    return {str(key): value for key, value in given.items()} if isinstance(given, dict) else given
+#: Keys of the kinds of responses beside frequencies and shapes, in the order of their rows.
+KINDS = ("mac",)
 
 
-def _by_mode(given: object) -> object:
-    """The same; one value goes for all modes."""
-    return _by_name(given) if isinstance(given, dict) else {OTHERS: given}
+class KindSection(Protocol):
+    """What the section of a kind of response tells."""
 
+    @property
+    def mode_keys(self) -> tuple[str, ...]:
+        """Its keys whose values go by mode."""
+        ...
 
-#: One value, or values by a mode's number and of the `others`.
-Weights = Annotated[
-    dict[str, NotNegative],
-    BeforeValidator(_by_mode, json_schema_input_type=NotNegative | dict[str, NotNegative]),
-]
-Deviations = Annotated[
-    dict[str, Positive],
-    BeforeValidator(_by_mode, json_schema_input_type=Positive | dict[str, Positive]),
-]
+    @property
+    def shape_weights(self) -> Mapping[str, float]:
+        """Its weights by mode, where it compares shapes."""
+        ...
+
+    def response(self, e1: Tolerances, numbers: Sequence[int]) -> Response: ...
 
 
 class ResidualSection(Section):
@@ -52,17 +61,37 @@ class ResidualSection(Section):
     shape_deviation: Deviations = Field(default=0.05, validate_default=True)
     """Standard deviation of measured shape entries, of all or by mode; without it those of the
     test, where its file or repetitions tell them [of the shape's rms]"""
-    sensor_weight: Annotated[dict[str, NotNegative], BeforeValidator(_by_name)] = Field(default={})
+    sensor_weight: Annotated[dict[str, NotNegative], BeforeValidator(by_name)] = Field(default={})
     """Emphasis of sensors by name, `12.z`, or all of a point, `12`; 1 unless given. 0 leaves a
     sensor out altogether, as if it had not been there."""
-    sensor_deviation: Annotated[dict[str, Positive], BeforeValidator(_by_name)] = Field(default={})
+    sensor_deviation: Annotated[dict[str, Positive], BeforeValidator(by_name)] = Field(default={})
     """Standard deviation of sensors by name, where it is another than `shape_deviation`; 1 unless
     given [of the shape's deviation]"""
+    mac: MacSection | None = None
+    """MAC as a response of its own."""
+
+    @property
+    def kinds(self) -> dict[str, KindSection]:
+        """The sections of the kinds that are compared beside frequencies and shapes."""
+        found = ((key, getattr(self, key)) for key in KINDS)
+        return {key: section for key, section in found if section is not None}
+
+    def responses(self, e1: Tolerances, numbers: Sequence[int]) -> tuple[Response, ...]:
+        """These kinds as a test with modes of these numbers has them."""
+        return tuple(section.response(e1, numbers) for section in self.kinds.values())
+
+    @property
+    def by_mode(self) -> Iterator[tuple[tuple[str, ...], Mapping[str, float]]]:
+        """All that is given by mode: its keys below `residuals`, and the values."""
+        yield from (((key,), getattr(self, key)) for key in get_args(ModeKey))
+        for kind, section in self.kinds.items():
+            yield from (((kind, key), getattr(section, key)) for key in section.mode_keys)
 
     @property
     def with_shapes(self) -> bool:
         """Whether shapes of some modes may be compared."""
-        return any(value > 0.0 for value in self.shape_weight.values())
+        weights = [self.shape_weight, *(section.shape_weights for section in self.kinds.values())]
+        return any(value > 0.0 for item in weights for value in item.values())
 
     def of_mode(self, key: ModeKey, number: int, told: float | None = None) -> float:
         """A key's value for one mode; told: by the test file."""

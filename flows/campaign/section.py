@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.near_names import suggestion
@@ -16,6 +16,31 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+
+
+#: Stands for the modes that a key does not name.
+OTHERS = "others"
+
+
+def by_name(given: object) -> object:
+    """A mapping with names as text, as the file's lines go by them."""
+    return {str(key): value for key, value in given.items()} if isinstance(given, dict) else given
+
+
+def _by_mode(given: object) -> object:
+    """The same; one value goes for all modes."""
+    return by_name(given) if isinstance(given, dict) else {OTHERS: given}
+
+
+#: One value, or values by a mode's number and of the `others`.
+Weights = Annotated[
+    dict[str, NotNegative],
+    BeforeValidator(_by_mode, json_schema_input_type=NotNegative | dict[str, NotNegative]),
+]
+Deviations = Annotated[
+    dict[str, Positive],
+    BeforeValidator(_by_mode, json_schema_input_type=Positive | dict[str, Positive]),
+]
 
 
 class Section(BaseModel):

@@ -18,8 +18,9 @@ from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, dof_name
 from modetune.core.near_names import suggestion
 from modetune.core.updating.weighting import Weighting
-from modetune.flows.campaign.residual_section import OTHERS, ModeKey, ResidualSection, SensorKey
+from modetune.flows.campaign.residual_section import ResidualSection, SensorKey
 from modetune.flows.campaign.schema import CampaignFile
+from modetune.flows.campaign.section import OTHERS
 
 #: Steps that know no weights, but which responses there are (thesis (34), (45)).
 UNWEIGHTED = ("pseudo_inverse", "minimum_norm")
@@ -91,12 +92,13 @@ def weight_problems(
     section, test = file.residuals, measurement.modes
     assert test is not None
     found = []
-    for key in get_args(ModeKey):
-        judged = (*used, *held_out) if key == "frequency_deviation" else used
-        for name in getattr(section, key):
+    for keys, values in section.by_mode:
+        judged = (*used, *held_out) if keys == ("frequency_deviation",) else used
+        for name in values:
             said = "" if name == OTHERS else _mode_problem(name, test.numbers, judged)
             if said:
-                found.append(f"{source.where(('residuals', key, name))}: residuals.{key}: {said}")
+                where = source.where(("residuals", *keys, name))
+                found.append(f"{where}: residuals.{'.'.join(keys)}: {said}")
     for key in get_args(SensorKey):
         found += [
             f"{source.where(('residuals', key, name))}: residuals.{key}: {said}"
@@ -137,14 +139,14 @@ def _idle(
     where = source.where(("residuals",))
     weighting = weighting_of(section, measurement, test)
     weights = np.concatenate([weighting.frequency_weights, weighting.shape_weights])
-    if not weights.any():
+    if not weights.any() and not section.kinds:
         return [f"{where}: residuals: all weights are 0; one must be above zero"]
     found = []
     if test.has_shapes and not weighting.sensor_weights.any():
         place = source.where(("residuals", "sensor_weight"))
         found.append(f"{place}: residuals.sensor_weight leaves out every sensor of the test")
     counted = [name for name, weight in section.sensor_weight.items() if weight > 0.0]
-    if counted and not weighting.with_shapes:
+    if counted and not section.with_shapes:
         found.append(
             f"{source.where(('residuals', 'sensor_weight', counted[0]))}: residuals.sensor_weight: "
             f"{counted[0]} has a weight, but no shapes are compared; give `shape_weight`"

@@ -98,7 +98,7 @@ def fresh_matrices(record: CampaignRecord) -> tuple[tuple[int, Floats], ...]:
         if item.sensitivity_age or item.sensitivity.shape[0] == 0:
             continue
         start = [one for one in record.iterations if one.accepted and one.number < item.number][-1]
-        n = start.residual.n_frequencies
+        n = start.residual.rows("frequencies").stop
         ratio = 1.0 / (1.0 + start.frequency_errors) ** 2
         values = 0.5 * item.sensitivity[:n] * start.parameters * ratio[:, None]
         found.setdefault(start.number, values)

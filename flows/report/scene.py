@@ -45,7 +45,7 @@ class ShownMode:
 
 
 @dataclass(frozen=True, slots=True)
-class ModelState:
+class ShownState:
     """The model's elastic modes in one state.
 
     pairs: (n_pairs, 2), places of test modes and of their partners among `modes`;
@@ -73,7 +73,7 @@ class Scene:
     points: Floats
     lines: Integers
     tests: tuple[ShownMode, ...]
-    states: dict[str, ModelState]
+    states: dict[str, ShownState]
 
     @property
     def length(self) -> float:
@@ -196,7 +196,7 @@ def _tests(record: CampaignRecord, sensors: _Sensors | None) -> tuple[ShownMode,
 
 def _state(
     record: CampaignRecord, item: IterationRecord, surface: Surface | None, sensors: _Sensors | None
-) -> ModelState:
+) -> ShownState:
     """The computed modes of an iteration, as many as stand in the table of MAC."""
     mac = mac_table(record, item) if record.test.has_shapes else np.zeros((0, 0))
     pairs = np.stack([item.pairing.measured, item.pairing.computed], axis=1)
@@ -218,10 +218,10 @@ def _state(
         largest = max(_largest(points), _largest(field)) or 1.0
         hz = float(item.computed.frequencies_hz[place])
         modes.append(ShownMode(str(place + 1), hz, points / largest, field / largest))
-    return ModelState(tuple(modes), pairs, mac)
+    return ShownState(tuple(modes), pairs, mac)
 
 
-def _in_phase(after: ModelState, before: ModelState) -> ModelState:
+def _in_phase(after: ShownState, before: ShownState) -> ShownState:
     """Modes turned by half a period where they would start against their motion before.
 
     Where shapes were measured both follow the test.
@@ -232,7 +232,7 @@ def _in_phase(after: ModelState, before: ModelState) -> ModelState:
         mode = modes[place]
         if float(np.sum(mode.surface * before.modes[then[test]].surface)) < 0.0:
             modes[place] = ShownMode(mode.label, mode.frequency_hz, mode.points, -mode.surface)
-    return ModelState(tuple(modes), after.pairs, after.mac)
+    return ShownState(tuple(modes), after.pairs, after.mac)
 
 
 def _largest(motion: Floats) -> float:

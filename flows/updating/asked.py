@@ -46,6 +46,19 @@ class CaseState:
         """The case's own parameters among all."""
         return theta[self.columns]
 
+    def compared(
+        self,
+        theta: Floats,
+        key: str,
+        modal: ModalResult,
+        before: CaseEvaluation | None,
+        solved_by: str,
+        drop: bool = False,
+    ) -> CaseEvaluation:
+        """Modes at the case's own parameters beside its test: `compare`."""
+        matrices = self.finder.assembled(theta) if self.case.needs("matrices") else None
+        return compare(self.case, theta, key, modal, before, solved_by, drop, matrices)
+
     def named(self, work: Work) -> Work:
         """A piece of work under the case's name, for its engine."""
         return Work(self.case.of(work.name), work.jobs, work.engine or self.engine)
@@ -107,7 +120,7 @@ class AskedModes:
     ) -> CaseEvaluation:
         """Modes that were found beside those of the test. Raises LostMode."""
         state = self.state
-        return compare(state.case, self.theta, key, modal, before, state.finder.name, drop)
+        return state.compared(self.theta, key, modal, before, state.finder.name, drop)
 
 
 @dataclass(slots=True)

@@ -80,11 +80,11 @@ class Between:
         if self.campaign.sensitivity.between == "keep":
             return replace(matrix, age=matrix.age + 1)
         change = current.residual.values - evaluation.residual.values
-        n_frequencies = current.residual.n_frequencies
-        values = broyden_update(matrix.values, step.change, change, n_frequencies)
+        rows = current.residual.rows("frequencies")
+        values = broyden_update(matrix.values, step.change, change, rows.stop)
         exact = self.evaluator.by_energies(evaluation)
         known = np.isfinite(exact)
-        values[:n_frequencies][known] = exact[known]
+        values[rows][known] = exact[known]
         methods = tuple(
             f"{name}+strain_energy" if new and "strain_energy" not in name else name
             for name, new in zip(matrix.methods, known.any(axis=0).tolist(), strict=True)

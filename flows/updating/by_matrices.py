@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,12 +21,20 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModetuneError, NoResult
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.reduced import ReducedModel
+from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.work import Done, Work
 from modetune.flows.updating.evaluation import CaseEvaluation, Point
-from modetune.flows.updating.finders import REDUCED, BySolver, Columns, ModeFinder, unless_failed
+from modetune.flows.updating.finders import (
+    REDUCED,
+    BySolver,
+    Columns,
+    ModeFinder,
+    assembled,
+    unless_failed,
+)
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
 from modetune.flows.updating.stored_modes import MatrixModes
@@ -66,6 +74,9 @@ class ByMatrices:
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
         return self.stored(done).modal(theta, analysis)
+
+    def assembled(self, theta: Floats) -> MatricesAt:
+        return assembled(self.source, theta)
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         return self.works(theta, analysis)
@@ -119,6 +130,10 @@ class ByReduced:
             self.reduced, theta, known.n_modes, n_rigid, known.nodes, known.components
         )
         return self.around.key, modal
+
+    def assembled(self, theta: Floats) -> MatricesAt:
+        assert self.around.matrices is not None
+        return replace(self.around.matrices, theta=theta)
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         return []

@@ -18,6 +18,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError, ModesError, ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.updating.reduced_range import RangeUse, ReducedRange, range_sets
+from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import doing
@@ -72,6 +73,9 @@ class ByRange:
         self.tally.sets += 1
         self.tally.in_full += found is None
         return found or self.matrices.modes(theta, analysis, done)
+
+    def assembled(self, theta: Floats) -> MatricesAt:
+        return self.matrices.assembled(theta)
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         return []

@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.core.modes import Floats
-from modetune.core.updating.residual import frequency_sensitivity, residual_sensitivity
+from modetune.core.updating.residual import residual_sensitivity
+from modetune.core.updating.responses.frequencies import Frequencies
+from modetune.core.updating.responses.response import ModelState, StateDerivatives
 from modetune.core.updating.results import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
@@ -23,7 +25,6 @@ from modetune.flows.updating.evaluation import (
     CaseEvaluation,
     Evaluation,
     Matrix,
-    compare,
     part_rows,
 )
 from modetune.flows.updating.finders import REDUCED, UNFIT, Columns
@@ -79,15 +80,13 @@ class Deriving:
         """What strain energies tell of the sensitivity at a point, without a job: rows of
         frequencies (n_frequencies, n_parameters), NaN where they tell nothing."""
         parameters, parts = self.campaign.parameters.names, evaluation.parts
-        found = np.full((evaluation.residual.n_frequencies, len(parameters)), np.nan)
+        whole = evaluation.residual.rows("frequencies")
+        found = np.full((whole.stop - whole.start, len(parameters)), np.nan)
         for state, part, rows in zip(self.used, parts, part_rows(parts), strict=True):
             with suppress(UnbalancedEnergies):
                 slopes = by_energies(part.point, state.campaign.parameters.names)
-                place = np.ix_(rows[: part.residual.n_frequencies], state.columns)
-                test, weighting = state.case.test.modes, state.case.weighting
-                found[place] = frequency_sensitivity(
-                    test, part.seen, part.pairing, weighting, slopes
-                )
+                place = np.ix_(rows[part.residual.rows("frequencies")], state.columns)
+                found[place] = Frequencies().slopes(_model_state(state.case, part), slopes)
         return found
 
     def _tell(self, title: str, state: CaseState, columns: Columns) -> None:
@@ -104,7 +103,7 @@ class Deriving:
         if state.finder.suits(part, state.analysis):
             return part
         key, modal = self.pieces.modes(title, state, part.theta, state.analysis)
-        return compare(state.case, part.theta, key, modal, part, state.finder.name)
+        return state.compared(part.theta, key, modal, part, state.finder.name)
 
     def _stacked(self, parts: Sequence[CaseEvaluation], columns: Sequence[Columns]) -> Matrix:
         """The sensitivities of all cases as one."""
@@ -115,11 +114,9 @@ class Deriving:
         for state, part, found, own in zip(self.used, parts, columns, rows, strict=True):
             there = [n for n in range(state.columns.size) if n not in found.missing]
             values[np.ix_(own, state.columns[there])] = residual_sensitivity(
-                state.case.test.modes,
-                part.seen,
-                part.pairing,
-                state.case.weighting,
-                self._seen(state.case, part, found.derivatives),
+                part.responses,
+                _model_state(state.case, part),
+                StateDerivatives(self._seen(state.case, part, found.derivatives), tuple(there)),
             )
             missing |= {int(state.columns[column]) for column in found.missing}
             for column, method in zip(state.columns.tolist(), found.methods, strict=True):
@@ -137,10 +134,15 @@ class Deriving:
         self, case: Case, part: CaseEvaluation, derivatives: ModeDerivatives
     ) -> ModeDerivatives:
         """Derivatives of shapes as the test's sensors see them."""
-        if not case.weighting.with_shapes:
+        if not case.needs("shapes"):
             return derivatives
         modes = part.modal.modes
         observer = case.sensors.matrix(modes.nodes, modes.components)
         shapes = derivatives.mode_shapes
         seen = observer @ shapes.reshape(shapes.shape[0], -1)
         return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
+
+
+def _model_state(case: Case, part: CaseEvaluation) -> ModelState:
+    """An evaluated case as its responses see it."""
+    return ModelState(case.test, case.weighting, part.seen, part.pairing, part.modal, part.matrices)

@@ -1,13 +1,13 @@
 """An evaluated parameter set: in each case its modes, which answer the test, and how far they are.
 
 What a set gives in all cases is put together for the step: residuals and sensitivities are stacked,
-frequencies of all cases first and then shapes of all, as `core/updating/residual` has them.
+one kind of response after the other, and in each the cases in turn.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,9 +29,24 @@ from modetune.core.correlation.pairing import Pairing
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.updating.estimation import Step
-from modetune.core.updating.residual import Residual, residual
+from modetune.core.updating.residual import residual, responses_agree
+from modetune.core.updating.responses.response import (
+    MatricesAt,
+    ModelState,
+    Residual,
+    Response,
+    block_parts,
+    stacked,
+    stacked_rows,
+    with_values,
+)
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.case import Case, node_base, side_by_side
+
+#: Kinds whose e1 is asked of the pairs themselves, whether they are compared or not.
+BY_MODES = ("frequencies", "shapes", "mac")
+#: Those of them that foretell a MAC.
+BY_SHAPES = ("shapes", "mac")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +69,7 @@ class CaseEvaluation:
     theta: the case's own parameters. modal: at the nodes that pairing and derivatives need; seen:
     its elastic modes as the test's sensors see them; field: the elastic modes at every node that
     was asked for; held_out: where the test's held-out modes are among them; solved_by: the program
-    that found the modes.
+    that found the modes; responses: what is compared; matrices: where a response needs them.
     """
 
     theta: Floats
@@ -67,6 +82,8 @@ class CaseEvaluation:
     errors: Floats
     held_out: Pairing | None
     solved_by: str
+    responses: tuple[Response, ...]
+    matrices: MatricesAt | None = None
 
     @property
     def point(self) -> Point:
@@ -100,12 +117,17 @@ class Evaluation:
 
     def agrees(self, tolerances: Tolerances) -> bool:
         """Whether e1 holds; members of a cluster of close modes are judged by its space."""
-        return agrees(self.used_errors, self.pairing.judged_mac, tolerances)
+        return agrees(self.used_errors, self.pairing.judged_mac, tolerances) and all(
+            responses_agree(
+                [item for item in part.responses if item.kind not in BY_MODES], part.residual
+            )
+            for part in self.parts
+        )
 
     @property
     def used_errors(self) -> Floats:
         """Errors of the frequencies that are compared."""
-        return self.residual.of_used_frequencies(self.errors)
+        return self.residual.of_used("frequencies", self.errors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,23 +162,26 @@ def compare(
     previous: CaseEvaluation | None,
     solved_by: str,
     drop: bool = False,
+    matrices: MatricesAt | None = None,
 ) -> CaseEvaluation:
     """Pair the modes of a model state with the test of its case. Raises LostMode, ModesError.
 
     solved_by: the program that found them; drop: whether modes without a partner are left out,
-    where nothing was paired before. Measured shapes decide where there are some; else the
-    pairs of `previous` are tracked, and at first the order of frequencies decides. Where shapes
-    count, close modes that the test splits are turned to lie as the test's.
+    where nothing was paired before; matrices: where a response needs them. Measured shapes decide
+    where there are some; else the pairs of `previous` are tracked, and at first the order of
+    frequencies decides. Where shapes count, close modes that the test splits are turned to lie as
+    the test's.
     """
     modal = result.at(case.nodes)
     seen, pairing = _paired(case, modal, previous, drop)
     test = case.test
-    if test.has_shapes and case.weighting.with_shapes:
+    if test.has_shapes and case.needs("shapes"):
         rotation = rotation_to_test(test.modes, seen, pairing, case.weighting.frequency_deviations)
         if rotation is not None:
             result = result.turned(rotation)
             modal = result.at(case.nodes)
             seen, pairing = _paired(case, modal, previous, drop)
+    state = ModelState(test, case.weighting, seen, pairing, modal, matrices)
     return CaseEvaluation(
         theta=theta,
         key=key,
@@ -164,10 +189,12 @@ def compare(
         seen=seen,
         field=result.elastic,
         pairing=pairing,
-        residual=residual(test.modes, seen, pairing, case.weighting),
+        residual=residual(case.responses, state),
         errors=frequency_errors(test.modes, seen, pairing),
         held_out=_held_out(case, seen, pairing, previous),
         solved_by=solved_by,
+        responses=case.responses,
+        matrices=matrices,
     )
 
 
@@ -245,39 +272,31 @@ def whole_evaluation(
     cases: Sequence[Case], theta: Floats, parts: Sequence[CaseEvaluation]
 ) -> Evaluation:
     """What a set gives in all cases as one, each by the weight of its case."""
-    rows = part_rows(parts)
-    weights = [case.weight * part.residual.weights for case, part in zip(cases, parts, strict=True)]
     return Evaluation(
         theta=theta,
         parts=tuple(parts),
         seen=_all_seen(cases, parts),
         pairing=_all_pairs(cases, parts),
-        residual=Residual(
-            values=_merged([part.residual.values for part in parts], rows),
-            weights=_merged(weights, rows),
-            variances=_merged([part.residual.variances for part in parts], rows),
-            n_frequencies=sum(part.residual.n_frequencies for part in parts),
-        ),
+        residual=stacked([_in_whole(*both) for both in zip(cases, parts, strict=True)]),
         errors=np.concatenate([part.errors for part in parts]),
     )
 
 
+def _in_whole(case: Case, part: CaseEvaluation) -> list[Residual]:
+    """The blocks of a case as they stand among those of others."""
+    return [
+        replace(
+            own,
+            weights=case.weight * own.weights,
+            blocks=tuple(replace(b, names=tuple(map(case.of, b.names))) for b in own.blocks),
+        )
+        for own in block_parts(part.residual)
+    ]
+
+
 def part_rows(parts: Sequence[CaseEvaluation]) -> list[Integers]:
     """Of each case the rows it has in the whole residual."""
-    n_frequencies = [part.residual.n_frequencies for part in parts]
-    n_shapes = [part.residual.values.size - n for part, n in zip(parts, n_frequencies, strict=True)]
-    rows, first, shape = [], 0, sum(n_frequencies)
-    for frequencies, shapes in zip(n_frequencies, n_shapes, strict=True):
-        rows.append(np.r_[first : first + frequencies, shape : shape + shapes])
-        first, shape = first + frequencies, shape + shapes
-    return rows
-
-
-def _merged(values: Sequence[Floats], rows: Sequence[Integers]) -> Floats:
-    merged = np.zeros(sum(item.size for item in values))
-    for own, place in zip(values, rows, strict=True):
-        merged[place] = own
-    return merged
+    return stacked_rows([part.residual for part in parts])
 
 
 def _all_seen(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> ModeSet:
@@ -325,9 +344,9 @@ def expects_agreement(step: Step, evaluation: Evaluation, tolerances: Tolerances
 
 
 def _expects(predicted: Floats, part: CaseEvaluation, tolerances: Tolerances) -> bool:
-    n_frequencies = part.residual.n_frequencies
-    # z is of eigenvalues: twice the frequency's
-    errors = part.residual.of_used_frequencies(0.5 * predicted[:n_frequencies])
-    shapes = predicted[n_frequencies:]
-    mac = 1.0 - (shapes.reshape(n_frequencies, -1) ** 2).sum(axis=1)
-    return agrees(errors, mac if shapes.size else part.pairing.judged_mac, tolerances)
+    foreseen = with_values(part.residual, predicted)
+    if not any(foreseen.has(kind) for kind in BY_SHAPES) and not agrees(
+        np.zeros(0), part.pairing.judged_mac, tolerances
+    ):
+        return False
+    return responses_agree(part.responses, foreseen)

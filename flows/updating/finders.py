@@ -24,6 +24,7 @@ from modetune.core.errors import (
     SolverMissing,
 )
 from modetune.core.modes import Floats
+from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.core.updating.sensitivity import stack_derivatives
 from modetune.flows.campaign.campaign import Campaign
@@ -96,6 +97,10 @@ class ModeFinder(Protocol):
         """
         ...
 
+    def assembled(self, theta: Floats) -> MatricesAt:
+        """K and M at a set whose `works` are done. Raises ModelError."""
+        ...
+
     def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
         """Whether the modes of an evaluation point are enough for derivatives."""
         ...
@@ -125,7 +130,10 @@ class BySolver:
         return all(method == "strain_energy" for method in self.methods)
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        return [Work("modal", (self.job(theta, analysis),))]
+        modal = Work("modal", (self.job(theta, analysis),))
+        if not self.campaign.case.needs("matrices"):
+            return [modal]
+        return [modal, *self.source.works(theta, range(theta.size))]
 
     def job(self, theta: Floats, analysis: ModalAnalysis) -> Job:
         """The modal job at a set."""
@@ -135,7 +143,12 @@ class BySolver:
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
         (outcome,) = unless_failed(done[0])
+        for item in done[1:]:
+            unless_failed(item)
         return outcome.key, outcome.result(ModalResult)
+
+    def assembled(self, theta: Floats) -> MatricesAt:
+        return assembled(self.source, theta)
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         plans = sensitivities(self.campaign, self.source, analysis)
@@ -226,6 +239,11 @@ class BySolver:
         return stack_derivatives([parts[column] for column in sorted(parts)])
 
 
+def assembled(source: MatrixSource, theta: Floats) -> MatricesAt:
+    """A model's matrices at a set, from jobs that are done. Raises ModelError."""
+    return MatricesAt(source.matrices(theta, range(theta.size)), source.written(theta))
+
+
 def by_solver(campaign: Campaign, engine: JobEngine) -> BySolver:
     """The finder of the solver's own modes for a campaign's only case."""
     source = MatrixSource(engine, campaign.parameters, campaign.sensitivity.step)
@@ -251,7 +269,7 @@ def sensitivities(
     return Sensitivities(
         source=source,
         settings=campaign.sensitivity,
-        with_shapes=campaign.case.weighting.with_shapes,
+        with_shapes=campaign.case.needs("shapes"),
         modal=replace(analysis, nodes=campaign.case.nodes),
     )
 

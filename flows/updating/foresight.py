@@ -27,7 +27,7 @@ from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Work
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.by_matrices import ByMatrices, ByReduced
-from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, compare
+from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.loop import CONFIRMED, Loop, Noted
@@ -120,7 +120,7 @@ class ReducedForesight:
                     return None
                 own = state.own(theta)
                 key, modal = state.finder.stored().foreseen(own, state.analysis)
-                parts.append(compare(state.case, own, key, modal, before, REDUCED))
+                parts.append(state.compared(own, key, modal, before, REDUCED))
         except ModesError as error:
             logger.debug("nothing is foreseen: %s", error)
             return None
@@ -188,7 +188,7 @@ class ReducedForesight:
         work = Work(f"modal confirmation by {name}", (job,), state.engine)
         ((outcome,),) = self.evaluator.carry_out(title, [work], state)
         modal = outcome.result(ModalResult)
-        return compare(state.case, part.theta, outcome.key, modal, part, name)
+        return state.compared(part.theta, outcome.key, modal, part, name)
 
     def _by_assembled(
         self, title: str, state: CaseState, part: CaseEvaluation, analysis: ModalAnalysis
@@ -208,7 +208,7 @@ class ReducedForesight:
             logger.warning("%s: its own modes are looked at", error)
             return None
         said = f"{name}'s matrices, {modal.eigenvalues.size} modes counted"
-        found = compare(state.case, part.theta, key, modal, part, said)
+        found = state.compared(part.theta, key, modal, part, said)
         apart = float(np.max(np.abs(found.errors - part.errors)))
         if apart > CONFIRMED:
             logger.warning(

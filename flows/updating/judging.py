@@ -47,7 +47,7 @@ def campaign_trust(
     if campaign.update.step == "pulled_to_initial" and np.isfinite(last.regularisation):
         factor = last.regularisation
     found = identifiability(
-        matrix.values,
+        last.residual.independent(matrix.values),
         last.residual.weights,
         parameters.standard_deviations,
         last.parameters,
@@ -80,7 +80,8 @@ def _freedom(campaign: Campaign, last: IterationRecord, matrix: Matrix) -> int:
         return values
     held = set(campaign.parameters.at_bounds(theta))
     free = [place for place, name in enumerate(campaign.parameters.names) if name not in held]
-    weighted = np.sqrt(last.residual.weights)[:, None] * matrix.values[:, free]
+    rows = last.residual.independent(matrix.values[:, free])
+    weighted = np.sqrt(last.residual.weights)[:, None] * rows
     singular = np.linalg.svd(weighted, compute_uv=False)
     return values - int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))
 
@@ -122,8 +123,8 @@ def _curve(campaign: Campaign, iterations: Sequence[IterationRecord]) -> LCurve 
     free = np.full(n, np.inf)
     return l_curve(
         StepProblem(
-            sensitivity=last.sensitivity,
-            residual=before.values,
+            sensitivity=before.independent(last.sensitivity),
+            residual=before.independent(before.values),
             weights=before.weights,
             parameter_weights=campaign.parameters.standard_deviations**-2,
             offset=np.zeros(n),

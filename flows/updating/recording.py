@@ -114,7 +114,8 @@ def _scatter(
         return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan)
     remaining = way_to_least_misfit(campaign, last.parameters, found, matrix.values, factor)
     weights, prior = used_weights(campaign, found), prior_weights(campaign, factor)
-    covariance = parameter_covariance(matrix.values, found.variances, weights, prior)
+    rows = found.independent(matrix.values)
+    covariance = parameter_covariance(rows, found.variances, weights, prior)
     covariance = covariance + np.outer(remaining, remaining)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):

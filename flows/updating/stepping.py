@@ -15,7 +15,7 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step, StepProblem, parameter_step
 from modetune.core.updating.identifiability import remaining_step
-from modetune.core.updating.residual import Residual
+from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.trust_region import (
     HELD,
     KEPT,
@@ -61,7 +61,8 @@ def way_to_least_misfit(
 
     theta: (n_parameters,); found, sensitivity: there; regularisation: of the last step.
     """
-    parameters, residual = campaign.parameters, found.values
+    parameters, residual = campaign.parameters, found.independent(found.values)
+    sensitivity = found.independent(sensitivity)
     weights, prior = used_weights(campaign, found), prior_weights(campaign, regularisation)
     if prior is not None:
         sensitivity = np.vstack([sensitivity, np.eye(len(parameters))])
@@ -107,10 +108,11 @@ class Stepping:
         low, high = box = self._box(current, region.radius)
         room = np.ones(len(parameters))
         room[list(matrix.missing)] = 0.0  # nothing is known of what these would do
+        found = current.residual
         problem = StepProblem(
-            sensitivity=matrix.values,
-            residual=current.residual.values,
-            weights=current.residual.weights,
+            sensitivity=found.independent(matrix.values),
+            residual=found.independent(found.values),
+            weights=found.weights,
             parameter_weights=parameters.standard_deviations**-2,
             offset=current.theta - parameters.initial,
             lower=room * np.minimum(low - current.theta, 0.0),
@@ -121,6 +123,7 @@ class Stepping:
             step = trust_region_step(problem, scale, region, settings.regularisation)
         else:
             step = parameter_step(problem, settings.step, settings.regularisation)
+        step = replace(step, predicted=found.of_items(step.predicted))
         return self.evaluator.refined(current, step, box) or step
 
     def to_least_misfit(self, current: Evaluation, matrix: Matrix) -> Step:
@@ -187,6 +190,7 @@ class Stepping:
             theta = current.theta + share * step.change
             offset = (theta - parameters.initial) / parameters.standard_deviations
             pull = step.regularisation * float(offset @ offset)
+        residual = current.residual.independent(residual)
         return float(residual @ (weights * residual)) + pull
 
     def gain(self, current: Evaluation, there: Evaluation, step: Step) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.nastran.design_sensitivity import Response, read_dscm2
+from modetune.adapters.nastran.design_sensitivity import DesignResponse, read_dscm2
 from modetune.core.errors import SolverCrashed
 
 RODS = Path(__file__).parent / "data" / "nastran" / "rods.op2"
@@ -25,7 +25,10 @@ def test_the_sensitivities_of_msc_have_their_variables_and_responses(shared_data
     wanted = np.array(reference["DSCM2"])[:2, :2]
     np.testing.assert_allclose(found.values[:2, :2], wanted, rtol=1e-8)
     assert found.design_variables.tolist() == [row["id"] for row in reference["desvar_rows"]]
-    assert found.responses[:2] == (Response("weight", 1), Response("frequency", 4, mode=1))
+    assert found.responses[:2] == (
+        DesignResponse("weight", 1),
+        DesignResponse("frequency", 4, mode=1),
+    )
     assert [response.kind for response in found.responses[2:]] == ["other 20", "other 21"]
     # An independent solver's central differences of the same model (the reference's own note).
     check = reference["independent_check_MYSTRAN"]

@@ -367,6 +367,7 @@ class Bench:
             weighting=even_weighting(
                 len(modes), test.modes.n_dof, 0.002, 0.02, 1.0, 1.0 if shapes else 0.0
             ),
+            tolerances=Tolerances(update.e1.frequency, update.e1.mac),
         )
         return Campaign(
             name="chain",

@@ -51,7 +51,7 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (5, "eec69cee87f8")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (6, "ff02e1bbfac5")),
         (SCREENING.kind, SCREENING.format, (5, "3977d39bdf92")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),

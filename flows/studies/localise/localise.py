@@ -126,8 +126,8 @@ def localise(
     numbers = tuple(campaign.test.numbers[place] for place in evaluation.pairing.measured.tolist())
     found = evaluation.residual
     singles, pairs = removals(
-        matrix.values,
-        found.values,
+        found.independent(matrix.values),
+        found.independent(found.values),
         found.weights,
         campaign.parameters.lower - values,
         campaign.parameters.upper - values,
@@ -135,7 +135,6 @@ def localise(
     form, labels = residual_form(
         matrix.values,
         found,
-        [f"mode {number}" for number in numbers],
         campaign.parameters,
         values,
         least=0.0 if updated else FORECAST,

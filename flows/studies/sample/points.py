@@ -18,7 +18,6 @@ import numpy as np
 
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.residual import measurement_variances
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training
 from modetune.flows.updating.evaluation import Evaluation
@@ -66,7 +65,7 @@ class ReducedFeatures:
             found = self.evaluator.points("samples", points, self.known)
             for row, item in zip(values, found, strict=True):
                 if isinstance(item, Evaluation):
-                    row[:] = standardised(self.campaign, item)
+                    row[:] = standardised(item)
         return values
 
     def residuals(self, points: Floats) -> Floats:
@@ -91,7 +90,7 @@ class PointSolver:
         within = ranges.within(self.campaign, self._known[0], in_full=False) if ranges else None
         if within is None:
             return None
-        named = response_names(self.campaign, self._known[0])
+        named = response_names(self._known[0])
         return ReducedFeatures(self.campaign, within, self._known, *named)
 
     def solve(
@@ -133,8 +132,8 @@ class PointSolver:
             )
 
     def _training(self, found: Sequence[Evaluation]) -> Training:
-        responses, names = response_names(self.campaign, found[0] if found else self._known[0])
-        values = [standardised(self.campaign, evaluation) for evaluation in found]
+        responses, names = response_names(found[0] if found else self._known[0])
+        values = [standardised(evaluation) for evaluation in found]
         return Training(
             points=np.array([item.theta for item in found]).reshape(
                 -1, len(self.campaign.parameters)
@@ -145,27 +144,21 @@ class PointSolver:
         )
 
 
-def standardised(campaign: Campaign, evaluation: Evaluation) -> Floats:
+def standardised(evaluation: Evaluation) -> Floats:
     """Entries of a residual that take part, in standard deviations of the test, (n_residuals,).
 
-    Frequencies that have a weight, then shapes that have one, pair by pair. A surrogate knows that
+    A surrogate knows that
     a shape moves on a curve, so its entries have their measured deviation alone, without what the
     residual adds for a linear model's sake.
     """
-    case, found = campaign.case, evaluation.residual
-    variances = measurement_variances(
-        case.test.modes, evaluation.seen, evaluation.pairing, case.weighting
-    )
+    found = evaluation.residual
     used = found.weights > 0.0
-    return np.asarray(found.values[used] / np.sqrt(variances[used]))
+    return np.asarray(found.independent(found.values)[used] / np.sqrt(found.noise[used]))
 
 
-def response_names(campaign: Campaign, evaluation: Evaluation) -> tuple[Integers, tuple[str, ...]]:
+def response_names(evaluation: Evaluation) -> tuple[Integers, tuple[str, ...]]:
     """Which response each entry of a standardised residual is of, and what they are called."""
-    found, numbers = evaluation.residual, campaign.case.test.numbers
-    called = [numbers[place] for place in evaluation.pairing.measured.tolist()]
-    names = [f"{kind} of mode {number}" for kind in ("frequency", "shape") for number in called]
-    n, used = len(called), found.weights > 0.0
-    owners = np.append(np.arange(n), n + np.repeat(np.arange(n), (used.size - n) // n))[used]
-    there, responses = np.unique(owners, return_inverse=True)
+    found = evaluation.residual
+    names = [name for block in found.blocks for name in block.names]
+    there, responses = np.unique(found.owners()[found.weights > 0.0], return_inverse=True)
     return responses.astype(np.int64), tuple(names[place] for place in there.tolist())

@@ -23,15 +23,15 @@ from modetune.flows.updating.evaluation import Evaluation, Matrix, part_rows
 def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -> LocalSensitivity:
     """Normalised and weighted sensitivities at an evaluation point."""
     residual, theta, pairing = nominal.residual, nominal.theta, nominal.pairing
-    n = residual.n_frequencies
+    n = residual.rows("frequencies").stop
     measured = campaign.test.modes.eigenvalues[pairing.measured]
     ratio = measured / nominal.seen.eigenvalues[pairing.computed]
-    root = np.sqrt(residual.weights)
+    root, rows = np.sqrt(residual.weights), residual.independent(matrix.values)
     return LocalSensitivity(
         frequencies=0.5 * ratio[:, None] * matrix.values[:n] * theta,
         mac=_mac(nominal, matrix.values),
-        weighted=root[:, None] * matrix.values * campaign.parameters.standard_deviations,
-        weighted_residual=root * residual.values,
+        weighted=root[:, None] * rows * campaign.parameters.standard_deviations,
+        weighted_residual=root * residual.independent(residual.values),
         methods=matrix.methods_had,
         missing=tuple(
             "its job failed, the warning says why" if column in matrix.missing else ""
@@ -44,12 +44,12 @@ def _mac(nominal: Evaluation, sensitivity: Floats) -> Floats:
     """dMAC / (dp/p), (n_modes, n_parameters); without rows where shapes are not compared, zero for
     modes of a test without shapes beside one that has some."""
     theta, found = nominal.theta, nominal.residual
-    if found.values.size == found.n_frequencies:
+    if not found.has("shapes"):
         return np.zeros((0, theta.size))
     slopes = []
     for part, rows in zip(nominal.parts, part_rows(nominal.parts), strict=True):
-        n_modes = part.residual.n_frequencies
-        shapes = found.values[rows[n_modes:]].reshape(n_modes, -1)
-        changes = sensitivity[rows[n_modes:]].reshape(n_modes, -1, theta.size)
+        n_modes, own = part.pairing.measured.size, rows[part.residual.rows("shapes")]
+        shapes = found.values[own].reshape(n_modes, -1)
+        changes = sensitivity[own].reshape(n_modes, -1, theta.size)
         slopes.append(np.einsum("ms,msp->mp", shapes, changes))
     return np.asarray(2.0 * np.concatenate(slopes) * theta)

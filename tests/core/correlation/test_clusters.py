@@ -17,9 +17,10 @@ from modetune.core.correlation.clusters import (
 )
 from modetune.core.correlation.pairing import Pairing, pair_by_shape
 from modetune.core.modes import CLOSE, Floats, ModeSet, close_sets, mode_set
-from modetune.core.updating.residual import Residual, residual, residual_sensitivity
+from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.results import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
+from tests.core.updating.compared import residual, residual_sensitivity
 
 NODES = np.repeat(np.arange(1, 5), 2)
 COMPONENTS = np.tile([1, 2], 4)

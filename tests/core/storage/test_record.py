@@ -20,7 +20,7 @@ from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
 from modetune.core.storage.record_file import CAMPAIGN, is_record, read_record, write_record
 from modetune.core.surface import Surface
-from modetune.core.updating.residual import Residual
+from modetune.core.updating.responses.response import residual_of
 from tests.core.storage.test_seal import refused_when_damaged, resealed
 
 NODES = np.array([3, 7])
@@ -49,7 +49,14 @@ def iteration(number: int, accepted: bool) -> IterationRecord:
             ("highest MAC, 0.900", "the second"),
         ),
         frequency_errors=np.array([0.02, -0.01]),
-        residual=Residual(np.array([0.04, -0.02]), np.array([1.0, 2.0]), np.array([3.0, 4.0]), 2),
+        residual=residual_of(
+            "frequencies",
+            ["frequency of mode 1", "frequency of mode 2"],
+            None,
+            np.array([0.04, -0.02]),
+            np.array([3.0, 8.0]),
+            np.array([3.0, 4.0]),
+        ),
         sensitivity=np.array([[1.0], [0.5]]),
         sensitivity_methods=("strain_energy",),
         sensitivity_keys=("a" * 64, "b" * 64),

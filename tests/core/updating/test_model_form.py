@@ -17,9 +17,10 @@ from modetune.core.updating.model_form import (
     model_form_sentence,
     shares_left,
 )
-from modetune.core.updating.residual import Residual, residual, residual_sensitivity
+from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.results import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
+from tests.core.updating.compared import residual, residual_sensitivity
 
 FREE = np.array([np.inf])
 SPRINGS = np.array([1500.0, 1600.0, 1400.0, 2500.0, 1300.0, 1500.0, 1300.0, 1700.0])

@@ -10,13 +10,9 @@ from numpy.typing import NDArray
 
 from modetune.core.correlation.pairing import pair_by_order
 from modetune.core.modes import ModeSet, mode_set
-from modetune.core.updating.residual import (
-    measurement_variances,
-    residual,
-    residual_sensitivity,
-)
 from modetune.core.updating.results import ModeDerivatives
 from modetune.core.updating.weighting import Weighting, even_weighting, weighting_side_by_side
+from tests.core.updating.compared import residual, residual_sensitivity
 
 Floats = NDArray[np.float64]
 EVEN = even_weighting(3, 8, 0.002, 0.02)
@@ -60,7 +56,7 @@ def test_each_mode_has_its_own_deviation_and_weight() -> None:
     np.testing.assert_allclose(
         found.weights[3:] * found.variances[3:], np.repeat(plain.shape_weights, 8)
     )
-    assert found.of_used_frequencies(np.arange(3.0)).tolist() == [0.0, 1.0]
+    assert found.of_used("frequencies", np.arange(3.0)).tolist() == [0.0, 1.0]
 
 
 def test_modes_in_another_order_take_their_weights_along() -> None:
@@ -99,9 +95,7 @@ def test_variances_are_those_of_noisy_sensors() -> None:
         shapes[:, 2] += size * rms * UNEVEN.sensor_deviations * noise.standard_normal(8)
         test = mode_set(model.frequencies_hz, shapes, model.nodes, model.components)
         values.append(residual(test, model, order, UNEVEN).values[19:])
-    told = measurement_variances(
-        model, model, order, replace(UNEVEN, shape_deviations=np.full(3, size))
-    )
+    told = residual(model, model, order, replace(UNEVEN, shape_deviations=np.full(3, size))).noise
     unit = np.sqrt(omega) * shape / np.sqrt(omega @ shape**2)
     # What lies along the shape is taken by the scale.
     outside = np.eye(8) - np.outer(unit, unit)

@@ -16,7 +16,7 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_s
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
 from modetune.core.surface import Surface
-from modetune.core.updating.residual import Residual
+from modetune.core.updating.responses.response import residual_of
 
 #: Half waves along x and y of the three modes.
 WAVES = ((1, 1), (2, 1), (1, 2))
@@ -72,7 +72,14 @@ def iteration(
         computed=computed,
         pairing=Pairing(positions, positions, values, values, ("highest MAC",) * 3),
         frequency_errors=np.full(3, off),
-        residual=Residual(z, np.full(3, 1e4), np.full(3, 1e-4), 3),
+        residual=residual_of(
+            "frequencies",
+            [f"frequency of mode {number}" for number in (1, 2, 3)],
+            None,
+            z,
+            np.ones(3),
+            np.full(3, 1e-4),
+        ),
         sensitivity=np.zeros((0, 2)) if number == 0 else np.array([[1.0, 0.5]] * 3),
         sensitivity_methods=() if number == 0 else ("strain_energy", "semi_analytic"),
         sensitivity_keys=() if number == 0 else ("ab" * 32,),

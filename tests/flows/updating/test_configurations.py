@@ -119,7 +119,7 @@ def test_a_joint_residual_and_sensitivity_are_those_of_the_parts_in_their_order(
     # Two frequencies and two shapes at six sensors in each configuration; frequencies go first.
     first, second = evaluation.parts
     z = evaluation.residual.values
-    assert evaluation.residual.n_frequencies == 4
+    assert evaluation.residual.rows("frequencies") == slice(0, 4)
     np.testing.assert_array_equal(z[:2], first.residual.values[:2])
     np.testing.assert_array_equal(z[2:4], second.residual.values[:2])
     np.testing.assert_array_equal(z[4:16], first.residual.values[2:])

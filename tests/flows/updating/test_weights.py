@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from modetune.core.updating.responses.mac import Mac
 from modetune.flows.campaign.schema import E1Section, UpdateSection
 from modetune.flows.report.mode_tables import mode_table
 from modetune.flows.updating.running import update_campaign
@@ -64,3 +65,30 @@ def test_the_answer_is_the_least_weighted_misfit(bench: Any, watcher: Any) -> No
         2.0 * least.cost / 0.004**2, rel=1e-3
     )  # stationary
     np.testing.assert_allclose(record.updated, least.x, rtol=0.02)
+
+
+@pytest.mark.parametrize("quantity", ["root", "one_minus_mac"])
+def test_mac_alone_finds_the_springs_that_turn_the_shapes(
+    bench: Any, watcher: Any, quantity: Any
+) -> None:
+    campaign = bench.campaign(
+        TRUTH,
+        MODES,
+        shapes=True,
+        update=UpdateSection(
+            step="weighted_least_squares", e1=E1Section(frequency=1e-3, mac=0.99999), e2=0.0
+        ),
+    )
+    case = campaign.case
+    none = np.zeros(len(MODES))
+    weighting = replace(case.weighting, frequency_weights=none, shape_weights=none)
+    mac = Mac(dict.fromkeys(MODES, 1.0), {}, quantity, 0.99999)
+    # Frequencies have no weight, but e1 asks the MAC alone of them then.
+    campaign = replace(campaign, cases=(replace(case, weighting=weighting, compared=(mac,)),))
+    record = update_campaign(campaign, bench.folder / "runs", watcher).record
+    assert record.status == "converged"
+    best = record.best.residual
+    assert [block.kind for block in best.blocks] == ["frequencies", "mac"]
+    assert best.n_independent == len(MODES)
+    # Both springs to the root of what e1 lets a MAC lack, by slopes of about one.
+    np.testing.assert_allclose(record.updated, list(TRUTH.values()), rtol=2e-2)

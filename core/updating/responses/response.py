@@ -1,0 +1,327 @@
+"""The seam of responses: what a kind of response gives of a model state, and what it is given.
+
+A response kind is one file of this folder. From the state of a model it makes a Residual of one
+block, measured minus computed, entry by entry with variances and weights, and the derivatives of
+the computed side. Residuals of kinds and of cases are put together by `stacked`.
+
+An item is what people call by one name (a frequency, a shape, a mass); its entries stand together.
+Errors of the entries are independent, unless the block has a `mixing` T: with the covariance C of
+its values, T C T^T is diagonal. Variances and weights are of T z, and
+
+    z^T C^-1 z = (T z)^T diag(variances)^-1 (T z),
+
+so whatever weighs rows takes them by `Residual.independent`. Values, derivatives and predictions
+themselves stay those of the items.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.correlation.pairing import Pairing
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
+from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.core.updating.weighting import Weighting
+
+#: What a response takes besides frequencies: shapes at the sensors and their derivatives; K, M and
+#: their derivatives.
+Need = Literal["shapes", "matrices"]
+
+
+@dataclass(frozen=True, slots=True)
+class MatricesAt:
+    """Stiffness and mass of a case at parameter values, and how they change there.
+
+    theta: (n_parameters,), the case's own parameters.
+    """
+
+    model: ParameterMatrices
+    theta: Floats
+
+    @property
+    def here(self) -> MatrixResult:
+        """K and M, made anew each time: keep them where they are needed twice."""
+        return self.model.at(self.theta)
+
+    def change(self, column: int) -> tuple[sparse.csr_array, sparse.csr_array]:
+        """Upper triangles of dK/dtheta and dM/dtheta of a parameter, exact."""
+        return self.model.change(self.theta, column)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelState:
+    """A model at parameter values beside the test of its case: what responses are computed from.
+
+    test, weighting: of the used modes; seen: the elastic modes as the test's sensors see them;
+    pairing: positions in both. modal: all modes, rigid ones too, at the nodes that were asked for;
+    matrices: where a response of the case needs them, else None.
+    """
+
+    test: MeasuredModes
+    weighting: Weighting
+    seen: ModeSet
+    pairing: Pairing
+    modal: ModalResult | None = None
+    matrices: MatricesAt | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StateDerivatives:
+    """Derivatives with respect to the parameters at `columns` (positions among the case's own).
+
+    modes: of the paired modes, in the order of the pairs, at the rows of `seen` (no rows where no
+    response needs shapes).
+    """
+
+    modes: ModeDerivatives
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What the rows of one kind of response in one case are of.
+
+    names: of the items, for people; sizes: (n_items,), entries of each; scaled: whether scaling
+    takes one of an item's entries. measured: (n,), in the response's own unit, where people want
+    to see them (values are measured minus computed then), else empty. mixing: (n, n), see the
+    module's head; (0, 0) where errors are independent.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    sizes: Integers
+    scaled: bool = False
+    measured: Floats = field(default_factory=lambda: np.zeros(0))
+    mixing: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def size(self) -> int:
+        """Rows of the block."""
+        return int(self.sizes.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """Measured minus computed.
+
+    values: (n_residuals,), block by block; blocks of one kind stand together, frequencies first
+    and shapes next. weights: (n_residuals,), emphasis over variance; variances: (n_residuals,),
+    with what the linear model cannot know; noise: by the measurement alone.
+    """
+
+    values: Floats
+    weights: Floats
+    variances: Floats
+    noise: Floats
+    blocks: tuple[Block, ...]
+
+    @property
+    def misfit(self) -> float:
+        """The weighted sum of squares that updating brings down (thesis (40))."""
+        values = self.independent(self.values)
+        return float(values @ (self.weights * values))
+
+    @property
+    def n_independent(self) -> int:
+        """Values that count: of a scaled item one less than its entries."""
+        used = self.weights > 0.0
+        owners = self.owners(scaled=True)
+        return int(used.sum()) - int(np.unique(owners[used & (owners >= 0)]).size)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each row is of, (n_residuals,)."""
+        return tuple(
+            name
+            for block in self.blocks
+            for name, size in zip(block.names, block.sizes.tolist(), strict=True)
+            for _ in range(size)
+        )
+
+    def owners(self, scaled: bool = False) -> Integers:
+        """Position among all items of the one that each row is of, (n_residuals,).
+
+        scaled: -1 for rows of items that are not scaled.
+        """
+        sizes = np.concatenate([block.sizes for block in self.blocks] or [np.zeros(0, np.int64)])
+        owners = np.repeat(np.arange(sizes.size), sizes)
+        if scaled:
+            owners[~np.repeat([b.scaled for b in self.blocks], [b.size for b in self.blocks])] = -1
+        return owners
+
+    def rows(self, kind: str) -> slice:
+        """The rows of a kind; of none an empty slice at the end."""
+        start = 0
+        for block in self.blocks:
+            if block.kind == kind:
+                return slice(start, start + sum(b.size for b in self.blocks if b.kind == kind))
+            start += block.size
+        return slice(start, start)
+
+    def has(self, kind: str) -> bool:
+        """Whether there are rows of a kind."""
+        rows = self.rows(kind)
+        return bool(rows.stop > rows.start)
+
+    def of_used(self, kind: str, values: Floats) -> Floats:
+        """What is there of the rows of a kind that have a weight; values: (n_rows_of_kind,)."""
+        return values[self.weights[self.rows(kind)] > 0.0]
+
+    def independent(self, rows: Floats) -> Floats:
+        """Values (n_residuals,) or derivatives (n_residuals, k) in the combinations whose errors
+        are independent, which variances and weights are of."""
+        return self._mixed(rows, np.matmul)
+
+    def of_items(self, rows: Floats) -> Floats:
+        """What `independent` was given, from what it gave."""
+        return self._mixed(rows, np.linalg.solve)
+
+    def _mixed(self, rows: Floats, turn: Callable[[Floats, Floats], Floats]) -> Floats:
+        if not any(block.mixing.size for block in self.blocks):
+            return rows
+        ends = np.cumsum([block.size for block in self.blocks])
+        return np.concatenate(
+            [
+                turn(block.mixing, own) if block.mixing.size else own
+                for block, own in zip(self.blocks, np.split(rows, ends[:-1]), strict=True)
+            ]
+        )
+
+
+class Response(Protocol):
+    """A kind of response as one case compares it, its deviations and weights with it."""
+
+    @property
+    def kind(self) -> str:
+        """Its key in the campaign and in records."""
+        ...
+
+    @property
+    def needs(self) -> frozenset[Need]: ...
+
+    def residual(self, state: ModelState) -> Residual:
+        """Measured minus computed, one block (`residual_of`). Raises ModesError."""
+        ...
+
+    def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
+        """Derivatives of the computed side, (n_residuals, n_columns)."""
+        ...
+
+    def agrees(self, part: Residual) -> bool:
+        """Whether e1 holds for its own block, or would where its values are predicted ones."""
+        ...
+
+
+def residual_of(
+    kind: str,
+    names: Sequence[str],
+    sizes: Integers | None,
+    values: Floats,
+    emphasis: Floats,
+    noise: Floats,
+    unknown: Floats | None = None,
+    scaled: bool = False,
+    measured: Floats | None = None,
+) -> Residual:
+    """A residual of one block.
+
+    names: (n_items,); sizes: (n_items,), one entry an item where None; emphasis: (n,), 0 leaves
+    out. noise: (n,), variances of the measurement, or (n, n), its covariance; unknown: (n,),
+    variances by what the linear model cannot know. Raises CampaignError for a covariance that is
+    not positive definite.
+    """
+    mixing = np.zeros((0, 0))
+    if noise.ndim == 2:
+        mixing, noise = decorrelation(noise, emphasis > 0.0)
+    variances = noise if unknown is None else noise + unknown
+    block = Block(
+        kind,
+        tuple(names),
+        np.ones(len(names), dtype=np.int64) if sizes is None else sizes,
+        scaled,
+        np.zeros(0) if measured is None else measured,
+        mixing,
+    )
+    return Residual(values, emphasis / variances, variances, noise, (block,))
+
+
+def decorrelation(covariance: Floats, used: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """T (n, n) and the variances (n,) of T z, where z has this covariance (n, n).
+
+    C = L D L^T with L of unit diagonal, T = L^-1: each entry less what those before it tell of it.
+    used: (n,); entries that are left out tell nothing of the others. Raises CampaignError.
+    """
+    kept = np.where(np.outer(used, used) | np.eye(used.size, dtype=bool), covariance, 0.0)
+    try:
+        lower = linalg.cholesky(kept, lower=True)
+    except linalg.LinAlgError:
+        raise CampaignError("a covariance of measured values is not positive definite") from None
+    root = lower.diagonal()
+    mixing = linalg.solve_triangular(lower / root, np.eye(root.size), lower=True)
+    return np.asarray(mixing), np.asarray(root**2)
+
+
+def stacked(parts: Sequence[Sequence[Residual]]) -> Residual:
+    """The residual of several cases; parts: of each case those of its kinds, one block each."""
+    chosen = [parts[case][place] for case, place in _order(parts)]
+
+    def together(name: str) -> Floats:
+        return np.concatenate([np.zeros(0), *(getattr(part, name) for part in chosen)])
+
+    return Residual(
+        together("values"),
+        together("weights"),
+        together("variances"),
+        together("noise"),
+        tuple(block for part in chosen for block in part.blocks),
+    )
+
+
+def stacked_rows(parts: Sequence[Residual]) -> list[Integers]:
+    """Of each case's residual, of any blocks, the rows that it has in the stacked one."""
+    split = [block_parts(part) for part in parts]
+    found: list[list[Integers]] = [[np.zeros(0, np.int64)] * len(own) for own in split]
+    start = 0
+    for case, place in _order(split):
+        size = split[case][place].values.size
+        found[case][place] = np.arange(start, start + size)
+        start += size
+    return [np.concatenate([np.zeros(0, np.int64), *own]) for own in found]
+
+
+def block_parts(found: Residual) -> list[Residual]:
+    """A residual taken apart into its blocks."""
+    parts: list[Residual] = []
+    start = 0
+    for block in found.blocks:
+        own = slice(start, start + block.size)
+        arrays = found.values[own], found.weights[own], found.variances[own], found.noise[own]
+        parts.append(Residual(*arrays, (block,)))
+        start += block.size
+    return parts
+
+
+def _order(parts: Sequence[Sequence[Residual]]) -> list[tuple[int, int]]:
+    """Case and place of each part, kind after kind and in each the cases in turn."""
+    kinds = dict.fromkeys(block.kind for own in parts for part in own for block in part.blocks)
+    return [
+        (case, place)
+        for kind in kinds
+        for case, own in enumerate(parts)
+        for place, part in enumerate(own)
+        if part.blocks[0].kind == kind
+    ]
+
+
+def with_values(part: Residual, values: Floats) -> Residual:
+    """The same with other values, as predicted ones."""
+    return replace(part, values=values)
