@@ -17,6 +17,8 @@ FAR = 3.0
 ALIKE = 20.0
 #: So many names are told one by one.
 LISTED = 6
+#: All are told where less of them is missing: what one decimal shows.
+ALL = 0.05
 #: Two changes whose amounts differ by less are called equal.
 EQUAL = 0.05
 
@@ -91,7 +93,7 @@ def _bound_clause(item: Parameter, value: float) -> dict[str, str]:
 
 
 def _share_clause(share: float, mixed: list[str], like: list[str]) -> dict[str, str]:
-    percent = f"({share:.0%} of its value is the test's)"
+    percent = f"({100 * share:.0f} % of its value is the test's)"
     if mixed and share < SURE:
         return {"collinear": f"cannot be told apart from {_listed(mixed)} {percent}"}
     if share < UNSEEN_SHARE:
@@ -235,8 +237,9 @@ def _verdict_sentence(trust: Trust) -> str:
     if trust.concerns or trust.too_short:
         reasons.append("see below")
     why = "; ".join(reasons) or "none in doubt"
-    count = f"{told:.1f} of {n} parameters" if n > 1 else f"{told:.0%} of the parameter"
-    return f"The parameters are {trust.verdict}: {why}. The test tells {count}, the prior the rest."
+    count = f"{told:.1f} of {n} parameters" if n > 1 else f"{100 * told:.0f} % of the parameter"
+    count = f"{count}, the prior the rest" if n - told >= ALL else f"all {n}" if n > 1 else "it all"
+    return f"The parameters are {trust.verdict}: {why}. The test tells {count}."
 
 
 def _spread_sentences(trust: Trust) -> list[str]:

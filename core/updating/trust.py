@@ -88,7 +88,7 @@ class ParameterTrust:
         error = f"to ±{100 * self.standard_error:.2g} %"
         if not np.isfinite(self.standard_error):
             error = "the rest depends on what was known beforehand"
-        return f"{self.name} is told by the test ({self.test_share:.0%}), {error}."
+        return f"{self.name} is told by the test ({100 * self.test_share:.0f} %), {error}."
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,8 +97,11 @@
     }
     const count = Math.max(2, Math.floor(room));
     let at = axis.log ? logTicks(low, high) : ticks(low, high, count, zoomed ? null : axis.step);
-    if (axis.log && at.length < 2) at = ticks(low, high, 3);
-    const marks = at.map((v) => [v, digits(axis.log ? Number((10 ** v).toPrecision(3)) : v)]);
+    if (axis.log && at.length < 2) at = ticks(10 ** low, 10 ** high, 3).map(Math.log10);
+    const written = (places) => at.map((v) => digits(axis.log ? Number((10 ** v).toPrecision(places)) : v));
+    let places = 3;   // as many as tell one mark from the next
+    while (places < 6 && new Set(written(places)).size < at.length) places++;
+    const texts = written(places), marks = at.map((v, i) => [v, texts[i]]);
     return axis.turned ? { low: high, high: low, of, marks } : { low, high, of, marks };
   }
   const minmax = (values) => values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
@@ -169,11 +172,12 @@
       const heat = panel.items.find((item) => item.kind === "HeatMap");
       const tower = panel.items.find((item) => item.kind === "Towers");
       const longest = (names) => Math.max(0, ...names.map((name) => name.length));
-      const slant = panel.x.slant * Math.PI / 180;
       const labels = panel.x.names.length ? Math.min(longest(panel.x.names) * 6.2, 120) : 0;
+      const lies = labels + 8 <= (outer - 80) / (panel.x.names.length + 0.2);   // names need no slant
+      const degrees = lies ? 0 : panel.x.slant, slant = degrees * Math.PI / 180;
       const room = { left: 16, right: 10, top: panel.title ? 24 : 8, bottom: 22 + (panel.x.label ? 18 : 0) };
-      if (panel.x.slant) room.bottom = 12 + labels * Math.sin(slant) + (panel.x.label ? 18 : 0);
-      const showLeft = !shared.left, height = PIXELS * chart.size[1] + (panel.title ? 12 : 0) + Math.max(0, room.bottom - 40);
+      if (slant) room.bottom = 12 + labels * Math.sin(slant) + (panel.x.label ? 18 : 0);
+      const height = PIXELS * chart.size[1] + (panel.title ? 12 : 0) + Math.max(0, room.bottom - 40);
       const made = svg("svg", { width: outer, height, viewBox: `0 0 ${outer} ${height}`, role: "img" });
       if (panel.title) made.append(svg("text", { x: outer / 2, y: 14, "text-anchor": "middle", class: "title" }, panel.title));
       made.targets = [];
@@ -188,11 +192,9 @@
       const ofBars = bars.length ? [0, ...reach] : [];
       const xs = [...curves.flatMap((item) => item.x), ...(panel.sideways ? ofBars : []), ...rules.filter((r) => r.upright).map((r) => r.value)];
       const ys = [...curves.flatMap((item) => item.y), ...(panel.sideways ? [] : ofBars), ...rules.filter((r) => !r.upright).map((r) => r.value)];
-      const y = scale(panel.y, shared.ys || ys, (height - room.top - room.bottom) / 42);
-      if (showLeft) {
-        const wide = panel.y.names.length ? Math.min(longest(panel.y.names) * 6.4, 0.36 * outer) : Math.max(...y.marks.map(([, text]) => text.length)) * 6.8;
-        room.left = 10 + wide + (panel.y.label ? 18 : 0);
-      }
+      const y = scale(panel.y, shared.ys || ys, Math.max(4, (height - room.top - room.bottom) / 36));
+      const wide = panel.y.names.length ? Math.min(longest(panel.y.names) * 6.4, 0.36 * outer) : Math.max(...y.marks.map(([, text]) => text.length)) * 6.8;
+      made.left = room.left = Math.max(10 + wide + (panel.y.label ? 18 : 0), shared.left);
       const legend = heat ? 46 : 0;
       const w = outer - room.left - room.right - legend, h = height - room.top - room.bottom;
       const x = scale(panel.x, xs, w / 70, zooms.get(chart.same_x ? 0 : place));
@@ -213,23 +215,23 @@
           if (!shared.below) made.append(svg("text", { x: at, y: room.top + h + 16, "text-anchor": "middle", class: "tick" }, text));
         }
       } else {
-        const each = w / (nx + 0.2), need = panel.x.slant ? 11 : labels + 6, every = Math.ceil(need / each);
+        const each = w / (nx + 0.2), need = slant ? 11 : labels + 6, every = Math.ceil(need / each);
         panel.x.names.forEach((name, i) => {
           if (i % every) return;
-          const at = [X(i), room.top + h + (panel.x.slant ? 10 : 16)];
+          const at = [X(i), room.top + h + (slant ? 10 : 16)];
           const long = name.length > 20 ? name.slice(0, 19) + "…" : name;
-          made.append(svg("text", { x: at[0], y: at[1], class: "tick", "text-anchor": panel.x.slant ? "end" : "middle",
-            ...(panel.x.slant ? { transform: `rotate(${-panel.x.slant} ${at[0]} ${at[1]})` } : {}) }, long));
+          made.append(svg("text", { x: at[0], y: at[1], class: "tick", "text-anchor": slant ? "end" : "middle",
+            ...(slant ? { transform: `rotate(${-degrees} ${at[0]} ${at[1]})` } : {}) }, long));
         });
       }
       if (y.marks) {
         for (const [v, text] of y.marks) {
           const at = room.top + h * (1 - (v - y.low) / (y.high - y.low));
           line(room.left, at, room.left + w, at, "grid");
-          if (showLeft) made.append(svg("text", { x: room.left - 6, y: at + 4, "text-anchor": "end", class: "tick" }, text));
+          made.append(svg("text", { x: room.left - 6, y: at + 4, "text-anchor": "end", class: "tick" }, text));
         }
         if (!panel.y.log && y.low < 0 && y.high > 0) line(room.left, Y(0), room.left + w, Y(0), "soft");
-      } else if (showLeft) {
+      } else {
         const every = Math.ceil(14 / (h / (ny + 0.2)));
         panel.y.names.forEach((name, i) => {
           if (i % every) return;
@@ -240,7 +242,7 @@
       }
       if (panel.sideways) line(X(0), room.top, X(0), room.top + h, "soft");
       if (panel.x.label && !shared.below) made.append(svg("text", { x: room.left + w / 2, y: height - 5, "text-anchor": "middle", class: "axis" }, panel.x.label));
-      if (panel.y.label && showLeft) {
+      if (panel.y.label) {
         made.append(svg("text", { x: 12, y: room.top + h / 2, "text-anchor": "middle", class: "axis",
           transform: `rotate(-90 12 ${room.top + h / 2})` }, panel.y.label));
       }
@@ -321,7 +323,7 @@
       at.forEach(([x, y], i) => {
         if (!Number.isFinite(x) || !Number.isFinite(y)) return;
         if (item.mark) group.append(MARKS[item.mark](x, y, item.size / 2));
-        if (item.written.length) inner.append(svg("text", { x, y: y + 16, "text-anchor": "middle", class: "tick" }, item.written[i]));
+        if (item.written.length) inner.append(svg("text", { x: x - 7, y: y - 5, "text-anchor": "end", class: "tick" }, item.written[i]));
         if (item.told.length || (item.name && item.name !== "equal")) {
           const name = panel.x.names.length ? panel.x.names[Math.round(item.x[i])] : digits(Number(item.x[i].toPrecision(5)));
           made.targets.push([x, y, item.x[i], item.told[i] || `${item.name}, ${name}: ${digits(Number(item.y[i].toPrecision(4)))}`]);
@@ -393,9 +395,13 @@
       const grid = document.createElement("div");
       grid.className = "panels";
       const ys = chart.same_y ? chart.panels.flatMap((panel) => panel.items.flatMap((item) => item.values || item.y || [])).concat(0) : null;
-      chart.panels.forEach((panel, place) => {
-        const made = drawPanel(panel, place, wide, {
-          left: chart.same_y && false, ys, below: chart.same_x && place + across < chart.panels.length });
+      const drawn = (left) => chart.panels.map((panel, place) => drawPanel(panel, place, wide, {
+        left, ys, below: chart.same_x && place + across < chart.panels.length }));
+      let panels = drawn(0);
+      // Axes that are the same begin at the same place: at the widest margin of all.
+      if ((chart.same_x || across === 1) && panels.length > 1) panels = drawn(Math.max(0, ...panels.map((made) => made.left || 0)));
+      panels.forEach((made, place) => {
+        const panel = chart.panels[place];
         made.addEventListener("click", (event) => {
           const cell = event.target.closest && event.target.closest(".cell");
           if (cell && options.onCell) options.onCell(...cell.cell, panel.title);

@@ -46,6 +46,8 @@ from modetune.flows.report.responses import UNITS, ResponseCurve, response_pairs
 PAIR = "test mode {column}, computed mode {row}: MAC {value:.3f}"
 #: Lines of a response function that are drawn; finer ones are left out evenly.
 MOST_LINES = 2000
+#: An L-curve whose residual changes by less is a straight line of rounding: charts have six digits.
+LEAST_BEND = 1e-4
 
 
 def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
@@ -72,7 +74,8 @@ def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
     if found is not None and record.test.has_shapes:
         yield "comac", comac(title, found)
         yield "sensor_shapes", sensor_shapes(record)
-    if record.trust is not None and record.trust.curve is not None:
+    curve = record.trust and record.trust.curve
+    if record.trust is not None and curve and np.ptp(np.log(curve.misfits)) > LEAST_BEND:
         yield "l_curve", l_curve(record.trust)
     for place, pair in enumerate(response_pairs(record)):
         lines = slice(None, None, -(-pair.frequencies_hz.size // MOST_LINES))
@@ -171,7 +174,8 @@ def parameter_histories(record: CampaignRecord) -> Chart:
     kept = [item for item in record.iterations if item.accepted]
     tried = [item for item in record.iterations if not item.accepted]
     for place, name in enumerate(record.parameters.names):
-        colour = PARAMETER_COLOURS[place % len(PARAMETER_COLOURS)]
+        again, shade = divmod(place, len(PARAMETER_COLOURS))
+        colour, line = PARAMETER_COLOURS[shade], ("-", "--", ":")[again % 3]
         for which, said in ((kept, ""), (tried, " (not kept)")):
             values = np.array([item.parameters[place] for item in which])
             told = tuple(f"{name}: {value:.4f}{said}" for value in values)
@@ -183,7 +187,7 @@ def parameter_histories(record: CampaignRecord) -> Chart:
                         numbers,
                         values,
                         colour,
-                        "" if said else "-",
+                        "" if said else line,
                         "ring" if said else "o",
                         size=5.0,
                         told=told,
@@ -363,7 +367,7 @@ def responses(title: str, unit: str, lines_hz: Floats, curves: Sequence[Response
         colour, line, width = looks[curve.kind]
         items.append(Curve(curve.label, lines_hz, np.abs(curve.values), colour, line, width=width))
     span = (float(lines_hz[0]), float(lines_hz[-1]))
-    panel = Panel(tuple(items), Axis("Hz", span=span), Axis(unit, log=True))
+    panel = Panel(tuple(items), Axis("frequency, Hz", span=span), Axis(unit, log=True))
     return Chart(title, title, (panel,), size=(7.2, 3.6))
 
 

@@ -27,7 +27,7 @@
     const { scene, comac: { foot, ...values } } = data, { unpack, rgb, colour } = modetune;
     const canvas = document.createElement("canvas"), space = modetune.space(canvas);
     if (!space) return;
-    place.append(canvas);
+    place.append(canvas, ...modetune.captions("before", "after"));
     const points = unpack(scene.points, Float32Array);
     const mesh = space.lines(unpack(scene.coordinates, Float32Array), unpack(scene.edges, Uint32Array));
     const dots = ["before", "after"].map((state, panel) => {
@@ -40,7 +40,7 @@
     modetune.onTheme(dress);
     dress();
     modetune.tip(canvas, (x, y) => {
-      const panel = x < space.width / 2 ? 0 : 1, row = space.under(dots[panel], x, y);
+      const panel = space.panel(x, y), row = space.under(dots[panel], x, y);
       return row < 0 ? "" : `test point ${scene.nodes[row]}: ${values[panel ? "after" : "before"][row].toFixed(3)}`;
     });
   }

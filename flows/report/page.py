@@ -64,7 +64,11 @@ def write_chart(path: Path, chart: Chart) -> Path:
     text = (
         _templates()
         .get_template("chart.html")
-        .render(title=chart.title, data=told_chart(chart), **_frame(scripts))
+        .render(
+            heading=chart.title,
+            data=told_chart(chart),
+            **_frame(f"{chart.title} - modetune", scripts),
+        )
     )
     with writing(path) as part:
         part.write_text(text.lstrip(), encoding="utf-8")
@@ -114,7 +118,7 @@ def page(record: CampaignRecord) -> str:
                 "scene": told_scene(shown) if shown else None,
                 "comac": comac,
             },
-            **_frame(scripts),
+            **_frame(f"{record.name} - modetune report", scripts),
         )
     )
     return text.lstrip()  # nothing may stand before the document's type
@@ -135,12 +139,13 @@ def _templates() -> Environment:
 
 
 def prose(text: str) -> Markup:
-    """A sentence as prose: a capital first (but of e1 and e2), a stop last, a real minus; what
-    stands between backticks is code.
+    """A sentence as prose: a capital first (but of e1 and e2), a stop last, a real minus.
+
+    A percent sign stays on the line of its number; what stands between backticks is code.
     """
     if not text[1:2].isdigit():
         text = text[:1].upper() + text[1:]
-    text = MINUS.sub("\N{MINUS SIGN}", text)
+    text = MINUS.sub("\N{MINUS SIGN}", text).replace(" %", "\N{NO-BREAK SPACE}%")
     if text[-1:] not in ".?!:":
         text += "."
     parts = str(escape(text)).split("`")
@@ -226,9 +231,10 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
     ]
 
 
-def _frame(scripts: tuple[str, ...]) -> dict[str, Any]:
-    """What every page has: style, scripts and policy."""
+def _frame(title: str, scripts: tuple[str, ...]) -> dict[str, Any]:
+    """What every page has: title, style, scripts and policy."""
     return {
+        "title": title,
         "style": Markup(_asset("page.css")),
         "scripts": [Markup(script) for script in scripts],
         "policy": Markup(_policy(scripts)),

@@ -50,6 +50,8 @@
     made.append(...children);
     return made;
   };
+  // What the panels of a view show, first and second.
+  modetune.captions = (...texts) => texts.map((textContent) => element("span", { className: "caption", textContent }));
   const hertz = (value) => value.toPrecision(5) + " Hz";
 
   modetune.shapes = (host, scene) => {
@@ -196,7 +198,8 @@
       button(name, () => space.view(name), name === "isometric"));
     space.onTurn = () => views.forEach((one) =>
       one.setAttribute("aria-pressed", String(one.textContent === space.name)));
-    const captions = ["test", "model"].map((text) => element("span", { className: "caption", textContent: text, hidden: true }));
+    const captions = modetune.captions("test", "model");
+    captions.forEach((caption) => { caption.hidden = true; });
     const beside = (panels) => (one) => {
       press(one);
       space.panels = panels;

@@ -1,5 +1,6 @@
 // Surfaces, lines and points in space, in motion, by WebGL 2 alone.
-// A view is turned by dragging; it stays fitted into its canvas, whatever its width.
+// A view is turned by dragging; it stays fitted into its canvas, whatever its width. Panels stand
+// side by side, on a phone one below the other.
 "use strict";
 const modetune = {};
 (() => {
@@ -57,6 +58,7 @@ const modetune = {};
     getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
   // "#rrggbb" as three shares.
   modetune.rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+  const narrow = window.matchMedia("(max-width: 600px)");   // as in page.css
   modetune.unpack = (text, Kind) =>
     new Kind(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 
@@ -87,7 +89,7 @@ const modetune = {};
     const layers = [];
     const space = {
       canvas, layers, factor: 0, reach: 0, panels: 1, azimuth: 0, elevation: 0, zoom: 1, pan: [0, 0],
-      paper: [1, 1, 1], onTurn: () => {}, width: 0, height: 0, grain: 1,
+      paper: [1, 1, 1], onTurn: () => {}, onDrag: null, width: 0, height: 0, grain: 1,
     };
 
     const buffer = (values) => {
@@ -191,10 +193,11 @@ const modetune = {};
       }
       return [low, high];
     }
+    const across = () => (narrow.matches ? 1 : space.panels), down = () => space.panels / across();
     function camera() {
       const turned = axes(), [low, high] = box(turned);
       const size = low.map((value, k) => Math.max(high[k] - value, 1e-30));
-      const width = space.width / space.panels, height = space.height;
+      const width = space.width / across(), height = space.height / down();
       const least = 1e-6 * Math.max(...size);
       const each = 0.9 * space.zoom *   // pixels of a unit of length
         Math.min(width / Math.max(size[0], least), height / Math.max(size[1], least));
@@ -232,10 +235,11 @@ const modetune = {};
       gl.enable(gl.POLYGON_OFFSET_FILL);
       gl.polygonOffset(1, 1);
       gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-      const seen = camera(), wide = canvas.width / space.panels;
+      const seen = camera(), wide = canvas.width / across(), tall = canvas.height / down();
       for (let panel = 0; panel < space.panels; panel++) {
-        gl.viewport(panel * wide, 0, wide, canvas.height);
-        gl.scissor(panel * wide, 0, wide, canvas.height);
+        const corner = [panel % across() * wide, canvas.height - (Math.floor(panel / across()) + 1) * tall];
+        gl.viewport(...corner, wide, tall);
+        gl.scissor(...corner, wide, tall);
         gl.clearColor(...space.paper, 1);
         gl.depthMask(true);
         gl.enable(gl.DEPTH_TEST);
@@ -276,12 +280,15 @@ const modetune = {};
           (item.still ? 0 : space.factor) * dot(seen.turned[k], item.motion, 3 * row);
         return (value - seen.middle[k]) * seen.scale[k];
       });
-      return [seen.width * (panel + (1 + x) / 2), seen.height * (1 - y) / 2, towards];
+      return [seen.width * (panel % across() + (1 + x) / 2), seen.height * (Math.floor(panel / across()) + (1 - y) / 2), towards];
     };
+    space.panel = (x, y) => Math.min(space.panels - 1,
+      Math.floor(x / space.width * across()) + across() * Math.floor(y / space.height * down()));
+    // To the right, up and towards the eye, and the length of a pixel.
+    space.plane = (seen = camera()) => [...seen.turned, 2 / (seen.scale[0] * seen.width)];
     // The row of the layer's point under the pointer, or -1; what lies in front hides what is behind.
     space.under = (item, x, y, near = 10) => {
-      const panel = Math.min(space.panels - 1, Math.floor(x / (space.width / space.panels)));
-      const seen = camera(), found = [];
+      const panel = space.panel(x, y), seen = camera(), found = [];
       for (let row = 0; row < item.places.length / 3; row++) {
         const [px, py, towards] = space.where(item, row, panel, seen);
         const far = Math.hypot(px - x, py - y);
@@ -323,6 +330,8 @@ const modetune = {};
         const apart = (one) => Math.hypot(one[0] - others[0][0], one[1] - others[0][1]) || 1;
         space.zoom *= apart(now) / apart(before);
         space.pan = [space.pan[0] + moved[0] / 2, space.pan[1] - moved[1] / 2];
+      } else if (space.onDrag && event.buttons !== 2) {
+        space.onDrag(...moved, event.shiftKey);
       } else if (event.shiftKey || event.buttons === 2) {
         space.pan = [space.pan[0] + moved[0], space.pan[1] - moved[1]];
       } else {
@@ -354,6 +363,8 @@ const modetune = {};
       else return;
       event.preventDefault();
     });
+    canvas.addEventListener("webglcontextlost", () => canvas.replaceWith(
+      "The browser took the memory of this drawing back; load the page again to see it."));
     new ResizeObserver(() => space.resize(canvas.clientWidth, canvas.clientHeight)).observe(canvas);
     space.view("isometric");
     return space;

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
@@ -68,6 +69,10 @@ class ConsoleProgress:
         with self._jobs.shown():
             yield self
 
+    def keep(self, folder: Path) -> None:
+        """Tell how far the jobs are in a file of a run folder too."""
+        self._jobs.keep(folder)
+
     def working(self, text: str) -> None:
         self._jobs.working(text)
 
@@ -89,11 +94,15 @@ def pairing_lines(record: CampaignRecord) -> list[str]:
     return [
         f"test mode {mode_label(record, measured)} is elastic mode {computed + 1} of the model: "
         f"{reason}"
-        for measured, computed, reason in zip(
-            pairing.measured.tolist(), pairing.computed.tolist(), pairing.reasons, strict=True
+        for measured, computed, order, reason in zip(
+            pairing.measured.tolist(),
+            pairing.computed.tolist(),
+            pairing.computed.argsort().argsort() - pairing.measured.argsort().argsort(),
+            pairing.reasons,
+            strict=True,
         )
         # Side by side the modes of several configurations have other positions than alone.
-        if (measured != computed and not record.configurations)
+        if (order and not record.configurations)
         or not reason.startswith(("highest MAC", "no shape", "continues"))
     ]
 
@@ -124,12 +133,15 @@ def show_run(console: Console, run: CampaignRun) -> None:
     for line in (*record.splits, *trust_lines(record)):
         console.print(Text(line), soft_wrap=True)
     runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
+    by_e2 = f"; sensitivity skipped (e2) {skipped} time{'' if skipped == 1 else 's'}" * (
+        skipped > 0
+    )
     console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)
     console.print(
         Text(
             f"iterations: {record.iterations[-1].number}; solver runs: {runs.modal} modal, "
-            f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store; sensitivity "
-            f"skipped by e2 in {skipped}; {record.wall_s:.1f} s, "
+            f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store{by_e2}; "
+            f"{record.wall_s:.1f} s, "
             f"{runs.core_s / 60.0:.1f} core-minutes"
             + (f", {runs.licence_s / 60.0:.1f} licence-minutes" if runs.licence_s else "")
         ),

@@ -387,6 +387,6 @@ def _distance(evaluation: Evaluation) -> str:
         text = "no frequency is compared"
     else:
         worst = int(np.argmax(np.abs(errors)))
-        text = f"largest frequency error {100 * errors[worst]:+.2f} %"
+        text = f"largest frequency error {100 * errors[worst]:+z.2f} %"
     mac = evaluation.pairing.judged_mac
     return text + (f", least MAC {mac.min():.3f}" if np.isfinite(mac).all() else "")

@@ -44,7 +44,11 @@ def stabilisation_chart(title: str, found: Identification) -> Chart:
             Axis(span=span),
             Axis("order (pairs of poles)", span=(0.0, found.settings.order + 1.0)),
         ),
-        Panel((sums, *below), Axis("Hz", span=span), Axis(f"sum of |{found.frfs.kind}|", log=True)),
+        Panel(
+            (sums, *below),
+            Axis("frequency, Hz", span=span),
+            Axis(f"sum of |{found.frfs.kind}|", log=True),
+        ),
     )
     return Chart(
         title,

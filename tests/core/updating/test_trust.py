@@ -73,11 +73,10 @@ def test_nothing_is_flagged_where_everything_is_told() -> None:
     assert found.verdict == "trusted"
     # (500 x 0.2)^2 = 10^4 to 1 of the prior: 99.99 % of each.
     assert trust_sentences(found) == (
-        "The parameters are trusted: none in doubt. The test tells 4.0 of 4 parameters, the prior "
-        "the rest.",
+        "The parameters are trusted: none in doubt. The test tells all 4.",
         "Updating ended at the least misfit.",
     )
-    assert found.parameters[0].sentence == "a is told by the test (100%), to ±0.1 %."
+    assert found.parameters[0].sentence == "a is told by the test (100 %), to ±0.1 %."
 
 
 @pytest.mark.parametrize(("value", "said"), [(0.5, "lower bound (0.5)"), (2.0, "upper bound (2)")])
@@ -92,7 +91,7 @@ def test_what_the_test_does_not_see_is_flagged_by_its_share() -> None:
     # Shares s^2 / (s^2 + 1) of s = sensitivity x 0.2: 0, 0.2, 0.8, 0.9999.
     found = trust(np.diag([0.0, 2.5, 10.0, 500.0]), [1.0, 1.05, 1.1, 1.1])
     assert flags(found) == [("unseen",), ("prior",), (), ()]
-    assert "(20% of its value is the test's)" in found.parameters[1].sentence
+    assert "(20 % of its value is the test's)" in found.parameters[1].sentence
     assert found.verdict == "trusted with reservations"
 
 

@@ -41,7 +41,7 @@ class Outline(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         if self.cdata_elem is None:
-            self.text += data
+            self.text += data.replace("\N{NO-BREAK SPACE}", " ")
 
     def named(self, tag: str) -> list[dict[str, str | None]]:
         return [attributes for name, attributes in self.tags if name == tag]
