@@ -18,7 +18,9 @@ from modetune.core.errors import CampaignError
 
 
 def edited(source: YamlFile, changes: Mapping[Place, object]) -> str:
-    """The text of a file with values at places of mappings set, or removed where they are None.
+    """The text of a file with values of mappings set, or removed where they are None.
+
+    Lists may lead to the mappings.
 
     A mapping takes the place of what stands there entry by entry, so comments beside entries that
     stay are kept. Raises CampaignError where the text cannot be changed so.
@@ -47,6 +49,10 @@ def _put(data: Any, place: Place, value: object) -> Any:
         return value
     if data is None and value is None:
         return None
+    if isinstance(data, list):
+        return [
+            _put(item, place[1:], value) if at == place[0] else item for at, item in enumerate(data)
+        ]
     inner = _put((data or {}).get(place[0]), place[1:], value)
     rest = {key: value for key, value in (data or {}).items() if key != place[0]}
     return rest if inner is None else {**rest, place[0]: inner}
@@ -57,6 +63,9 @@ def _set(text: str, place: Place, value: object) -> str:
     node: Any = yaml.compose(text, Loader=yaml.SafeLoader)
     parents: list[tuple[yaml.MappingNode, int]] = []
     for depth, key in enumerate(place):
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+            node = node.value[key]
+            continue
         at = _entry(node, key)
         if at is None:
             if value is None:

@@ -45,10 +45,13 @@ class YamlFile:
         return f"{self.path}, line {self.lines.get(place, 1)}"
 
     def at(self, place: Place) -> object:
-        """The value at a place of mappings; None where there is none."""
+        """The value at a place of mappings and lists; None where there is none."""
         found: object = self.data
         for key in place:
-            found = found.get(key) if isinstance(found, dict) else None
+            if isinstance(found, list) and isinstance(key, int) and key < len(found):
+                found = found[key]
+            else:
+                found = found.get(key) if isinstance(found, dict) else None
         return found
 
     def entries(self, place: Place, problems: list[str]) -> dict[str, object]:

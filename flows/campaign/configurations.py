@@ -27,13 +27,14 @@ class ConfigurationFile:
     """The campaign file as one configuration alone would have it.
 
     source: with the lines at which its own keys stand; columns: positions of its parameters among
-    the free ones of the campaign.
+    the free ones of the campaign; place: where its keys stand in the campaign file.
     """
 
     section: ConfigurationSection
     source: YamlFile
     file: CampaignFile
     columns: tuple[int, ...]
+    place: Place
 
 
 def configuration_files(
@@ -71,7 +72,7 @@ def configuration_files(
             }
         )
         columns = tuple(free.index(place) for place in places if place in free)
-        found.append(ConfigurationFile(section, _moved(view, places), own, columns))
+        found.append(ConfigurationFile(section, _moved(view, places), own, columns, place))
         used |= set() if section.hold_out else set(places)
     for column, parameter in enumerate(file.parameters):
         if column not in used and parameter.configurations is None:

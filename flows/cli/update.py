@@ -76,6 +76,7 @@ def run_update(
         campaign.solver_version()
     with ConsoleProgress(terminal(stderr=True)).shown() as progress:
         folder = runs / campaign.name
+        progress.keep(folder)
         with paged("update", campaign.name, not with_prefect) as pages:
             same = pages is not None and pages.deployed and is_same(campaign, folder)
             run = update_from_starts(campaign, folder, progress, pages, progress.forecast)

@@ -6,11 +6,13 @@ and then.
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import count
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -23,6 +25,8 @@ from modetune.flows.jobs.watching import Derivation, Ended, shown_to
 EVERY_S = 15.0
 #: Jobs that are named of those that run.
 NAMED = 3
+#: In a run folder: the same for who looks from elsewhere; seconds between two of its states.
+PROGRESS_FILE, KEPT_S = "progress.json", 0.2
 
 
 class JobProgress:
@@ -47,12 +51,22 @@ class JobProgress:
         self._running: dict[int, str] = {}
         self._places = count()
         self._told_s: float | None = None
+        self._file: Path | None = None
+        self._kept_s = 0.0
 
     @contextmanager
     def shown(self) -> Iterator[JobProgress]:
         """Show it while what is in here runs; engines that are made in here tell it of jobs."""
         with self._live, shown_to(self):
-            yield self
+            try:
+                yield self
+            finally:
+                if self._file is not None:
+                    self._file.unlink(missing_ok=True)
+
+    def keep(self, folder: Path) -> None:
+        """Tell it in a file of a run folder too, for as long as it is shown."""
+        self._file = folder / PROGRESS_FILE
 
     def working(self, text: str) -> None:
         """What is being done now."""
@@ -122,6 +136,13 @@ class JobProgress:
         self._live.update(
             self._task, description=self.line(), total=total, completed=self._done if total else 0
         )
+        if self._file is not None and time.monotonic() - self._kept_s > KEPT_S:
+            self._kept_s = time.monotonic()
+            told = {"text": self.line(), "done": self._done, "asked": total or 0}
+            with suppress(OSError):  # no folder yet, or a full disk: none of the campaign's trouble
+                part = self._file.with_suffix(".part")
+                part.write_text(json.dumps(told), encoding="utf-8")
+                part.replace(self._file)
         if self.console.is_terminal:
             return
         if now or (self._told_s is not None and time.monotonic() - self._told_s > EVERY_S):

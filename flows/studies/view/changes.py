@@ -13,6 +13,57 @@ from modetune.core.errors import CampaignError
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.flows.campaign.campaign import campaign_form
+from modetune.flows.campaign.configurations import BASE, configuration_files
+from modetune.flows.campaign.schema import CampaignFile
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A campaign file, or one of its configurations.
+
+    file: as the configuration alone would have it; place: where its `model` and `test` stand.
+    """
+
+    source: YamlFile
+    file: CampaignFile
+    place: Place = ()
+    name: str = ""
+
+    def at(self, *place: str) -> object:
+        """A value of its `model` or `test`."""
+        return self.source.at((*self.place, *place))
+
+    def change(
+        self,
+        values: Mapping[Place, object],
+        notes: tuple[str, ...] = (),
+        before: Callable[[], None] | None = None,
+    ) -> Change:
+        """A change of its values. Raises CampaignError where the file would not be read."""
+        placed = {(*self.place, *place): value for place, value in values.items()}
+        change = Change(self.source, edited(self.source, placed), notes, before)
+        campaign_form(change.after)
+        return change
+
+
+def part_of(source: YamlFile, configuration: str = "") -> Part:
+    """The configuration of a name, else the first; the file where it has none.
+
+    Raises CampaignError, ModelError.
+    """
+    file = campaign_form(source)
+    if not file.configurations:
+        return Part(source, file)
+    parts = configuration_files(source, file, [])
+    found = next((part for part in parts if part.section.name == configuration), parts[0])
+    return Part(found.source, found.file, found.place, found.section.name)
+
+
+def configuration_names(source: YamlFile) -> list[Json]:
+    """What may be chosen; nothing where there is one model. Raises CampaignError."""
+    file = campaign_form(source)
+    base = [BASE] if file.configurations and file.model is not None else []
+    return [*base, *(item.name for item in file.configurations)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +115,3 @@ class Change:
         with writing(path, "write the change there by hand") as part:
             part.write_bytes(self.text.encode())
         path.chmod(mode)
-
-
-def change_of(
-    source: YamlFile,
-    values: Mapping[Place, object],
-    notes: tuple[str, ...] = (),
-    before: Callable[[], None] | None = None,
-) -> Change:
-    """A change of values in a campaign file. Raises CampaignError where it would not be read."""
-    change = Change(source, edited(source, values), notes, before)
-    campaign_form(change.after)
-    return change

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Store
 from modetune.flows.jobs.job import NOTE_FILE, read_note
+from modetune.flows.jobs.progress import PROGRESS_FILE
 from modetune.flows.jobs.store_files import campaigns_running
 from modetune.flows.report.iteration_tables import iteration_table
 from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_table
@@ -53,6 +55,7 @@ def told_live(record: LiveRecord, store: Store) -> dict[str, Json]:
         "mark": mark,
         "status": _status(mark, known, running),
         "reason": known.reason if known else "",
+        "progress": _progress(record.folder / PROGRESS_FILE) if running else None,
         "jobs": _jobs(store) if running else [],
         "log": _last_lines(record.folder / LOG),
         "tables": [],
@@ -80,6 +83,15 @@ def _status(mark: str, known: CampaignRecord | None, running: int) -> str:
     if unfinished or known is None:
         return "running" if running else "broken off" if unfinished else "not run yet"
     return known.status
+
+
+def _progress(path: Path) -> Json:
+    """What is being done, jobs done and asked; nothing where the run does not tell."""
+    try:
+        told: Json = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return told
 
 
 def _jobs(store: Store) -> list[Json]:

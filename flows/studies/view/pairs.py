@@ -6,14 +6,14 @@ import threading
 from collections.abc import Mapping
 from dataclasses import replace
 
-from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import ModesError, NotStored
 from modetune.core.storage.keys import Json
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.check.pairing import first_pairs, mac_table
-from modetune.flows.studies.view.changes import Change, change_of
+from modetune.flows.studies.view.changes import Change, Part
+from modetune.flows.updating.evaluators import engine_of
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine
 
@@ -21,12 +21,19 @@ from modetune.flows.updating.running import job_engine
 REACH = 2.0
 
 
-def told_pairs(campaign: Campaign, solve: bool, cancelled: threading.Event) -> dict[str, Json]:
+def told_pairs(
+    campaign: Campaign, solve: bool, cancelled: threading.Event, configuration: str = ""
+) -> dict[str, Json]:
     """The table of pairs; solve: by the solver where the store has not the model's modes.
+
+    configuration: whose, of several; else of the first.
 
     Raises CampaignError, SolverError, StoreError.
     """
-    engine = replace(job_engine(campaign), may_run=solve, cancelled=cancelled)
+    case = next((case for case in campaign.cases if case.name == configuration), campaign.cases[0])
+    engine = engine_of(job_engine(campaign), campaign, case)
+    engine = replace(engine, may_run=solve, cancelled=cancelled)
+    campaign = campaign.alone(case)
     job = Job(campaign.parameters.values(campaign.start), campaign_analysis(campaign))
     try:
         result = engine.solve(job).result(ModalResult)
@@ -57,6 +64,6 @@ def told_pairs(campaign: Campaign, solve: bool, cancelled: threading.Event) -> d
     return told
 
 
-def pairs_change(source: YamlFile, pairs: Mapping[int, int]) -> Change:
+def pairs_change(part: Part, pairs: Mapping[int, int]) -> Change:
     """`test.pairs` as they were picked. Raises CampaignError."""
-    return change_of(source, {("test", "pairs"): dict(sorted(pairs.items())) or None})
+    return part.change({("test", "pairs"): dict(sorted(pairs.items())) or None})

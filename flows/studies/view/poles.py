@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.test_files.measurements import read_measurement
-from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.storage.keys import Json
@@ -21,19 +20,19 @@ from modetune.flows.studies.identify.identify import (
     IdentificationSettings,
     identify,
 )
-from modetune.flows.studies.view.changes import Change, change_of
+from modetune.flows.studies.view.changes import Change, Part
 
 Band = tuple[float, float] | None
 
 
-def told_poles(source: YamlFile, band: Band, order: int) -> dict[str, Json]:
+def told_poles(part: Part, band: Band, order: int) -> dict[str, Json]:
     """The diagram and the columns of it that may be picked; those of the modes that the campaign
     has are, or where it has none those that the choice without a user takes.
 
     Raises CampaignError.
     """
-    measurement = _measurement(source)
-    found = _identified(_stamped(source), band, order, ())
+    measurement = _measurement(part)
+    found = _identified(_stamped(part), band, order, ())
     lines = found.frfs.frequencies_hz
     enough = found.settings.criteria.least_picked
     tracks = sorted(
@@ -61,60 +60,61 @@ def told_poles(source: YamlFile, band: Band, order: int) -> dict[str, Json]:
     }  # fmt: skip
 
 
-def poles_change(source: YamlFile, band: Band, order: int, pick: Sequence[float]) -> Change:
+def poles_change(part: Part, band: Band, order: int, pick: Sequence[float]) -> Change:
     """Modes of the poles that were picked, in a file of their own that `test.modes` then names.
 
     Raises CampaignError.
     """
     if not pick:
         raise CampaignError("no pole is picked")
-    found = _identified(_stamped(source), band, order, tuple(sorted(pick)))
-    kept, replaced = _kept(source)
+    found = _identified(_stamped(part), band, order, tuple(sorted(pick)))
+    kept, replaced = _kept(part)
     geometry = next((part.geometry for part in replaced.values() if part.geometry), None)
-    name = f"{source.path.stem}-picked{'.csv' if geometry is None else '.unv'}"
+    stem = "-".join(filter(None, (part.source.path.stem, part.name, "picked")))
+    name = f"{stem}{'.csv' if geometry is None else '.unv'}"
     functions = ", ".join(kept)
-    write = partial(_write, source.path.parent / name, found, geometry, functions)
+    write = partial(_write, part.source.path.parent / name, found, geometry, functions)
     listed = ", ".join(f"{hz:.4g}" for hz in found.modes.modes.frequencies_hz)
     notes = [f"{name} is written with {len(found.modes.numbers)} modes: {listed} Hz", *found.notes]
-    test = source.at(("test",))
+    test = part.at("test")
     named = [key for key in ("use", "hold_out", "pairs") if isinstance(test, dict) and key in test]
     if named:
         notes.append(
             f"modes are numbered anew, from 1: look at {', '.join(f'test.{key}' for key in named)}"
         )
     files = [name, *(file for file in kept if file != name)]
-    return change_of(source, {("test", "modes"): files}, tuple(notes), write)
+    return part.change({("test", "modes"): files}, tuple(notes), write)
 
 
 def _write(path: Path, found: Identification, geometry: TestGeometry | None, source: str) -> None:
     write_modes(path, found, geometry, source)
 
 
-def _named(source: YamlFile) -> list[str]:
+def _named(part: Part) -> list[str]:
     """The files of `test.modes`, as they are written there."""
-    named = source.at(("test", "modes"))
+    named = part.at("test", "modes")
     return [str(item) for item in named] if isinstance(named, list) else [str(named or "")]
 
 
-def _stamped(source: YamlFile) -> tuple[tuple[Path, int], ...]:
+def _stamped(part: Part) -> tuple[tuple[Path, int], ...]:
     """The test's files with the times they were written."""
-    paths = [source.path.parent / name for name in _named(source)]
+    paths = [part.source.path.parent / name for name in _named(part)]
     return tuple((path, path.stat().st_mtime_ns if path.is_file() else 0) for path in paths)
 
 
-def _measurement(source: YamlFile) -> Measurement:
-    return read_measurement([path for path, _ in _stamped(source)])
+def _measurement(part: Part) -> Measurement:
+    return read_measurement([path for path, _ in _stamped(part)])
 
 
-def _kept(source: YamlFile) -> tuple[list[str], dict[str, Measurement]]:
+def _kept(part: Part) -> tuple[list[str], dict[str, Measurement]]:
     """Files of the test that stay, and those whose modes are replaced."""
     kept, replaced = [], {}
-    for name in _named(source):
-        part = read_measurement([source.path.parent / name])
-        if part.modes is None:
+    for name in _named(part):
+        held = read_measurement([part.source.path.parent / name])
+        if held.modes is None:
             kept.append(name)
-        elif part.frfs is None:
-            replaced[name] = part
+        elif held.frfs is None:
+            replaced[name] = held
         else:
             raise CampaignError(
                 f"{name} holds modes and response functions; modes that are picked need a file "

@@ -17,21 +17,31 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import uvicorn
 from fastapi import FastAPI, Query, Request
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+from scipy.spatial.transform import Rotation
 from starlette.responses import Response
 
-from modetune.adapters.yaml_file import YamlFile, read_yaml
+from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError, ModetuneError
+from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign, store_of
+from modetune.flows.campaign.sensors_section import Triple
 from modetune.flows.report.page import page
-from modetune.flows.studies.view.changes import Change
+from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
 from modetune.flows.studies.view.live import LiveRecord, told_live
 from modetune.flows.studies.view.pairs import pairs_change, told_pairs
 from modetune.flows.studies.view.poles import Band, poles_change, told_poles
-from modetune.flows.studies.view.sensors import Mark, sensors_change, told_sensors
+from modetune.flows.studies.view.sensors import (
+    Mark,
+    fitted_pose,
+    landmarks_change,
+    pose_change,
+    told_sensors,
+)
 
 LOOPBACK = "127.0.0.1"
 #: Seconds for which a browser keeps its cookie; it is worth nothing when the server has ended.
@@ -57,29 +67,56 @@ Order = Annotated[int, Query(ge=2, le=200)]
 Edge = Annotated[float | None, Query(ge=0.0, allow_inf_nan=False)]
 
 
+class Pose(BaseModel):
+    """How a test was laid by hand: from its axes to the model's, in the model's length."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    rotation: tuple[Triple, Triple, Triple]
+    translation: Triple
+
+    @field_validator("rotation")
+    @classmethod
+    def _proper(cls, rotation: tuple[Triple, Triple, Triple]) -> tuple[Triple, Triple, Triple]:
+        if not np.allclose(np.array(rotation) @ np.transpose(rotation), np.eye(3), atol=1e-3):
+            raise ValueError("rows of a rotation are unit vectors at right angles")
+        if np.linalg.det(rotation) < 0.0:
+            raise ValueError("a rotation does not mirror")
+        return rotation
+
+    def arrays(self) -> tuple[Floats, Floats]:
+        """Rotation (3, 3), made exact, and translation (3,)."""
+        nearest = Rotation.from_matrix(np.array(self.rotation)).as_matrix()
+        return np.asarray(nearest), np.array(self.translation)
+
+
 class Asked(BaseModel):
     """One change that the page asks for; base: of the one that was shown, when it is to be written.
 
-    pairs: test mode to elastic mode; landmarks: test point to node or place; pick: Hz, with band
-    and order of the diagram they were picked in.
+    pairs: test mode to elastic mode; landmarks: test point to node or place; pose: the test moved
+    by hand; pick: Hz, with band and order of the diagram they were picked in.
     """
 
     model_config = ConfigDict(extra="forbid")
 
     pairs: dict[int, Annotated[int, Field(ge=1)]] | None = None
     landmarks: dict[int, Mark] | None = None
+    pose: Pose | None = None
+    configuration: str = ""
     pick: list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] | None = None
     band: tuple[float, float] | None = None
     order: Annotated[int, Field(ge=2, le=200)] = 60
     base: str = ""
 
-    def change(self, source: YamlFile) -> Change:
+    def change(self, part: Part) -> Change:
         """What it makes of a campaign file. Raises CampaignError."""
         if self.pairs is not None:
-            return pairs_change(source, self.pairs)
+            return pairs_change(part, self.pairs)
+        if self.pose is not None:
+            return pose_change(part, *self.pose.arrays())
         if self.landmarks is not None:
-            return sensors_change(source, self.landmarks)
-        return poles_change(source, self.band, self.order, self.pick or ())
+            return landmarks_change(part, self.landmarks)
+        return poles_change(part, self.band, self.order, self.pick or ())
 
 
 class Guard:
@@ -142,8 +179,8 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
     app = FastAPI(openapi_url=None)
     app.middleware("http")(guard)
 
-    def source() -> YamlFile:
-        return read_yaml(campaign, "a campaign")
+    def part(configuration: str) -> Part:
+        return part_of(read_yaml(campaign, "a campaign"), configuration)
 
     @app.exception_handler(ModetuneError)
     def refused(request: Request, error: ModetuneError) -> Response:
@@ -160,7 +197,8 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
 
     @app.get("/live")
     def live() -> Response:
-        return JSONResponse({"name": campaign.name, **told_live(record, store)})
+        told = {"name": campaign.name, "configurations": configuration_names(first)}
+        return JSONResponse({**told, **told_live(record, store)})
 
     @app.get("/report")
     def report() -> Response:
@@ -169,21 +207,27 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
         return HTMLResponse(text, headers={"Content-Security-Policy": "frame-ancestors 'self'"})
 
     @app.get("/pairs")
-    def pairs(solve: bool = False) -> Response:
-        return JSONResponse(told_pairs(load_campaign(campaign), solve, ending))
+    def pairs(solve: bool = False, configuration: str = "") -> Response:
+        return JSONResponse(told_pairs(load_campaign(campaign), solve, ending, configuration))
 
     @app.get("/poles")
-    def poles(low: Edge = None, high: Edge = None, order: Order = 60) -> Response:
+    def poles(
+        low: Edge = None, high: Edge = None, order: Order = 60, configuration: str = ""
+    ) -> Response:
         band: Band = None if low is None or high is None else (low, high)
-        return JSONResponse(told_poles(source(), band, order))
+        return JSONResponse(told_poles(part(configuration), band, order))
 
     @app.get("/sensors")
-    def sensors() -> Response:
-        return JSONResponse(told_sensors(source()))
+    def sensors(configuration: str = "") -> Response:
+        return JSONResponse(told_sensors(part(configuration)))
+
+    @app.post("/fit")
+    def fit(asked: Pose, configuration: str = "") -> Response:
+        return JSONResponse(fitted_pose(part(configuration), *asked.arrays()))
 
     @app.post("/change")
     def change(asked: Asked) -> Response:
-        made = asked.change(source())
+        made = asked.change(part(asked.configuration))
         if asked.base:
             made.write(asked.base)
         return JSONResponse({**made.told(), "written": bool(asked.base)})

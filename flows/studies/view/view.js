@@ -51,7 +51,13 @@
         by("name").textContent = live.name;
         by("status").textContent = live.status;
         by("reason").textContent = live.reason;
+        const { text, done, asked } = live.progress || { text: "" };
+        by("progress").hidden = !text;
+        by("doing").textContent = text;
+        if (asked) Object.assign(by("bar"), { max: asked, value: done }); else by("bar").removeAttribute("value");
         list("jobs", live.jobs);
+        if (!by("configuration").length) by("configuration").append(...live.configurations.map((name) => new Option(name)));
+        by("which").hidden = !live.configurations.length;
         by("log").textContent = live.log.join("\n");
         if (live.mark !== mark) by("tables").replaceChildren(...live.tables.flatMap(table));
         mark = live.mark;
@@ -65,8 +71,9 @@
 
   // A change is shown as it will stand in the file, and written on a second word.
   let shown = null;
+  const configuration = () => by("configuration").value;
   const propose = (asked) => told(async () => {
-    const body = asked(), found = await ask("/change", body);
+    const body = { ...asked(), configuration: configuration() }, found = await ask("/change", body);
     shown = { ...body, base: found.base };
     by("change-file").textContent = found.file;
     by("change-problem").textContent = "";
@@ -85,7 +92,7 @@
   // Pairs.
   let pairs = null;
   const showPairs = (solve) => told(async () => {
-    const found = await ask("/pairs" + (solve ? "?solve=true" : ""));
+    const found = await ask("/pairs?" + new URLSearchParams({ solve, configuration: configuration() }));
     by("solving").hidden = !found.unsolved;
     by("mac").replaceChildren();
     if (found.unsolved) return;
@@ -149,9 +156,8 @@
   const pick = (track) => { track.picked = !track.picked; drawPoles(); };
   const showPoles = told(async () => {
     const [low, high, order] = ["low", "high", "order"].map((id) => by(id).value);
-    const band = low && high ? `&low=${low}&high=${high}` : "";
     by("diagram").replaceChildren();
-    diagram = await ask(`/poles?order=${order}${band}`);
+    diagram = await ask("/poles?" + new URLSearchParams({ order, configuration: configuration(), ...(low && high ? { low, high } : {}) }));
     [by("low").value, by("high").value] = diagram.band.map((hz, end) =>
       Number((hz * (end ? 1 + 1e-5 : 1 - 1e-5)).toPrecision(6)));  // rounded outwards
     list("pole-notes", diagram.notes);
@@ -159,7 +165,7 @@
   });
 
   // Sensors.
-  let scene = null, landmarks = new Map(), chosen = null, spaces = null;
+  let scene = null, landmarks = new Map(), chosen = null, spaces = null, pose = null, byHand = false;
   // A press that did not turn the view finds the point it is on.
   const found = (one, x, y) => one.space.under(one.layer, x, y, 14);
   function onPress(one, work) {
@@ -205,8 +211,58 @@
       line.insertCell().append(make("button", "remove", { type: "button", onclick: () => { landmarks.delete(point); paintPoints(); } }));
     }
   }
+  // The test by hand: y = s R x + t, moved in the plane of the view or turned about its own middle.
+  const times = (matrix, [x, y, z]) => matrix.map((row) => row[0] * x + row[1] * y + row[2] * z);
+  function laid(places) {
+    const out = new Float32Array(places.length);
+    for (let at = 0; at < places.length; at += 3) {
+      times(pose.rotation, places.subarray(at, at + 3)).forEach((v, k) => { out[at + k] = pose.scale * v + pose.translation[k]; });
+    }
+    return out;
+  }
+  function moveTest() {
+    const [test, model] = spaces, now = laid(test.places);
+    model.test.forEach((layer) => layer.move(now.map((v, i) => v - layer.places[i])));
+    model.space.ask();
+    byHand = true;
+  }
+  function drag(tool) {
+    return (across, down, shift) => {
+      const [test, model] = spaces, [right, up, towards, pixel] = model.space.plane();
+      if (tool === "move" && !shift) {
+        pose.translation = pose.translation.map((v, k) => v + pixel * (across * right[k] - down * up[k]));
+      } else {
+        const places = laid(test.places), middle = [0, 1, 2].map((k) => {
+          let sum = 0;
+          for (let at = k; at < places.length; at += 3) sum += places[at];
+          return 3 * sum / places.length;
+        });
+        // Half a degree a pixel about the upright and the level of the view, by Rodrigues' formula.
+        const angle = Math.hypot(across, down) * Math.PI / 360, size = Math.hypot(across, down) || 1;
+        const axis = right.map((v, k) => (v * down + up[k] * across) / size), [c, s] = [Math.cos(angle), Math.sin(angle)];
+        const cross = [[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]];
+        const turn = axis.map((a, i) => axis.map((b, j) => (i === j ? c : 0) + (1 - c) * a * b + s * cross[i][j]));
+        const columns = [0, 1, 2].map((j) => times(turn, pose.rotation.map((row) => row[j])));
+        pose.rotation = [0, 1, 2].map((i) => columns.map((column) => column[i]));
+        pose.translation = times(turn, pose.translation.map((v, k) => v - middle[k])).map((v, k) => v + middle[k]);
+      }
+      moveTest();
+    };
+  }
+  const tools = [...document.querySelectorAll("[data-tool]")];
+  function choose(tool) {
+    tools.forEach((one) => one.setAttribute("aria-pressed", String(one.dataset.tool === tool)));
+    spaces[1].space.onDrag = tool === "view" ? null : drag(tool);
+  }
+  const fitFromHere = told(async () => {
+    const { rotation, translation } = pose;
+    const found = await ask("/fit?" + new URLSearchParams({ configuration: configuration() }), { rotation, translation });
+    pose = found.pose;
+    by("fitted").textContent = found.notes.join("; ");
+    moveTest();
+  });
   const showSensors = told(async () => {
-    scene = await ask("/sensors");
+    scene = await ask("/sensors?" + new URLSearchParams({ configuration: configuration() }));
     landmarks = new Map(Object.entries(scene.landmarks).map(([point, node]) => [Number(point), node]));
     chosen = null;
     list("sensor-notes", scene.notes);
@@ -217,13 +273,20 @@
     model.space.surface(model.places, unpack(scene.triangles, Uint32Array), { low: ink("mesh"), alpha: 1 });
     model.space.lines(model.places, unpack(scene.edges, Uint32Array), { low: ink("soft"), size: 1 });
     model.layer = model.space.points(model.places, { low: ink("mesh"), size: 5 });
-    if (scene.laid) model.space.points(unpack(scene.laid, Float32Array), { low: ink("accent"), size: 7, through: true });
+    pose = scene.pose;
+    byHand = false;
+    const first = laid(test.places);
+    model.test = [model.space.lines(first, unpack(scene.lines, Uint32Array), { low: ink("accent"), size: 1.5, through: true }),
+      model.space.points(first, { low: ink("accent"), size: 7, through: true })];
+    model.space.factor = 1;
     spaces = [test, model];
+    by("fitted").textContent = "";
+    choose("view");
     onPress(test, (row) => { chosen = scene.points[row]; paintPoints(); });
     onPress(model, (row) => {
       if (chosen === null) { by("point").textContent = "press a point of the test first"; return; }
       landmarks.set(chosen, scene.nodes[row]);
-      chosen = null;
+      [chosen, byHand] = [null, false];
       paintPoints();
     });
     paintPoints();
@@ -248,13 +311,21 @@
     pick: diagram ? diagram.tracks.filter((one) => one.picked).map((one) => one.hz) : [],
     band: diagram && diagram.band, order: diagram ? diagram.order : 60,
   })));
-  by("sensors-change").addEventListener("click", () => propose(() => ({ landmarks: Object.fromEntries(landmarks) })));
+  by("sensors-change").addEventListener("click", () => propose(() => (byHand
+    ? { pose: { rotation: pose.rotation, translation: pose.translation } } : { landmarks: Object.fromEntries(landmarks) })));
+  tools.forEach((one) => one.addEventListener("click", () => spaces && choose(one.dataset.tool)));
+  by("fit").addEventListener("click", fitFromHere);
+  by("configuration").addEventListener("change", () => open(document.querySelector("[aria-selected=true]").dataset.tab));
   by("write").addEventListener("click", write);
   by("cancel").addEventListener("click", () => by("change").close());
   modetune.press = (which, number) => {  // where a point is on its canvas, and what a press there finds
     const [one, numbers] = which === "test" ? [spaces[0], scene.points] : [spaces[1], scene.nodes];
     const [x, y] = one.space.where(one.layer, numbers.indexOf(number));
     return { x, y, number: numbers[found(one, x, y)] };
+  };
+  modetune.pose = () => {  // how the test lies, and how it is looked at
+    const { space } = spaces[1], pixel = space.plane()[3];
+    return { ...pose, pixel, eye: [space.azimuth, space.elevation, space.zoom, ...space.pan] };
   };
   open(tabs[location.hash.slice(1)] ? location.hash.slice(1) : "live");
   look();

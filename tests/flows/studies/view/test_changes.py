@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import threading
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,20 @@ from modetune.adapters.test_files.hdf5 import write_test_hdf5
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.adapters.test_files.universal.write import write_universal
-from modetune.adapters.yaml_file import YamlFile, read_yaml
+from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.view.changes import Change
+from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
 from modetune.flows.studies.view.pairs import pairs_change, told_pairs
 from modetune.flows.studies.view.poles import poles_change, told_poles
-from modetune.flows.studies.view.sensors import sensors_change, told_sensors
+from modetune.flows.studies.view.sensors import (
+    fitted_pose,
+    landmarks_change,
+    pose_change,
+    told_sensors,
+)
 from tests.flows.studies.test_identify import FREQUENCIES, measured
 
 BAND = (8.0, 140.0)
@@ -33,18 +37,18 @@ SKIN = "SOL 103\nCEND\nBEGIN BULK\n{}ENDDATA\n"
 MAST = "*NODE\n{}*ELEMENT, TYPE=B31, ELSET=ALL\n{}*STEP\n*FREQUENCY\n4\n*END STEP\n"
 
 
-def written(change: Change) -> YamlFile:
+def written(change: Change) -> Part:
     """The campaign file after a change."""
     change.write(change.base)
-    return read_yaml(change.source.path, "a campaign")
+    return part_of(read_yaml(change.source.path, "a campaign"))
 
 
-def campaign(folder: Path, text: str) -> YamlFile:
+def campaign(folder: Path, text: str) -> Part:
     (folder / "campaign.yaml").write_text(text)
-    return read_yaml(folder / "campaign.yaml", "a campaign")
+    return part_of(read_yaml(folder / "campaign.yaml", "a campaign"))
 
 
-def of_functions(folder: Path, modes: str) -> YamlFile:
+def of_functions(folder: Path, modes: str) -> Part:
     """A campaign whose test is known by functions; its deck is never read."""
     write_test_hdf5(folder / "frfs.h5", Measurement(frfs=measured(noise=0.005)))
     return campaign(
@@ -66,14 +70,14 @@ def test_functions_alone_get_modes_of_poles_that_are_picked(tmp_path: Path) -> N
     assert any("with 6 modes" in note for note in change.notes)
     assert not (tmp_path / "campaign-picked.csv").exists()  # it is only shown
     after = written(change)
-    assert after.at(("test", "modes")) == ["campaign-picked.csv", "frfs.h5"]
-    assert "# cast 1890" in after.text
+    assert after.at("test", "modes") == ["campaign-picked.csv", "frfs.h5"]
+    assert "# cast 1890" in after.source.text
     found = read_measurement([tmp_path / "campaign-picked.csv"]).modes
     assert found is not None
     assert found.modes.frequencies_hz == pytest.approx(FREQUENCIES[:6], rel=2e-4)
     # A second choice takes the place of the first, in the same file.
     again = written(poles_change(after, BAND, 40, pick[:3]))
-    assert again.text == after.text
+    assert again.source.text == after.source.text
     told = told_poles(again, BAND, 40)
     assert sum(track["picked"] for track in told["tracks"]) == 3
 
@@ -89,7 +93,7 @@ def test_points_of_the_file_whose_modes_are_replaced_are_kept(tmp_path: Path) ->
     change = poles_change(source, BAND, 40, [20.0, 33.0])
     assert "modes are numbered anew, from 1: look at test.use" in change.notes
     after = written(change)
-    assert after.at(("test", "modes")) == ["campaign-picked.unv", "frfs.h5"]
+    assert after.at("test", "modes") == ["campaign-picked.unv", "frfs.h5"]
     kept = read_measurement([tmp_path / "campaign-picked.unv"]).geometry
     assert kept is not None
     assert kept.coordinates == pytest.approx(ring, abs=1e-6)  # as many digits as the format has
@@ -129,7 +133,7 @@ def test_frequencies_alone_are_paired_by_hand_and_the_solver_is_asked_first(
         "test: {modes: hz.csv}\n"
         "parameters: [{name: k, quantity: spring_stiffness, elset: k1, bounds: [0.5, 2]}]\n",
     )
-    loaded = load_campaign(source.path)
+    loaded = load_campaign(source.source.path)
     assert told_pairs(loaded, False, threading.Event()) == {"unsolved": True}
     told: Any = told_pairs(loaded, True, threading.Event())
     assert told["mac"] is None
@@ -139,10 +143,16 @@ def test_frequencies_alone_are_paired_by_hand_and_the_solver_is_asked_first(
     wanted = np.sqrt(np.linalg.eigvalsh(k / np.outer(root, root))) / (2.0 * np.pi)
     assert told["elastic_hz"] == pytest.approx(wanted, rel=1e-9)
     after = written(pairs_change(source, {1: 1, 2: 3}))
-    assert "test: {modes: hz.csv, pairs: {1: 1, 2: 3}}\n" in after.text
-    told = told_pairs(load_campaign(source.path), False, threading.Event())
+    assert "test: {modes: hz.csv, pairs: {1: 1, 2: 3}}\n" in after.source.text
+    told = told_pairs(load_campaign(source.source.path), False, threading.Event())
     assert told["by_hand"] == {"1": 1, "2": 3}
     assert told["paired"] == {"1": 1, "2": 3}
+
+
+def laid(pose: Any, points: Floats) -> Floats:
+    """Points (n, 3) of the test where a pose lays them."""
+    turned = points @ np.array(pose["rotation"]).T
+    return np.asarray(pose["scale"] * turned + np.array(pose["translation"]))
 
 
 def skin_deck() -> tuple[str, Floats, str]:
@@ -190,18 +200,17 @@ def test_landmarks_lie_where_they_were_put_on_shells_and_on_beams(
     told: Any = told_sensors(source)
     assert told["points"] == [11, 12, 13, 14]
     assert set(told["nodes"]) == set(range(1, len(places) + 1))
-    change = sensors_change(source, {11: 1, 12: 4, 13: len(places)})
+    change = landmarks_change(source, {11: 1, 12: 4, 13: len(places)})
     assert "fitted to 3 points" in change.notes[0]
     after = written(change)
-    assert after.at(("test", "sensors")) == {
+    assert after.at("test", "sensors") == {
         "tolerance": 0.3, "match": {11: 1, 12: 4, 13: len(places)}
     }  # fmt: skip
-    assert "# Bo's sketch" in after.text
-    assert "# wide" in after.text
+    assert "# Bo's sketch" in after.source.text
+    assert "# wide" in after.source.text
     told = told_sensors(after)
-    laid = np.frombuffer(base64.b64decode(told["laid"]), "<f4").reshape(-1, 3)
-    # The fourth point was no landmark; single precision of lengths up to 5.
-    assert laid == pytest.approx(places[rows], abs=5e-6)
+    # The fourth point was no landmark; the file of points has 16 digits of lengths up to 5000.
+    assert laid(told["pose"], points) == pytest.approx(places[rows], abs=1e-9)
 
 
 def test_what_is_no_place_is_told(tmp_path: Path) -> None:
@@ -214,11 +223,11 @@ def test_what_is_no_place_is_told(tmp_path: Path) -> None:
     )
     with pytest.raises(CampaignError, match="has no coordinates"):
         told_sensors(source)
-    fit = campaign(tmp_path, source.text.replace("csv}", "csv, sensors: {align: fit}}"))
+    fit = campaign(tmp_path, source.source.text.replace("csv}", "csv, sensors: {align: fit}}"))
     with pytest.raises(CampaignError, match="has no coordinates"):
-        sensors_change(fit, {11: 1})
+        landmarks_change(fit, {11: 1})
     with pytest.raises(CampaignError, match="3 landmarks are required"):
-        sensors_change(source, {11: 1, 12: 2})
+        landmarks_change(source, {11: 1, 12: 2})
 
 
 def test_a_file_keeps_its_link_and_permissions_and_is_not_written_over_another_change(
@@ -227,17 +236,86 @@ def test_a_file_keeps_its_link_and_permissions_and_is_not_written_over_another_c
     source = of_functions(tmp_path, "hz.csv")
     real = tmp_path / "kept" / "real.yaml"
     real.parent.mkdir()
-    source.path.rename(real)
-    source.path.symlink_to(real)
+    source.source.path.rename(real)
+    source.source.path.symlink_to(real)
     real.chmod(0o640)
     change = pairs_change(source, {1: 2})
     assert change.told()["diff"] != []
     written(change)
-    assert source.path.is_symlink()
+    assert source.source.path.is_symlink()
     assert real.stat().st_mode & 0o777 == 0o640
     assert "pairs: {1: 2}" in real.read_text()
-    now = read_yaml(source.path, "a campaign")
+    now = part_of(read_yaml(source.source.path, "a campaign"))
     with pytest.raises(CampaignError, match="was changed meanwhile"):
         pairs_change(now, {1: 3}).write(change.base)
     with pytest.raises(CampaignError, match=r"test\.pairs"):
         pairs_change(now, {1: 0})
+
+
+def test_each_configuration_has_pairs_and_a_place_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MODETUNE_STORE", raising=False)
+    for name, top in (("empty", 0.5), ("full", 2.0)):
+        (tmp_path / f"{name}.yaml").write_text(
+            f"masses: {{m1: 2.0, m2: {top}}}\nsprings:\n"
+            "  k1: {between: [ground, m1], stiffness: 900.0}\n"
+            "  k2: {between: [m1, m2], stiffness: 500.0}\n"
+        )
+    (tmp_path / "hz.csv").write_text("mode,1,2\nfrequency_hz,2.0,4.5\n")
+    source = campaign(
+        tmp_path,
+        "name: silo\nconfigurations:   # weighed by Kim\n"
+        "  - name: empty\n    model: {deck: empty.yaml, solver: matrices, units: m-kg-s}\n"
+        "    test: {modes: hz.csv}\n"
+        "  - name: full\n    model: {deck: full.yaml, solver: matrices, units: m-kg-s}\n"
+        "    test: {modes: hz.csv}   # in June\n"
+        "parameters: [{name: k, quantity: spring_stiffness, elset: k1, bounds: [0.5, 2]}]\n",
+    )
+    assert configuration_names(source.source) == ["empty", "full"]
+    loaded = load_campaign(source.source.path)
+    hz: dict[str, Any] = {
+        name: told_pairs(loaded, True, threading.Event(), name)["elastic_hz"]
+        for name in ("empty", "full")
+    }
+    assert hz["full"][0] < hz["empty"][0]  # four times the mass on top
+    full = part_of(source.source, "full")
+    after = written(pairs_change(full, {1: 2}))
+    assert "    test: {modes: hz.csv, pairs: {1: 2}}   # in June\n" in after.source.text
+    assert part_of(after.source, "full").at("test", "pairs") == {1: 2}
+    assert part_of(after.source, "empty").at("test", "pairs") is None
+    again = part_of(after.source, "full")
+    assert written(pairs_change(again, {})).source.text == source.source.text
+
+
+def test_a_pose_by_hand_takes_the_place_of_landmarks(tmp_path: Path) -> None:
+    text, places, solver = skin_deck()
+    (tmp_path / "model.dat").write_text(text)
+    turn, shift = Rotation.from_rotvec([0.3, -0.2, 1.1]), np.array([0.4, -7.0, 3.0])
+    rows = np.arange(0, len(places), 2)
+    points = turn.inv().apply(places[rows] - shift)
+    numbers, frames = 50 + np.arange(rows.size), np.tile(np.eye(3), (rows.size, 1, 1))
+    geometry = TestGeometry(numbers, points, frames, np.zeros((0, 2), int),
+                            np.zeros((0, 3), int), 1.0)  # fmt: skip
+    write_geometry_csv(tmp_path / "points.csv", geometry)
+    shapes = mode_set([3.0], np.ones((rows.size, 1)), numbers, np.full(rows.size, 1))
+    write_modes_csv(tmp_path / "modes.csv", (1,), shapes, ())
+    source = campaign(
+        tmp_path,
+        f"name: it\nmodel: {{deck: model.dat, solver: {solver}, units: m-kg-s}}\n"
+        "test:\n  modes: [modes.csv, points.csv]\n"
+        "  sensors: {align: fit, match: {50: 1}}   # by eye\n"
+        "parameters: [{name: E, quantity: youngs_modulus, material: M, bounds: [0.5, 2]}]\n",
+    )
+    rough = (Rotation.from_rotvec([0.05, 0.04, -0.06]) * turn).as_matrix()
+    told: Any = fitted_pose(source, rough, shift + np.array([0.1, -0.15, 0.1]))
+    # Points with 16 digits on nodes: a fit on them is exact to rounding of places of some 10 m.
+    assert laid(told["pose"], points) == pytest.approx(places[rows], abs=1e-9)
+    pose = told["pose"]
+    change = pose_change(source, np.array(pose["rotation"]), np.array(pose["translation"]))
+    after = written(change)
+    assert set(after.at("test", "sensors")) == {"rotation", "translation"}  # type: ignore[call-overload]
+    assert "# by eye" in after.source.text
+    again: Any = told_sensors(after)["pose"]
+    # Degrees to 5 decimals and 8 digits of shifts, at 10 m at most.
+    assert laid(again, points) == pytest.approx(places[rows], abs=5e-6)

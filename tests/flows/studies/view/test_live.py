@@ -8,8 +8,11 @@ import re
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from modetune.core.storage.store import Store
 from modetune.flows.jobs.job import NOTE_FILE, JobNote
+from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.jobs.store_files import in_use
 from modetune.flows.studies.view.live import LiveRecord, told_live
 from modetune.flows.updating.running import update_campaign
@@ -27,6 +30,21 @@ def test_jobs_under_way_are_told_while_a_campaign_runs(tmp_path: Path) -> None:
         told = told_live(record, store)
         assert told["status"] == "running"
         assert re.fullmatch(r"modal of pipe by ccx, abababababab, \d+ s", told["jobs"][0])
+
+
+def test_jobs_done_of_those_asked_are_told_by_the_run_that_counts_them(tmp_path: Path) -> None:
+    store, folder = Store(tmp_path / "store"), tmp_path / "runs" / "pipe"
+    folder.mkdir(parents=True)
+    record, jobs = LiveRecord(folder), JobProgress(Console(quiet=True))
+    with in_use(store), jobs.shown():
+        told: Any = told_live(record, store)
+        assert told["progress"] is None  # a run that keeps no file
+        jobs.keep(folder)
+        jobs.asked(3)
+        told = told_live(record, store)
+        assert told["progress"] == {"text": "starting; 0 of 3 jobs done", "done": 0, "asked": 3}
+    assert not list(folder.iterdir())
+    assert told_live(record, store)["progress"] is None
 
 
 def test_a_record_is_told_with_each_iteration_and_a_run_that_was_broken_off(
