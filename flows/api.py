@@ -156,7 +156,7 @@ def screen(
     """
     request = ScreeningRequest(method, points, seed, None, choose)
     with _watched(progress) as watcher:
-        return screen_campaign(campaign_of(campaign, settings), request, watcher)
+        return screen_campaign(campaign_of(campaign, settings), request, watcher.working)
 
 
 def sample(
@@ -176,7 +176,7 @@ def sample(
     earlier = _run_of(record).record if record is not None else None
     request = SamplingRequest(points=points, seed=seed)
     with _watched(progress) as watcher:
-        return sample_campaign(campaign_of(campaign, settings), request, watcher, earlier)
+        return sample_campaign(campaign_of(campaign, settings), request, watcher.working, earlier)
 
 
 def validate(

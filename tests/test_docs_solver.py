@@ -19,11 +19,11 @@ from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.core.errors import CampaignError, ModelError, NoResult, SolverCrashed, SolverRejected
 from modetune.core.parameters import Parameter
 from modetune.core.storage.keys import canonical_json
-from modetune.core.storage.record import IterationRecord
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.updating import Unwatched
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 #: Steel, N, mm, t: 2 x 250 mm in two materials of the same numbers.
@@ -37,16 +37,6 @@ PARAMETERS = tuple(
     Parameter(f"E_{name}", "youngs_modulus", "material", (name,), 0.5, 2.0, 0.2)
     for name in ("ROOT", "TIP")
 )
-
-
-class Silence:
-    """Watches a campaign and says nothing."""
-
-    def working(self, text: str) -> None:
-        pass
-
-    def iteration(self, record: IterationRecord) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +169,7 @@ def test_a_campaign_finds_two_moduli_with_it(
     rows = ("mode,1,2,3", "frequency_hz," + ",".join(f"{value:.12g}" for value in test))
     (tmp_path / "measured.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
-    run = update_campaign(load_campaign(tmp_path / "campaign.yaml"), tmp_path / "run", Silence())
+    run = update_campaign(load_campaign(tmp_path / "campaign.yaml"), tmp_path / "run", Unwatched())
     assert run.record.status == "converged", run.record.reason
     assert run.record.iterations[-1].parameters == pytest.approx(list(truth.values()), rel=1e-4)
     assert (tmp_path / "run" / "updated" / "bar.rod").is_file()

@@ -93,7 +93,9 @@ def check(
         if as_json:
             typer.echo(json.dumps(_told_check(found, state, bands)))
         else:
-            _show_check(found)
+            from modetune.flows.report.tables import show
+
+            show([_comparison_table(found), *found.remarks, _comparison_end(found)])
         raise typer.Exit(0 if found.within else 3)
     with begun(f"reading {campaign_file}"):
         from modetune.flows.campaign.sketch import looked_at
@@ -156,31 +158,27 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
     from rich.text import Text
 
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table
+    from modetune.flows.report.tables import show
 
     console = terminal()
     model = campaign.case.solver.deck.summary
-    console.print(
-        Text(
-            f"{campaign.name}: model {model.name} ({len(model.node_ids)} nodes, "
-            f"{model.n_elements} elements), {', '.join(_sizes(campaign))}"
-        ),
-        soft_wrap=True,
+    head = (
+        f"{campaign.name}: model {model.name} ({len(model.node_ids)} nodes, "
+        f"{model.n_elements} elements), {', '.join(_sizes(campaign))}"
     )
-    for table in _tables(report):
-        show_table(console, table)
+    show([head, *_tables(report)], console)
     for item in sorted(report.findings, key=lambda item: item.level == "good"):
-        head = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
+        level = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
         said = Text(_finding(item))
         if not console.is_terminal:  # there a finding stays one line
-            console.print(head + said, soft_wrap=True)
+            show([level + said], console)
             continue
         row = Table.grid(padding=0)  # a long sentence goes on under its own beginning
-        row.add_column(width=len(head), no_wrap=True)
+        row.add_column(width=len(level), no_wrap=True)
         row.add_column(overflow="fold")
-        row.add_row(head, said)
+        row.add_row(level, said)
         console.print(row)
-    console.print(Text(_end(report)), soft_wrap=True)
+    show([_end(report)], console)
 
 
 def _sizes(campaign: Campaign) -> list[str]:
@@ -244,15 +242,6 @@ def compared(
                 pages.done(_comparison_end(found), tables, status=status, good=found.within)
             return campaign, found
     return campaign, check_record(campaign, record, baseline, model, band)
-
-
-def _show_check(found: BaselineCheck) -> None:
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table
-
-    show_table(terminal(), _comparison_table(found))
-    for line in (*found.remarks, _comparison_end(found)):
-        typer.echo(line)
 
 
 def _comparison_table(found: BaselineCheck) -> Table:

@@ -21,7 +21,7 @@ from modetune.flows.cli.options import (
     stoppable,
     with_model,
 )
-from modetune.flows.report.tables import Column, Table, frame, json_object, show_table, table_of
+from modetune.flows.report.tables import Column, Table, frame, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -106,9 +106,7 @@ def correlate(
     if as_json:
         typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
         return
-    _show(found)
-    for path in written:
-        typer.echo(f"written: {path}")
+    show([*_tables(found), *_lines(found), *(f"written: {path}" for path in written)])
 
 
 def told(found: Correlation) -> dict[str, Json]:
@@ -225,18 +223,6 @@ def _write_csv(path: Path, rows: Sequence[ComparedPair | ComparedSensor], kind: 
     with writing(path) as part:
         frame(rows, kind).to_csv(part, index=False, lineterminator="\n")
     return path
-
-
-def _show(found: Correlation) -> None:
-    from rich.text import Text
-
-    from modetune.flows.campaign.terminal import terminal
-
-    console = terminal()
-    for table in _tables(found):
-        show_table(console, table)
-    for line in _lines(found):
-        console.print(Text(line), soft_wrap=True)
 
 
 def _tables(found: Correlation) -> list[Table]:

@@ -142,26 +142,21 @@ def _figures(result: Outcome, folder: Path) -> list[Path]:
 
 
 def _show(found: CaseVerdict) -> None:
-    from rich.text import Text
+    from modetune.flows.report.tables import Column, Table, show, table_of
 
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import Column, Table, show_table, table_of
-
-    console = terminal()
     for item in found.tables:
         columns = tuple(
             Column(heading, words=place == 0) for place, heading in enumerate(item.headings)
         )
-        show_table(console, Table(item.title, columns, item.rows))
+        show([Table(item.title, columns, item.rows)])
     outside = [(place, "holds") for place, item in enumerate(found.claims) if not item.holds]
     columns = (
         Column("claim", words=True, name="claim"),
         Column("holds", name="holds"),
         Column("by", words=True, name="evidence"),
     )
-    show_table(console, table_of("Claims", found.claims, columns, outside=outside))
-    if found.figures:
-        console.print(Text(f"figures      {found.figures[0].parent}"), soft_wrap=True)
+    figures = [f"figures      {found.figures[0].parent}"] if found.figures else []
+    show([table_of("Claims", found.claims, columns, outside=outside), *figures])
 
 
 #: Of each demo: its case in configs/, the campaign there, and what judges the run.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.flows.cli.options import AsJson, Figures, stoppable
-from modetune.flows.report.tables import Column, json_object, show_table, table_of
+from modetune.flows.report.tables import Column, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -64,9 +64,10 @@ def identify(
     if as_json:
         typer.echo(json.dumps(told(found, notes, out, written)))
         return
-    _show(found, notes)
-    for path in (*([out] if out else []), *written):
-        typer.echo(f"written: {path}")
+    files = [f"written: {path}" for path in (*([out] if out else []), *written)]
+    show(
+        [table_of("Identified modes", _modes(found), IdentifiedMode), *_lines(found, notes), *files]
+    )
 
 
 def _settings(
@@ -136,17 +137,13 @@ def told(
     )
 
 
-def _show(found: Identification, notes: tuple[str, ...]) -> None:
-    from modetune.flows.campaign.terminal import terminal
-
-    show_table(terminal(), table_of("Identified modes", _modes(found), IdentifiedMode))
+def _lines(found: Identification, notes: tuple[str, ...]) -> list[str]:
     worst = int(found.worst_functions[0])
-    typer.echo(
+    fit = (
         f"FRAC of {found.frac.size} functions: mean {found.frac.mean():.4f}, least "
         f"{found.frac[worst]:.4f} at {found.function_name(worst)}"
     )
-    for note in notes:
-        typer.echo(f"note: {note}")
+    return [fit, *(f"note: {note}" for note in notes)]
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from modetune.flows.cli.options import AsJson
-from modetune.flows.report.tables import Column, json_object, show_table, table_of
+from modetune.flows.report.tables import Column, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.adapters.test_files.measurements import Inspection
@@ -51,7 +51,6 @@ def inspect(
 ) -> None:
     """Tell what the files of a test hold, and what was left out; write it in another form."""
     from modetune.adapters.test_files.measurements import inspect_files
-    from modetune.flows.campaign.terminal import terminal
 
     inspection = inspect_files(files, metres, axes)
     told = {"status": "good", **_told(inspection)}
@@ -63,13 +62,9 @@ def inspect(
     if as_json:
         typer.echo(json.dumps(told))
         return
-    for line in _lines(told):
-        typer.echo(line)
-    show_table(terminal(), table_of("", _modes(inspection), MeasuredMode))
-    for note in told["notes"]:
-        typer.echo(f"note: {note}")
-    for path in told["written"]:
-        typer.echo(f"written: {path}")
+    modes = table_of("", _modes(inspection), MeasuredMode)
+    notes = [f"note: {note}" for note in told["notes"]]
+    show([*_lines(told), modes, *notes, *(f"written: {path}" for path in told["written"])])
 
 
 def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path]:

@@ -19,7 +19,7 @@ from modetune.flows.cli.options import (
     paged,
     stoppable,
 )
-from modetune.flows.report.tables import Column, Table, json_object, show_table, table_of
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -76,9 +76,7 @@ def localise(
     if as_json:
         typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
         return
-    _show(found)
-    for path in written:
-        typer.echo(f"written: {path}")
+    show([*tables(found), *_lines(found), *(f"written: {path}" for path in written)])
 
 
 def told(found: Localisation) -> dict[str, Json]:
@@ -185,18 +183,6 @@ def tables(found: Localisation) -> list[Table]:
         title = "Where the model is wrong, from the test's shapes"
         shown.insert(0, table_of(title, groups, GroupRow))
     return shown
-
-
-def _show(found: Localisation) -> None:
-    from rich.text import Text
-
-    from modetune.flows.campaign.terminal import terminal
-
-    console = terminal()
-    for table in tables(found):
-        show_table(console, table)
-    for line in _lines(found):
-        console.print(Text(line), soft_wrap=True)
 
 
 def _lines(found: Localisation) -> list[str]:

@@ -177,23 +177,13 @@ def _told_quality(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]
 
 
 def _show(found: Pretest) -> None:
-    from rich.text import Text
+    from modetune.flows.report.tables import show
 
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table
-
-    console = terminal()
     sensors, *others = _tables(found)
-    show_table(console, sensors)
-    for line in quality_lines(found):
-        console.print(Text(line), soft_wrap=True)
-    for table in others:
-        show_table(console, table)
-    if found.suspension:
-        held = ", ".join(f"{item.node} ({100 * item.share:.0f} %)" for item in found.suspension)
-        console.print(Text(f"moves least, for a suspension: nodes {held}"), soft_wrap=True)
-    for note in found.notes:
-        console.print(Text(f"note: {note}"), soft_wrap=True)
+    held = ", ".join(f"{item.node} ({100 * item.share:.0f} %)" for item in found.suspension)
+    suspension = [f"moves least, for a suspension: nodes {held}"] if held else []
+    notes = [f"note: {note}" for note in found.notes]
+    show([sensors, *quality_lines(found), *others, *suspension, *notes])
 
 
 def _tables(found: Pretest) -> list[Table]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -76,10 +76,10 @@ def sample(
     request = SamplingRequest(points, walkers, steps, seed, checks)
     with (
         stoppable(),
-        _progress() as progress,
+        begun(f"sampling {campaign.name}") as working,
         paged("sample", campaign.name, no_prefect) as pages,
     ):
-        found = sample_campaign(campaign, request, progress, earlier, pages)
+        found = sample_campaign(campaign, request, working, earlier, pages)
         write_posterior(folder / FILE, found)
         written = [folder / FILE, *_figures(found, figures)]
         doubts = [finding.text for finding in findings(found) if finding.red]
@@ -94,13 +94,6 @@ def sample(
     raise typer.Exit(3 if doubts else 0)
 
 
-def _progress() -> Any:
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.updating.display import ConsoleProgress
-
-    return ConsoleProgress(terminal(stderr=True)).shown()
-
-
 def _figures(found: PosteriorRecord, folder: Path | None) -> list[Path]:
     if folder is None:
         return []
@@ -112,12 +105,9 @@ def _figures(found: PosteriorRecord, folder: Path | None) -> list[Path]:
 def _show(found: PosteriorRecord, written: list[Path]) -> None:
     from rich.text import Text
 
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table
+    from modetune.flows.report.tables import show
     from modetune.flows.studies.sample.telling import findings, posterior_table
 
-    console = terminal()
-    show_table(console, posterior_table(found))
     by_model = found.by_reduced_model
     called = "reduced model" if by_model else "surrogate"
     left_out = "" if by_model else f"{found.left_out.max():.2g} with a set left out, "
@@ -133,9 +123,6 @@ def _show(found: PosteriorRecord, written: list[Path]) -> None:
     ]
     if found.points_by:
         lines.insert(0, found.points_by)
-    for line in lines:
-        console.print(Text(line), soft_wrap=True)
-    for finding in findings(found):
-        console.print(Text(finding.text, style="red" if finding.red else ""), soft_wrap=True)
-    for path in written:
-        console.print(Text(f"written: {path}"), soft_wrap=True)
+    judged = [Text(item.text, style="red" if item.red else "") for item in findings(found)]
+    files = [f"written: {path}" for path in written]
+    show([posterior_table(found), *lines, *judged, *files])

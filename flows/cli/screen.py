@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -69,10 +69,10 @@ def screen(
     request = ScreeningRequest(known[0], points, seed, levels, choose)
     with (
         stoppable(),
-        _progress() as progress,
+        begun(f"screening {campaign.name}") as working,
         paged("screen", campaign.name, no_prefect) as pages,
     ):
-        screening = screen_campaign(campaign, request, progress, pages)
+        screening = screen_campaign(campaign, request, working, pages)
         write_screening(folder / FILE, screening)
         written = [folder / FILE, *_figures(screening, figures)]
         if out is not None:
@@ -80,13 +80,6 @@ def screen(
         if pages is not None:
             pages.done(proposed(screening), tables(screening), written)
     _tell(screening, folder, written, as_json)
-
-
-def _progress() -> Any:
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.studies.screen.progress import ConsoleScreening
-
-    return ConsoleScreening(terminal(stderr=True)).shown()
 
 
 def _figures(screening: Screening, folder: Path | None) -> list[Path]:
@@ -108,15 +101,7 @@ def _tell(screening: Screening, folder: Path, written: list[Path], as_json: bool
             part.write_text(json.dumps(shown, indent=1), encoding="utf-8")
         typer.echo(json.dumps(shown))
         return
-    from rich.text import Text
+    from modetune.flows.report.tables import show
 
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show_table
-
-    console = terminal()
-    for table in tables(screening):
-        show_table(console, table)
-    for line in lines(screening):
-        console.print(Text(line), soft_wrap=True)
-    for path in written:
-        typer.echo(f"written: {path}")
+    said = [*lines(screening), *(f"written: {path}" for path in written)]
+    show([*tables(screening), *said])

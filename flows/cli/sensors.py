@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.flows.cli.options import AsJson, CampaignPath, Settings, begun
-from modetune.flows.report.tables import Column, Table, json_object, show_table
+from modetune.flows.report.tables import Column, Table, json_object, show
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -35,7 +35,6 @@ def sensors(
     """Tell at which node and along which direction each sensor is read. Runs no solver."""
     with begun(f"reading {campaign_file}"):
         from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.campaign.terminal import terminal
         from modetune.flows.updating.poses import from_store
 
         campaign = load_campaign(campaign_file, settings or [])
@@ -50,11 +49,8 @@ def sensors(
     if as_json:
         typer.echo(json.dumps(told_sensors(mapping, picture)))
         return
-    show_table(terminal(), sensor_table(mapping))
-    for line in sensor_lines(mapping):
-        typer.echo(line)
-    if picture is not None:
-        typer.echo(f"picture: {picture}")
+    drawn = [f"picture: {picture}"] if picture is not None else []
+    show([sensor_table(mapping), *sensor_lines(mapping), *drawn])
 
 
 def sensor_table(mapping: Mapping) -> Table:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.flows.cli.options import AsJson, StorePlace, stoppable, store_and_campaign
-from modetune.flows.report.tables import Column, show_table, table_of
+from modetune.flows.report.tables import Column, show, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -84,7 +84,6 @@ def store_ls(
     as_json: AsJson = False,
 ) -> None:
     """List results: when they were written, their size, what they are and what they took."""
-    from modetune.flows.campaign.terminal import terminal
     from modetune.flows.jobs.store_index import Chosen, ask_index
 
     place, _ = store_and_campaign(store)
@@ -94,15 +93,13 @@ def store_ls(
     if as_json:
         typer.echo(json.dumps({"store": str(place.folder), "results": list(map(_told, found))}))
         return
-    show_table(terminal(), table_of("", [_row(entry, time.time()) for entry in found], EntryRow))
-    if not found:
-        typer.echo(f"{place.folder} has no such result")
+    none = [] if found else [f"{place.folder} has no such result"]
+    show([table_of("", [_row(entry, time.time()) for entry in found], EntryRow), *none])
 
 
 @store_app.command("size")
 def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
     """Tell how much room results take by solver, model and analysis, and what else there is."""
-    from modetune.flows.campaign.terminal import terminal
     from modetune.flows.jobs.store_files import beside
     from modetune.flows.jobs.store_index import ask_index
 
@@ -134,8 +131,7 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
         SumRow(*name, files, shown_size(size), wall_s)
         for name, (files, size, wall_s) in sorted_sums
     ]
-    show_table(terminal(), table_of("", rows, SumRow))
-    typer.echo(f"{place.folder} holds {shown_size(total)}")
+    show([table_of("", rows, SumRow), f"{place.folder} holds {shown_size(total)}"])
 
 
 @store_app.command("check")

@@ -20,7 +20,6 @@ def twin(
     as_json: AsJson = False,
 ) -> None:
     """Run the model's modal analysis on several solvers and show their modes side by side."""
-    from modetune.flows.campaign.terminal import terminal
     from modetune.flows.studies.cross_solver.cross_solver import run_twin, twin_summary
     from modetune.flows.studies.cross_solver.telling import show_twin
 
@@ -29,5 +28,5 @@ def twin(
     if as_json:
         typer.echo(json.dumps(twin_summary(compared)))
     else:
-        show_twin(terminal(), compared)
+        show_twin(compared)
     raise typer.Exit(0 if len(compared.solvers) > 1 else 4)

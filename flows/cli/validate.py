@@ -18,9 +18,10 @@ from modetune.flows.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.text import Text
 
     from modetune.core.storage.keys import Json
+    from modetune.flows.report.tables import Table
     from modetune.flows.studies.validate.leave_out import Validation
 
 
@@ -41,27 +42,26 @@ def validate(
     """
     with begun(f"reading {campaign_file}"):
         from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.campaign.terminal import terminal
         from modetune.flows.report.held_out_tables import held_out_table
+        from modetune.flows.report.tables import show
         from modetune.flows.studies.validate.leave_out import leave_one_out
         from modetune.flows.studies.validate.leave_out import validate as by_held_out
-        from modetune.flows.updating.display import ConsoleProgress
 
         campaign = load_campaign(campaign_file, settings or [])
     with (
         stoppable(),
-        ConsoleProgress(terminal(stderr=True)).shown() as progress,
+        begun(f"validating {campaign.name}") as working,
         paged("validate", campaign.name, no_prefect) as pages,
     ):
         judge = leave_one_out if one_out else by_held_out
-        found = judge(campaign, progress.working, pages)
+        found = judge(campaign, working, pages)
         if pages is not None:
             tables, good = [held_out_table(found.held_out)], found.status == "good"
             pages.done(found.sentence, tables, status=found.status, good=good)
     if as_json:
         typer.echo(json.dumps(told(found, one_out)))
     else:
-        _show(terminal(), found)
+        show(_parts(found))
     raise typer.Exit(0 if found.status == "good" else 3)
 
 
@@ -92,28 +92,25 @@ def told(found: Validation, one_out: bool) -> dict[str, Json]:
     )
 
 
-def _show(console: Console, found: Validation) -> None:
+def _parts(found: Validation) -> list[Table | Text | str]:
+    """What was found, for people."""
     from rich.text import Text
 
-    from modetune.flows.report.tables import OUTSIDE, Column, Table, show_table
-    from modetune.flows.updating.display import show_held_out
+    from modetune.flows.report.tables import OUTSIDE, Column, Table
+    from modetune.flows.updating.display import held_out_parts
 
-    show_held_out(console, found.held_out)
+    parts: list[Table | Text | str] = [*held_out_parts(found.held_out)]
     for fold in found.failed:
-        console.print(
-            Text(f"{fold.name} the update failed: {fold.reason}", style=OUTSIDE), soft_wrap=True
-        )
+        parts.append(Text(f"{fold.name} the update failed: {fold.reason}", style=OUTSIDE))
     if len(found.folds) > 1:
         columns = [Column("without", words=True)]
         columns += [Column(parameter, form=".4f") for parameter in found.parameters]
         rows = [(fold.name.removeprefix("without "), *fold.updated) for fold in found.folds]
-        show_table(console, Table("Parameters over the updates", tuple(columns), tuple(rows)))
+        parts.append(Table("Parameters over the updates", tuple(columns), tuple(rows)))
     runs = found.runs
-    console.print(
-        Text(
-            f"{found.status}: {found.sentence}\n{len(found.folds)} updates; solver runs: "
-            f"{runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered by the "
-            f"store; {found.wall_s:.1f} s"
-        ),
-        soft_wrap=True,
-    )
+    return [
+        *parts,
+        f"{found.status}: {found.sentence}",
+        f"{len(found.folds)} updates; solver runs: {runs.modal} modal, {runs.sensitivity} "
+        f"sensitivity, {runs.reused} answered by the store; {found.wall_s:.1f} s",
+    ]

@@ -46,7 +46,7 @@ class JobProgress:
         self._task = self._live.add_task("", total=None)
         self._guard = threading.Lock()
         self._doing, self._ahead = "", ""
-        self._asked = self._done = 0
+        self._asked = self._done = self._stored = self._failed = 0
         self._solved_s: list[float] = []
         self._running: dict[int, str] = {}
         self._places = count()
@@ -103,6 +103,8 @@ class JobProgress:
                     else [item for item in done if not isinstance(item, Derivation)]
                 )
                 self._done += bool(failed or jobs)
+                self._failed += failed
+                self._stored += bool(jobs) and all(item.reused for item in jobs)
                 self._solved_s += [item.wall_s for item in jobs if not item.reused]
                 self._show(False)
 
@@ -118,9 +120,10 @@ class JobProgress:
         asked = max(self._asked, self._done)
         parts = [self._doing or "starting"]
         if asked:
-            parts.append(
-                f"{self._done} of {asked} jobs done" if asked > 1 else f"{self._done} of 1 job done"
-            )
+            counts = ((self._stored, "from the store"), (self._failed, "failed"))
+            of_these = ", ".join(f"{number} {what}" for number, what in counts if number)
+            done = f"{self._done} of {asked} job{'' if asked == 1 else 's'} done"
+            parts.append(f"{done} ({of_these})" if of_these else done)
         if self._running:
             names = list(dict.fromkeys(self._running.values()))
             more = f" and {len(names) - NAMED} others" if len(names) > NAMED else ""

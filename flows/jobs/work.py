@@ -98,25 +98,20 @@ class _Batch:
 class ThreadExecution:
     """A bounded pool of threads; each waits for its external solver.
 
-    told: hears what became of each piece, in the order of the work; the engine's watcher hears of
-    each as it begins and ends, and of many that the store answers as one.
+    The engine's watcher hears of each piece as it begins and ends, and of many that the store
+    answers as one.
     """
 
     engine: JobEngine
     parallel: int
-    told: Callable[[Done], None] | None = None
 
     def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
         ask(self.engine.watcher, sum(bool(piece.jobs) for piece in work))
         with ThreadPoolExecutor(self.parallel, thread_name_prefix="modetune") as pool:
             batch = _Batch(self.engine, iteration, len(work))
             futures = [pool.submit(self._solve, iteration, piece, batch) for piece in work]
-            done: list[Done] = []
             try:
-                for future in futures:
-                    done.append(future.result())
-                    if self.told is not None:
-                        self.told(done[-1])
+                done = [future.result() for future in futures]
                 batch.tell()
                 return done
             except BaseException:
@@ -135,6 +130,7 @@ class ThreadExecution:
         if self.engine.watcher is None:
             return solve_work(self.engine, work)
         if batch.has(work):
+            ask(self.engine.watcher, -1)  # nobody waits for it
             return batch.add(solve_work(self.engine, work))
         ended = self.engine.watcher.began(iteration, work.name)
         done = solve_work(self.engine, work)

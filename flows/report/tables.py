@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
     from rich.table import Table as TerminalTable
+    from rich.text import Text
 
 #: How what is outside of what was asked for looks on a terminal.
 OUTSIDE = "bold red"
@@ -160,10 +161,19 @@ def terminal_table(table: Table) -> TerminalTable:
     return made
 
 
-def show_table(console: Console, table: Table) -> None:
-    """Print a table; nothing where it has no rows."""
-    if table.rows:
-        console.print(terminal_table(table))
+def show(parts: Iterable[Table | Text | str], console: Console | None = None) -> None:
+    """Print tables that have rows, and sentences, on the terminal or another console."""
+    from rich.text import Text
+
+    from modetune.flows.campaign.terminal import terminal
+
+    console = console or terminal()
+    for part in parts:
+        if not isinstance(part, Table):
+            # A line stays a line where the output is not a terminal.
+            console.print(Text(part) if isinstance(part, str) else part, soft_wrap=True)
+        elif part.rows:
+            console.print(terminal_table(part))
 
 
 def artifact_rows(table: Table) -> list[Json]:

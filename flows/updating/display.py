@@ -22,7 +22,7 @@ from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row
 from modetune.flows.report.mode_tables import mode_label, mode_table, unmatched_sentence
 from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_table
-from modetune.flows.report.tables import OUTSIDE, columns_of, show_table
+from modetune.flows.report.tables import OUTSIDE, Table, columns_of, show
 from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text
 from modetune.flows.updating.run import CampaignRun
 
@@ -115,39 +115,33 @@ def trust_lines(record: CampaignRecord) -> list[str]:
     return [*trust_sentences(record.trust), *(f"- {line}" for line in flagged)]
 
 
-def show_held_out(console: Console, held: HeldOut | None) -> None:
+def held_out_parts(held: HeldOut | None) -> list[Table | Text]:
     """Table and sentences of modes that were held out; nothing where nothing was."""
-    show_table(console, held_out_table(held))
-    for line in held_out_lines(held):
-        console.print(Text(line, style=OUTSIDE), soft_wrap=True)
+    return [held_out_table(held), *(Text(line, style=OUTSIDE) for line in held_out_lines(held))]
 
 
 def show_run(console: Console, run: CampaignRun) -> None:
     """The end of a campaign: tables, the reason it ended, its cost, and where the files are."""
-    record = run.record
-    show_table(console, mode_table(record))
-    for line in filter(None, (*pairing_lines(record), unmatched_sentence(record))):
-        console.print(Text(line), soft_wrap=True)
-    show_held_out(console, record.held_out)
-    show_table(console, parameter_table(record, BRIEF_PARAMETERS))
-    for line in (*record.splits, *trust_lines(record)):
-        console.print(Text(line), soft_wrap=True)
+    record, page = run.record, run.folder / PAGE
     runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
     by_e2 = f"; sensitivity skipped (e2) {skipped} time{'' if skipped == 1 else 's'}" * (
         skipped > 0
     )
-    console.print(Text(f"{record.status}: {record.reason}"), soft_wrap=True)
-    console.print(
-        Text(
-            f"iterations: {record.iterations[-1].number}; solver runs: {runs.modal} modal, "
-            f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store{by_e2}; "
-            f"{record.wall_s:.1f} s, "
-            f"{runs.core_s / 60.0:.1f} core-minutes"
-            + (f", {runs.licence_s / 60.0:.1f} licence-minutes" if runs.licence_s else "")
-        ),
-        soft_wrap=True,
-    )
-    console.print(Text(f"record       {run.folder / 'campaign.h5'}"), soft_wrap=True)
-    console.print(Text(f"updated deck {run.updated_deck}"), soft_wrap=True)
-    if (page := run.folder / PAGE).exists():
-        console.print(Text(f"report       {page}"), soft_wrap=True)
+    licences = f", {runs.licence_s / 60.0:.1f} licence-minutes" if runs.licence_s else ""
+    parts = [
+        mode_table(record),
+        *filter(None, (*pairing_lines(record), unmatched_sentence(record))),
+        *held_out_parts(record.held_out),
+        parameter_table(record, BRIEF_PARAMETERS),
+        *record.splits,
+        *trust_lines(record),
+        f"{record.status}: {record.reason}",
+        f"iterations: {record.iterations[-1].number}; solver runs: {runs.modal} modal, "
+        f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store{by_e2}; "
+        f"{record.wall_s:.1f} s, "
+        f"{runs.core_s / 60.0:.1f} core-minutes{licences}",
+        f"record       {run.folder / 'campaign.h5'}",
+        f"updated deck {run.updated_deck}",
+        *([f"report       {page}"] if page.exists() else []),
+    ]
+    show(parts, console)

@@ -42,9 +42,6 @@ class Unwatched:
     def iteration(self, record: IterationRecord) -> None:
         return
 
-    def points(self, done: int, total: int, ran: int, failed: int) -> None:
-        return
-
 
 class Updating:
     """A campaign under way. `run` carries it to its end.

@@ -13,7 +13,7 @@ from modetune.configs.fixture.thesis import THESIS_BEFORE, THESIS_MAC_AFTER, bes
 from modetune.configs.fixture.twin import TRUTH
 from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.screen.proposal import write_proposal
@@ -23,21 +23,9 @@ from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.running import job_engine, update_campaign
 from modetune.flows.updating.sensitivities import Sensitivities
+from modetune.flows.updating.updating import Unwatched
 
 COARSE = "model.deck=fixture_coarse.inp"
-
-
-class Silence:
-    """Watches a campaign and says nothing."""
-
-    def working(self, text: str) -> None:
-        pass
-
-    def iteration(self, record: IterationRecord) -> None:
-        pass
-
-    def points(self, done: int, total: int, ran: int, failed: int) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def updated(folder: Path, runs: str, *settings: str) -> CampaignRun:
     campaign = load_campaign(folder / "fixture.yaml", [COARSE, *settings])
-    return update_campaign(campaign, folder / runs, Silence())
+    return update_campaign(campaign, folder / runs, Unwatched())
 
 
 @pytest.fixture(scope="module")
@@ -144,13 +132,13 @@ def test_the_proposed_parameters_are_the_most_influential_five(folder: Path) -> 
 
 def test_screening_proposes_the_five_and_they_reach_the_agreement(folder: Path) -> None:
     campaign = load_campaign(folder / "fixture_candidates.yaml", [COARSE])
-    screening = screen_campaign(campaign, ScreeningRequest("local"), Silence())
+    screening = screen_campaign(campaign, ScreeningRequest("local"), Unwatched().working)
     chosen = load_campaign(folder / "fixture.yaml", [COARSE]).parameters.names
     assert set(screening.choice.chosen) == set(chosen)
     proposed = write_proposal(campaign.file, screening, folder / "proposed.yaml")
     again = load_campaign(proposed, [COARSE])
     assert set(again.parameters.names) == set(chosen)
-    record = update_campaign(again, folder / "proposed", Silence()).record
+    record = update_campaign(again, folder / "proposed", Unwatched()).record
     assert holding(record)[1:] == [True, True, True, True]  # all but the fine mesh's start
 
 
@@ -166,7 +154,7 @@ def test_frequencies_alone_do_not_tell_five_parameters(folder: Path) -> None:
 def test_the_model_is_as_far_off_before_updating_as_the_thesiss(folder: Path) -> None:
     settings = ["update.max_iterations=0", "residuals.shape_weight=0"]
     campaign = load_campaign(folder / "fixture.yaml", settings)  # the mesh of the demo
-    record = update_campaign(campaign, folder / "fine", Silence()).record
+    record = update_campaign(campaign, folder / "fine", Unwatched()).record
     np.testing.assert_allclose(
         np.abs(record.iterations[0].frequency_errors), THESIS_BEFORE, atol=0.005
     )

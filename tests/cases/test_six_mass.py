@@ -23,23 +23,13 @@ from modetune.configs.six_mass.methods import (
 )
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.core.storage.record import IterationRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.updating import Unwatched
 from tests.command_line import run_command
 
 PNG = b"\x89PNG\r\n\x1a\n"
-
-
-class Silence:
-    """Watches a campaign and says nothing."""
-
-    def working(self, text: str) -> None:
-        pass
-
-    def iteration(self, record: IterationRecord) -> None:
-        pass
 
 
 def diagonal(outcome: Outcome) -> Floats:
@@ -55,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(folder: Path) -> CampaignRun:
-    return update_campaign(load_campaign(folder / "campaign.yaml"), folder / "run", Silence())
+    return update_campaign(load_campaign(folder / "campaign.yaml"), folder / "run", Unwatched())
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +152,7 @@ def test_every_sensitivity_method_finds_the_springs(folder: Path, method: str) -
             f"store=store_{method}",
         ],
     )
-    found = update_campaign(campaign, folder / f"run_{method}", Silence())
+    found = update_campaign(campaign, folder / f"run_{method}", Unwatched())
     assert found.record.status == "converged"
     assert set(found.record.iterations[-1].sensitivity_methods) == {method}
     # A model of matrices has its own parts: only differences of modes take jobs.
@@ -200,7 +190,9 @@ def test_the_same_case_in_matrix_files_ends_at_the_same_values(
     text = (folder / "campaign.yaml").read_text()
     text = text.replace("spring_stiffness, elset:", "matrix_factor, part:")
     (tmp_path / "campaign.yaml").write_text(text)
-    found = update_campaign(load_campaign(tmp_path / "campaign.yaml"), tmp_path / "run", Silence())
+    found = update_campaign(
+        load_campaign(tmp_path / "campaign.yaml"), tmp_path / "run", Unwatched()
+    )
     np.testing.assert_allclose(found.record.updated, run.record.updated, rtol=1e-9)
     outcome = eigensensitivity_outcome(found.updated_deck)
     assert np.abs(outcome.frequency_errors).max() <= 1e-3

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-from rich.text import Text
-
-from modetune.flows.report.tables import Column, Table, show_table
+from modetune.flows.report.tables import Column, Table, show
 from modetune.flows.studies.cross_solver.cross_solver import Twin
 
 
-def show_twin(console: Console, twin: Twin) -> None:
+def show_twin(twin: Twin) -> None:
     """Frequencies of all solvers side by side, differences and MAC from the first."""
     first, *others = twin.solvers
     columns = [Column("mode"), Column(first.solver, "Hz", ".4f")]
@@ -31,16 +28,13 @@ def show_twin(console: Console, twin: Twin) -> None:
             other.pairing.judged_mac.tolist(),
         ]
     rows = tuple(zip(*values, strict=True))
-    show_table(console, Table(f"Elastic modes of {twin.name}", tuple(columns), rows))
+    lines = []
     for item in twin.solvers:
-        console.print(
-            Text(
-                f"{item.solver} {item.version}: {item.result.n_rigid} rigid-body modes, mass "
-                f"{item.result.mass:.6g}, {item.wall_s:.1f} s"
-            ),
-            soft_wrap=True,
+        lines.append(
+            f"{item.solver} {item.version}: {item.result.n_rigid} rigid-body modes, mass "
+            f"{item.result.mass:.6g}, {item.wall_s:.1f} s"
         )
         if item.masses:
-            console.print(Text(f"  {item.masses}"), soft_wrap=True)
-    for solver, reason in twin.absent:
-        console.print(Text(f"{solver} did not run: {reason}"), soft_wrap=True)
+            lines.append(f"  {item.masses}")
+    lines += [f"{solver} did not run: {reason}" for solver, reason in twin.absent]
+    show([Table(f"Elastic modes of {twin.name}", tuple(columns), rows), *lines])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -69,24 +69,16 @@ class SamplingRequest:
         ]
 
 
-class SamplingProgress(Protocol):
-    """Who watches a sampling."""
-
-    def working(self, text: str) -> None:
-        """What is being computed now."""
-        ...
-
-
 def sample_campaign(
     campaign: Campaign,
     request: SamplingRequest,
-    progress: SamplingProgress,
+    working: Callable[[str], None],
     earlier: CampaignRecord | None = None,
     watcher: JobWatcher | None = None,
 ) -> PosteriorRecord:
     """The posterior of a campaign's parameters. earlier: an updated campaign to start from.
 
-    watcher: is told of each job, as Prefect's pages are.
+    working: is told what is being computed; watcher: of each job, as Prefect's pages are.
 
     Raises CampaignError (what was asked cannot be; the surrogate stays too poor), SolverError,
     ModesError, StoreError.
@@ -108,7 +100,7 @@ def sample_campaign(
         try:
             threads = ThreadExecution(engine, campaign.parallel)
             evaluator = evaluator_of(campaign, engine, threads, demand=Demand(1, asked))
-            evaluator.tell = progress.working
+            evaluator.tell = working
             solver = PointSolver(campaign, evaluator)
             # Where nothing was measured but frequencies, pairs are those that updating begins with.
             solver.solve("start", campaign.start[None])
@@ -116,16 +108,15 @@ def sample_campaign(
             n_sets = SETS_EACH * asked if reduced and request.points is None else asked
             unit = latin_hypercube(n_sets, len(parameters), at_points)
             points = np.vstack([centre, limits[0] + unit * (limits[1] - limits[0])])
-            tell = progress.working
             more = request.points or NEAR_EACH * asked
-            learned = learn(solver, points, limits, more, walkers, at_search, tell, reduced)
-            tell("sampling")
+            learned = learn(solver, points, limits, more, walkers, at_search, working, reduced)
+            working("sampling")
             longest = LONGEST if learned.surrogate is reduced else LONGER
             with one_thread():
                 chains = sample(
                     learned.posterior, learned.peaks, walkers, request.steps, at_chains, longest
                 )
-            tell("sets of the posterior")
+            working("sets of the posterior")
             checks = check(solver, learned, chains, request.checks, at_checks)
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling

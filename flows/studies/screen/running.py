@@ -8,9 +8,8 @@ that was stopped goes on where it was, and the same one again starts no solver.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -21,9 +20,8 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
-from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import Done, ThreadExecution, Work
+from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
 from modetune.flows.studies.screen.design import Design, Method, make_design
 from modetune.flows.studies.screen.importance import importance, loudest
@@ -33,7 +31,6 @@ from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Sc
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.modes_choice import Demand
-from modetune.flows.updating.pieces import outcomes_count
 from modetune.flows.updating.poses import settled
 from modetune.flows.updating.running import solving_engine
 
@@ -56,27 +53,15 @@ class ScreeningRequest:
     choose: int | None = None
 
 
-class ScreeningProgress(Protocol):
-    """Who watches a screening."""
-
-    def working(self, text: str) -> None:
-        """What is being computed now."""
-        ...
-
-    def points(self, done: int, total: int, ran: int, failed: int) -> None:
-        """How many points of the design are done, ran the solver, and failed."""
-        ...
-
-
 def screen_campaign(
     campaign: Campaign,
     request: ScreeningRequest,
-    progress: ScreeningProgress,
+    working: Callable[[str], None],
     watcher: JobWatcher | None = None,
 ) -> Screening:
     """Screen a campaign's parameters within their bounds.
 
-    watcher: is told of each job, as Prefect's pages are.
+    working: is told what is being computed; watcher: of each job, as Prefect's pages are.
 
     Points that fail are left out as the method allows. Raises CampaignError (a design that cannot
     be), SolverError, ModesError (too few points are left), StoreError.
@@ -97,14 +82,13 @@ def screen_campaign(
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign, watcher) as engine:
-        progress.working("deck's values, sensitivities")
-        total = len(design.points) * len(campaign.used)
-        shown = _Shown(engine, campaign.parallel, progress, total)
-        evaluator = evaluator_of(campaign, engine, shown, demand=Demand(1, len(design.points)))
-        evaluator.tell = progress.working
+        working("deck's values, sensitivities")
+        threads = ThreadExecution(engine, campaign.parallel)
+        evaluator = evaluator_of(campaign, engine, threads, demand=Demand(1, len(design.points)))
+        evaluator.tell = working
         nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
         assert matrix is not None
-        progress.working(POINTS)
+        working(POINTS)
         points = evaluator.points(POINTS, design.points, [nominal])
         responses = _responses(campaign, nominal, points, len(design.points))
         runs, use = evaluator.runs, evaluator.range_use
@@ -219,46 +203,3 @@ def _responses(
         else:
             failures[place] = str(item)
     return Responses(frequencies, macs, tuple(failures), tuple(keys))
-
-
-@dataclass(slots=True)
-class _Shown:
-    """An execution that tells how far the points of the design are.
-
-    total: points of all configurations; begun: those that were handed over before, some at a time.
-    """
-
-    engine: JobEngine
-    parallel: int
-    progress: ScreeningProgress
-    total: int
-    begun: int = 0
-
-    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
-        if iteration != POINTS:
-            return self._threads().run(iteration, work)
-        before, total = self.begun, self.total
-        self.begun += len(work)
-        if self.begun > total:  # some once more, for more modes
-            before, total, self.begun = 0, len(work), before
-        done, ran, failed = before, 0, 0
-
-        def told(item: Done) -> None:
-            nonlocal done, ran, failed
-            done += 1
-            if isinstance(item, ModetuneError):
-                failed += 1
-            else:
-                ran += outcomes_count("modal", item).modal
-            self.progress.points(done, total, ran, failed)
-
-        self.progress.working(POINTS)
-        return self._threads(told).run(iteration, work)
-
-    def skip(
-        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
-    ) -> None:
-        self._threads().skip(iteration, names, reason, state)
-
-    def _threads(self, told: Callable[[Done], None] | None = None) -> ThreadExecution:
-        return ThreadExecution(self.engine, self.parallel, told)

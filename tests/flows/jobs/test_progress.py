@@ -24,9 +24,9 @@ def in_a_pipe() -> tuple[JobProgress, io.StringIO]:
     return JobProgress(Console(file=out, width=200)), out
 
 
-def solved(seconds: float) -> object:
+def solved(seconds: float, stored: bool = False) -> object:
     class Outcome:
-        key, reused, wall_s = "a", False, seconds
+        key, reused, wall_s = "a", stored, seconds
 
     return Outcome()
 
@@ -45,7 +45,9 @@ def test_jobs_done_of_jobs_asked_with_their_names_and_the_time_left() -> None:
         "iteration 1: sensitivities; 1 of 4 jobs done; running: E_fin; about 36 s left of these"
     )
     ends[1](SolverCrashed("it broke"))
-    assert "2 of 4 jobs done" in progress.line()
+    assert "2 of 4 jobs done (1 failed)" in progress.line()
+    watcher.began("iteration 1", "E_tail")([solved(0.0, stored=True)])  # type: ignore[list-item]
+    assert "3 of 4 jobs done (1 from the store, 1 failed)" in progress.line()
 
 
 def test_what_follows_by_itself_is_no_job() -> None:

@@ -24,7 +24,7 @@ from modetune.flows.report.tables import (
     hertz,
     json_object,
     json_of,
-    show_table,
+    show,
     table_of,
 )
 
@@ -40,7 +40,7 @@ class Row:
 
 def printed(record: CampaignRecord) -> str:
     console = Console(file=io.StringIO(), width=200)
-    show_table(console, mode_table(record))
+    show([mode_table(record)], console)
     text = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
     assert isinstance(text, str)
     return text
@@ -101,7 +101,7 @@ def test_costs_are_summed_below(record: CampaignRecord) -> None:
 
 def test_an_empty_table_is_not_shown() -> None:
     console = Console(file=io.StringIO())
-    show_table(console, table_of("nothing", [], Row))
+    show([table_of("nothing", [], Row)], console)
     assert console.file.getvalue() == ""  # type: ignore[attr-defined]  # a StringIO
     assert list(frame([], Row)) == ["name", "share", "key"]
 

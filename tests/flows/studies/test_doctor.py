@@ -27,21 +27,12 @@ from modetune.flows.studies.doctor.lines import DoctorLine, without_names
 from modetune.flows.studies.doctor.ten_elements import MODELS
 from modetune.flows.updating.finders import by_solver
 from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.updating import Unwatched
 from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
 MYSTRAN = shutil.which(os.environ.get("MODETUNE_MYSTRAN", "mystran"))
 CCX = shutil.which("ccx")
-
-
-class Silence:
-    """Watches a campaign and says nothing."""
-
-    def working(self, text: str) -> None:
-        pass
-
-    def iteration(self, record: object) -> None:
-        pass
 
 
 @pytest.fixture(autouse=True)
@@ -138,7 +129,7 @@ def test_a_nastran_that_passes_is_used_for_sensitivities_from_then_on(
 ) -> None:
     before = campaign_of(tmp_path / "before")
     assert by_solver(before, job_engine(before)).methods == ("strain_energy", "finite_difference")
-    update_campaign(before, tmp_path / "run", Silence())
+    update_campaign(before, tmp_path / "run", Unwatched())
     log = (tmp_path / "run" / "campaign.log").read_text()
     assert "because `modetune doctor --solver nastran` (with --dialect" in log
 

@@ -24,8 +24,9 @@ from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
 from modetune.flows.report.page import page
+from modetune.flows.report.tables import show
 from modetune.flows.studies.validate.leave_out import leave_one_out, leave_out, validate
-from modetune.flows.updating.display import show_held_out
+from modetune.flows.updating.display import held_out_parts
 from modetune.flows.updating.recording import summary
 from modetune.flows.updating.running import update_campaign
 from tests.command_line import run_command as modetune
@@ -150,7 +151,7 @@ def test_a_held_out_mode_that_got_worse_is_marked_everywhere(
     assert 'class="outside"' in section
     console = Console(force_terminal=True, color_system="standard", width=120, record=True)
     with console.capture() as shown:
-        show_held_out(console, held)
+        show(held_out_parts(held), console)
     assert "\x1b[1;31m" in shown.get()  # bold red
 
 

@@ -26,6 +26,7 @@ from modetune.flows.updating import by_range
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.starts import update_from_starts
+from modetune.flows.updating.updating import Unwatched
 from tests.adapters.ccx_decks import bar
 from tests.flows.updating.test_by_matrices import (
     BAR,
@@ -83,23 +84,9 @@ CASES = {
 }
 
 
-class Watched:
-    def __init__(self) -> None:
-        self.ran = 0
-
-    def working(self, text: str) -> None:
-        return
-
-    def iteration(self, record: object) -> None:
-        return
-
-    def points(self, done: int, total: int, ran: int, failed: int) -> None:
-        self.ran = ran
-
-
 def screened(case: Case, folder: Path, *settings: str, points: int = 24) -> Screening:
     campaign = load_campaign(written(case, folder), list(settings))
-    return screen_campaign(campaign, ScreeningRequest("lhs", points=points), Watched())
+    return screen_campaign(campaign, ScreeningRequest("lhs", points=points), Unwatched().working)
 
 
 def apart(found: Floats, expected: Floats) -> float:
@@ -135,7 +122,9 @@ def test_points_are_those_of_the_solver_for_a_few_runs(name: str, tmp_path: Path
 def test_the_same_again_runs_nothing_and_gives_the_same_bits(tmp_path: Path) -> None:
     file = written(BAR, tmp_path / "bar")
     request = ScreeningRequest("morris", points=40)
-    first, again = (screen_campaign(load_campaign(file), request, Watched()) for _ in range(2))
+    first, again = (
+        screen_campaign(load_campaign(file), request, Unwatched().working) for _ in range(2)
+    )
     assert (again.runs.modal, again.runs.sensitivity) == (0, 0)
     np.testing.assert_array_equal(first.responses.frequencies_hz, again.responses.frequencies_hz)
     assert first.points_by == again.points_by
@@ -171,17 +160,19 @@ def test_what_a_screening_ran_neither_sampling_nor_updating_runs_again(
     file = written(BAR, tmp_path / "bar")
     settings = ["update.e1.frequency=1e-4", "model.eigensolver=pardiso"]
     campaign = load_campaign(file, settings)
-    screened_first = screen_campaign(campaign, ScreeningRequest("lhs", points=24), Watched())
+    screened_first = screen_campaign(
+        campaign, ScreeningRequest("lhs", points=24), Unwatched().working
+    )
     assert (screened_first.runs.modal, screened_first.runs.sensitivity) == (1, 2)
     asked = SamplingRequest(walkers=8, steps=100)
-    posterior = sample_campaign(load_campaign(file, settings), asked, Watched())
+    posterior = sample_campaign(load_campaign(file, settings), asked, Unwatched().working)
     assert (posterior.runs.modal, posterior.runs.sensitivity) == (0, 0)
     used = posterior.reduced_model
     assert used is not None
     assert used.solutions == screened_first.reduced_model.solutions  # type: ignore[union-attr]
     # Each deviation of a frequency is a few thousandths: full solutions are met far within it.
     assert posterior.check_errors.max() < 0.05
-    updated = update_from_starts(load_campaign(file, settings), tmp_path / "run", Watched())
+    updated = update_from_starts(load_campaign(file, settings), tmp_path / "run", Unwatched())
     assert updated.converged
     assert (updated.record.runs.modal, updated.record.runs.sensitivity) == (
         1,
@@ -192,7 +183,7 @@ def test_what_a_screening_ran_neither_sampling_nor_updating_runs_again(
 def test_starts_that_were_asked_for_cost_no_runs_of_their_own(tmp_path: Path) -> None:
     settings = ["update.e1.frequency=1e-4", "model.eigensolver=pardiso", "update.starts=6"]
     file = written(BAR, tmp_path / "bar")
-    record = update_from_starts(load_campaign(file, settings), tmp_path / "run", Watched()).record
+    record = update_from_starts(load_campaign(file, settings), tmp_path / "run", Unwatched()).record
     assert record.status == "converged"
     assert record.trust is not None
     assert record.trust.spread is not None
@@ -234,7 +225,7 @@ def test_one_reduced_model_stands_for_the_runs_of_leaving_each_mode_out(
 def test_each_configuration_is_screened_on_a_reduced_model_of_its_own(tmp_path: Path) -> None:
     def both(eigensolver: str) -> Screening:
         campaign = load_campaign(side_by_side(tmp_path / eigensolver, eigensolver))
-        return screen_campaign(campaign, ScreeningRequest("lhs", points=24), Watched())
+        return screen_campaign(campaign, ScreeningRequest("lhs", points=24), Unwatched().working)
 
     ranged, own = both("pardiso"), both("solver")
     assert set(ranged.modes) == {

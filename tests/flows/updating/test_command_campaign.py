@@ -8,7 +8,6 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.cross_solver.cross_solver import run_twin
 from modetune.flows.updating.modal_run import model_modes
 from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.updating import Unwatched
 from tests.command_line import run_command
 from tests.shaft_line import shaft_frequencies, write_shaft
 
@@ -51,16 +51,6 @@ run: {{parallel: 3, threads: 1}}
 """
 
 
-class Silence:
-    """Watches a campaign and says nothing."""
-
-    def working(self, text: str) -> None:
-        pass
-
-    def iteration(self, record: Any) -> None:
-        pass
-
-
 @pytest.fixture
 def shaft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
     """Writes the campaign of a shaft line, with other texts in place; gives its file."""
@@ -88,7 +78,7 @@ def runs(file: Path) -> int:
 
 
 def updated(file: Path, name: str = "run") -> CampaignRecord:
-    return update_campaign(load_campaign(file), file.with_name(name), Silence()).record
+    return update_campaign(load_campaign(file), file.with_name(name), Unwatched()).record
 
 
 def test_an_update_finds_the_truth_and_counts_its_runs(shaft: Callable[..., Path]) -> None:

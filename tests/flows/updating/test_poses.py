@@ -70,8 +70,8 @@ SCREENING = ScreeningRequest("morris", None, 1, 4, False)
 @pytest.mark.parametrize(
     "study",
     [
-        lambda campaign: screen_campaign(campaign, SCREENING, Unwatched()),
-        lambda campaign: sample_campaign(campaign, SAMPLING, Unwatched()),
+        lambda campaign: screen_campaign(campaign, SCREENING, Unwatched().working),
+        lambda campaign: sample_campaign(campaign, SAMPLING, Unwatched().working),
         lambda campaign: leave_one_out(campaign, print),
     ],
     ids=["screen", "sample", "validate"],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,14 +22,12 @@ from modetune.flows.studies.screen.running import ScreeningRequest, screen_campa
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.updating import Unwatched
 from tests.flows.records import differences
 from tests.flows.updating.test_by_matrices import MODULI, STORED, Case, row_of_materials, written
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
 
-SILENT = SimpleNamespace(
-    working=lambda text: None, iteration=lambda record: None, points=lambda *counts: None
-)
 #: 45 bricks: enough unknowns that their modes are searched for, and not found all at once.
 LONG = Case(row_of_materials(45), MODULI, (1.25, 0.8, 1.15), tuple(range(5, 185, 3)))
 
@@ -57,7 +54,7 @@ def run(file: Path, place: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MODETUNE_STORE", str(place / "store"))
         campaign = load_campaign(file, [STORED, SHORT])
-    update_campaign(campaign, place / "run", SILENT)
+    update_campaign(campaign, place / "run", Unwatched())
     return place / "run" / "campaign.h5"
 
 
@@ -163,7 +160,7 @@ def test_points_of_a_study_that_was_killed_have_the_same_bits(
 
 def screened(file: Path, place: Path) -> Screening:
     campaign = load_campaign(file, [f"store={place / 'store'}", STORED])
-    return screen_campaign(campaign, ScreeningRequest("lhs", points=16), SILENT)
+    return screen_campaign(campaign, ScreeningRequest("lhs", points=16), Unwatched().working)
 
 
 def test_a_range_that_was_killed_takes_each_full_solution_from_the_store(

@@ -19,9 +19,10 @@ from modetune.flows.jobs.work import TOLD_EACH
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.updating.prefect import became
 from modetune.flows.updating.starts import update_from_starts
+from modetune.flows.updating.updating import Unwatched
 from tests.flows.conftest import Bench, Watcher
 from tests.flows.updating.test_by_matrices import BAR, STORED, written
-from tests.flows.updating.test_by_range import CASES, Watched
+from tests.flows.updating.test_by_range import CASES
 
 TRUTH = {"k1": 1.2, "k4": 0.9}
 
@@ -57,7 +58,7 @@ class Heard:
 
 def screened(file: Path, points: int) -> tuple[Heard, Any]:
     heard, request = Heard(), ScreeningRequest("lhs", points=points)
-    found = screen_campaign(load_campaign(file), request, Watched(), heard)
+    found = screen_campaign(load_campaign(file), request, Unwatched().working, heard)
     assert heard.begun == len(heard.ended)  # what begins ends
     return heard, found
 
@@ -129,7 +130,7 @@ def test_many_points_that_the_store_answers_are_one_piece(bench: Bench) -> None:
     request = ScreeningRequest("lhs", points=TOLD_EACH + 20)
     first, again = Heard(), Heard()
     for heard in (first, again):
-        found = screen_campaign(campaign, request, Watched(), heard)
+        found = screen_campaign(campaign, request, Unwatched().working, heard)
         assert found.responses.n_failed == 0
     assert first.states("points of the design / modal") == {"Completed": TOLD_EACH + 20}
     assert bench.runs("modal") == TOLD_EACH + 21

@@ -14,6 +14,7 @@ from modetune.flows.studies.sample import density, learning, running
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.sample.telling import ITSELF, findings
+from modetune.flows.updating.updating import Unwatched
 from tests.flows.updating.test_by_matrices import BAR, JOINT, Case, written
 from tests.flows.updating.test_by_range import on_springs
 
@@ -22,11 +23,6 @@ MASSES, SPRINGS = (1.0, 1.5, 2.0, 1.5, 1.0), (900.0, 2000.0, 3000.0, 3000.0, 200
 NAMES = ("ground", "m1", "m2", "m3", "m4", "m5", "ground")
 TRUTH, DEVIATION = (1.5, 0.7), 0.01
 LOWER, UPPER, PRIOR = 0.4, 2.4, 1.0
-
-
-class Unwatched:
-    def working(self, text: str) -> None:
-        return
 
 
 def frequencies(ends: Floats) -> Floats:
@@ -77,7 +73,7 @@ def on_grid(n_modes: int) -> tuple[Floats, Floats]:
 @pytest.mark.parametrize("n_modes", [1, 2, 3], ids=["a curve", "two bent hills", "two hills"])
 def test_all_hills_are_those_of_a_grid(n_modes: int, tmp_path: Path) -> None:
     campaign = load_campaign(row_of_masses(tmp_path, n_modes), [])
-    record = sample_campaign(campaign, SamplingRequest(), Unwatched())
+    record = sample_campaign(campaign, SamplingRequest(), Unwatched().working)
     assert record.density_error <= learning.GOOD
     points, share = on_grid(n_modes)
     samples, size = record.samples, float(record.effective_sizes.min())
@@ -110,7 +106,7 @@ STRUCTURES = {"halves": HALVES, "bar": BAR, "joint": JOINT}
 def sampled(file: Path, deviation: float = 0.02, **asked: int) -> PosteriorRecord:
     settings = ["model.eigensolver=pardiso", f"residuals.frequency_deviation={deviation}"]
     request = SamplingRequest(**{"walkers": 16, "steps": 400, "checks": 2, **asked})
-    return sample_campaign(load_campaign(file, settings), request, Unwatched())
+    return sample_campaign(load_campaign(file, settings), request, Unwatched().working)
 
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")

@@ -27,7 +27,7 @@ COARSE = even_weighting(3, 0, 0.03, 0.05, 1.0, 0.0)
 
 def sampled(campaign: Any, watcher: Any, **asked: Any) -> PosteriorRecord:
     request = SamplingRequest(**{"points": 16, "steps": 1000, "checks": 4, **asked})
-    return sample_campaign(campaign, request, watcher)
+    return sample_campaign(campaign, request, watcher.working)
 
 
 _KEPT: list[PosteriorRecord] = []
@@ -188,14 +188,14 @@ def test_sampling_from_the_end_of_an_update_learns_around_it(bench: Any, watcher
     campaign = bench.campaign(TRUTH, MODES)
     update = update_campaign(campaign, bench.folder / "run", watcher).record
     request = SamplingRequest(points=16, steps=1000, checks=4)
-    record = sample_campaign(campaign, request, watcher, update)
+    record = sample_campaign(campaign, request, watcher.working, update)
     # three prior deviations of 0.3 each around the truth, which the update finds, in the bounds
     np.testing.assert_allclose(record.lower, [0.3, 0.3], atol=1e-6)
     np.testing.assert_allclose(record.upper, [2.1, 1.7], atol=1e-6)
     assert red(record) == []
     other = bench.campaign({"k1": 1.2, "k2": 1.0}, MODES)
     with pytest.raises(CampaignError, match="is of k1, k3 and lacks k2"):
-        sample_campaign(other, request, watcher, update)
+        sample_campaign(other, request, watcher.working, update)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
-"""A mass on two springs in series, and who watches a screening."""
+"""A mass on two springs in series."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -46,22 +46,6 @@ class SeriesProgram(ScriptedProgram):
         return ModalResult(eigenvalue, modes, (), np.zeros((0, 1)), 0.5 * eigenvalue, MASS)
 
 
-@dataclass
-class ScreenWatcher:
-    """Keeps what a screening shows; stops it like Ctrl-C after some points where told to."""
-
-    stop_after: int = 10**9
-    told: list[tuple[int, int, int, int]] = field(default_factory=list)
-
-    def working(self, text: str) -> None:
-        pass
-
-    def points(self, done: int, total: int, ran: int, failed: int) -> None:
-        self.told.append((done, total, ran, failed))
-        if done >= self.stop_after:
-            raise KeyboardInterrupt
-
-
 @pytest.fixture
 def series(bench: Bench) -> Campaign:
     """A campaign on the mass: both springs and the mass within 0.5 and 1.5."""
@@ -80,8 +64,3 @@ def series(bench: Bench) -> Campaign:
         test=test,
         measurement=Measurement(test),
     )
-
-
-@pytest.fixture
-def screen_watcher() -> ScreenWatcher:
-    return ScreenWatcher()

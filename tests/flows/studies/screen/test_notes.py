@@ -17,13 +17,13 @@ from modetune.flows.studies.screen.notes import notes
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.screen.telling import lines, told
+from modetune.flows.updating.updating import Unwatched
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, recased
-from tests.flows.studies.screen.conftest import ScreenWatcher
 
 
 def screened(bench: Bench, request: ScreeningRequest) -> Screening:
     campaign = bench.campaign({"k1": 1.3, "k3": 0.9}, modes=(1, 2))
-    return screen_campaign(campaign, request, ScreenWatcher())
+    return screen_campaign(campaign, request, Unwatched().working)
 
 
 def with_measure(found: Screening, **measures: float) -> Screening:
@@ -110,7 +110,7 @@ def test_a_model_that_has_no_more_modes_is_not_asked_for_more(
     small = Solver(ChainDeck(), SmallProgram(bench.folder, name="matrices"))
     with caplog.at_level(logging.WARNING), pytest.raises(ModesError, match="2 of 4 points failed"):
         screen_campaign(
-            recased(campaign, solver=small), ScreeningRequest("factorial"), ScreenWatcher()
+            recased(campaign, solver=small), ScreeningRequest("factorial"), Unwatched().working
         )
     assert bench.runs() == 1 + 4  # the deck's values and the corners, none of them twice
     assert "widening" not in caplog.text

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,15 +19,16 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.watching import Ended
 from modetune.flows.studies.screen.design import METHODS, Method
 from modetune.flows.studies.screen.figures import write_figures
-from modetune.flows.studies.screen.progress import ConsoleScreening
 from modetune.flows.studies.screen.record import Screening, read_screening, write_screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.screen.telling import lines, tables, told
+from modetune.flows.updating.updating import Unwatched
 from tests.core.storage.test_seal import refused_when_damaged
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, chain_modes, recased
-from tests.flows.studies.screen.conftest import ScreenWatcher, series_hz
+from tests.flows.studies.screen.conftest import series_hz
 
 ONE = np.ones(1)
 
@@ -52,7 +55,7 @@ class ShortProgram(ScriptedProgram):
 
 
 def screened(campaign: Campaign, method: Method, **asked: int) -> Screening:
-    return screen_campaign(campaign, ScreeningRequest(method, **asked), ScreenWatcher())
+    return screen_campaign(campaign, ScreeningRequest(method, **asked), Unwatched().working)
 
 
 def relative(points: Floats) -> Floats:
@@ -162,29 +165,35 @@ def test_the_same_screening_again_starts_no_solver(bench: Bench, method: Method)
     np.testing.assert_array_equal(again.responses.frequencies_hz, first.responses.frequencies_hz)
 
 
+class Impatient:
+    """Stops a screening like Ctrl-C, after some jobs."""
+
+    def __init__(self) -> None:
+        self.ends = itertools.count(1)
+
+    def began(self, iteration: str, name: str) -> Callable[[Ended], None]:
+        def ended(done: Ended) -> None:
+            if next(self.ends) >= 8:
+                raise KeyboardInterrupt
+
+        return ended
+
+    def skipped(self, iteration: str, names: object, reason: str, state: str = "") -> None:
+        return
+
+
 def test_a_stopped_screening_goes_on_where_it_was(bench: Bench) -> None:
     campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2, 3))
     request = ScreeningRequest("lhs", points=60)  # so many that a stop cannot come too late
     with pytest.raises(KeyboardInterrupt):
-        screen_campaign(campaign, request, ScreenWatcher(stop_after=4))
+        screen_campaign(campaign, request, Unwatched().working, Impatient())
     kept = sum(1 for _ in campaign.store.folder.glob("??/*.h5"))
     before = bench.runs()
     assert 5 <= kept < 61  # the nominal model and the points that were done
-    found = screen_campaign(campaign, request, ScreenWatcher())
+    found = screen_campaign(campaign, request, Unwatched().working)
     assert bench.runs() - before == 61 - kept
     assert found.runs.modal == 61 - kept
     assert not any(found.responses.failures)
-
-
-def test_progress_tells_solved_and_stored_points(
-    bench: Bench, screen_watcher: ScreenWatcher
-) -> None:
-    campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
-    screen_campaign(campaign, ScreeningRequest("factorial"), screen_watcher)
-    assert screen_watcher.told == [(n, 4, n, 0) for n in (1, 2, 3, 4)]
-    again = ScreenWatcher()
-    screen_campaign(campaign, ScreeningRequest("factorial"), again)
-    assert again.told == [(n, 4, 0, 0) for n in (1, 2, 3, 4)]
 
 
 def test_a_failed_point_takes_its_trajectory_along_and_is_told(bench: Bench) -> None:
@@ -200,18 +209,15 @@ def test_a_failed_point_takes_its_trajectory_along_and_is_told(bench: Bench) -> 
     assert np.isnan(found.responses.frequencies_hz).any(axis=1).sum() == 1
 
 
-def test_a_mode_that_is_lost_at_points_widens_the_range_there(
-    bench: Bench, screen_watcher: ScreenWatcher
-) -> None:
+def test_a_mode_that_is_lost_at_points_widens_the_range_there(bench: Bench) -> None:
     campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2))
     short = Solver(ChainDeck(), ShortProgram(bench.folder))
     found = screen_campaign(
-        recased(campaign, solver=short), ScreeningRequest("factorial"), screen_watcher
+        recased(campaign, solver=short), ScreeningRequest("factorial"), Unwatched().working
     )
     assert found.responses.n_failed == 0
     # The deck's values, four corners, and the two stiff ones once more.
     assert bench.runs() == found.runs.modal == 1 + 4 + 2
-    assert screen_watcher.told[4:] == [(1, 2, 1, 0), (2, 2, 2, 0)]
     expected = [
         np.sqrt(chain_modes({"k1": a, "k3": b})[0][:2]) / 2 / np.pi
         for a, b in found.design.points.tolist()
@@ -325,14 +331,3 @@ def test_a_file_that_is_no_screening_is_told(tmp_path: Path) -> None:
     path.write_text("no HDF5")
     with pytest.raises(CampaignError, match="is not a record of a screening"):
         read_screening(path)
-
-
-def test_progress_in_a_log_is_a_few_lines() -> None:
-    console = Console(file=io.StringIO(), width=100)
-    with ConsoleScreening(console).shown() as progress:
-        progress.working("points of the design")
-        for done in range(1, 501):
-            progress.points(done, 500, done - 3 if done > 3 else 0, 1 if done > 400 else 0)
-    said = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
-    assert len(said) == 10
-    assert said[-1] == "point 500 of 500: 497 solved, 2 in the store, 1 failed"
