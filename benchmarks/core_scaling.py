@@ -28,7 +28,7 @@ from scipy.sparse import linalg
 
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.condensation.expansion import kidder_expansion
-from modetune.core.condensation.reduction import dynamic, guyan, irs, iterated_irs, serep
+from modetune.core.condensation.reduction import dynamic, guyan, irs, serep
 from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.core.updating.sensitivity import nelson
@@ -121,10 +121,6 @@ def run_dynamic(model: Box) -> None:
     dynamic(model.stiffness, model.mass, model.masters, float(model.frequencies_hz[0]))
 
 
-def run_iterated_irs(model: Box) -> None:
-    iterated_irs(model.stiffness, model.mass, model.masters, n_modes=3, tolerance=1e-6)
-
-
 def run_kidder(model: Box) -> None:
     shapes = model.mode_shapes[model.masters][:, :3]
     kidder_expansion(model.stiffness, model.mass, model.frequencies_hz[:3], shapes, model.masters)
@@ -151,7 +147,6 @@ CASES: tuple[Callable[[Box], None], ...] = (
     run_guyan,
     run_irs,
     run_dynamic,
-    run_iterated_irs,
     run_serep,
     run_kidder,
     run_nelson,

@@ -9,15 +9,10 @@ with ||S^-1||_1 estimated from a few solves (Hager 1984; Higham 1988). A conditi
 leaves no digit of the answer: the matrix is called singular, as a free structure's stiffness is.
 The rounding of a rigid-body eigenvalue cannot be told from such a small one.
 
-Intel's PARDISO factorises as L D L^T with 1x1 and 2x2 pivots, so indefinite matrices such as
-K - shift M are as welcome as positive ones. A complex symmetric A + iB is solved as the real
-
-    [ A  -B ] [x]   [ f ]
-    [-B  -A ] [y] = [-g ],      (A + iB)(x + iy) = f + ig.
-
-Where PARDISO is not installed SciPy's SuperLU does the same more slowly. Results can be shared by
-threads. Models that differ in their values only are factorised one after the other by one
-`SymmetricFactors`, which orders the unknowns once.
+Intel's PARDISO factorises as L D L^T with 1x1 and 2x2 pivots, so indefinite matrices such as K -
+shift M are as welcome as positive ones. Where PARDISO is not installed SciPy's SuperLU does the
+same more slowly. Results can be shared by threads. Models that differ in their values only are
+factorised one after the other by one `SymmetricFactors`, which orders the unknowns once.
 """
 
 from __future__ import annotations
@@ -38,8 +33,7 @@ from modetune.core.algebra.factor_room import roomy_factors
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.errors import ModelError
 
-Numbers: TypeAlias = NDArray[np.float64] | NDArray[np.complex128]
-Matrix: TypeAlias = sparse.sparray | sparse.spmatrix | NDArray[np.float64] | NDArray[np.complex128]
+Matrix: TypeAlias = sparse.sparray | sparse.spmatrix | NDArray[np.float64]
 
 SINGULAR_CONDITION = 1e14
 _COLUMNS_AT_ONCE = 64  # bounds the copies made of a right-hand side
@@ -71,10 +65,6 @@ class SymmetricFactors(Protocol):
         """The solution of A x = block, (n,) or (n, n_rhs), in Fortran order; out: its place."""
 
 
-class _Solver(Protocol):
-    def solve(self, rhs: Any) -> Any: ...
-
-
 @dataclass(frozen=True, slots=True)
 class Factorisation:
     """The factors of one matrix.
@@ -87,15 +77,13 @@ class Factorisation:
     condition: float
     solver: Literal["pardiso", "superlu"]
     _scale: NDArray[np.float64] = field(repr=False)
-    _factors: _Solver = field(repr=False)
-    _kind: np.dtype[Any] = field(repr=False)
+    _factors: SymmetricFactors = field(repr=False)
 
     def solve(self, rhs: Any) -> Any:
         """The solution x of A x = rhs.
 
-        rhs: (n,) or (n, n_rhs), dense or sparse, real or complex; x is dense, of the same shape,
-        complex where the matrix or rhs is. Raises ModelError where the shape is wrong or a value
-        is not finite.
+        rhs: (n,) or (n, n_rhs), dense or sparse, real or complex; x is dense, of the same shape.
+        Raises ModelError where the shape is wrong or a value is not finite.
         """
         is_sparse = sparse.issparse(rhs)
         given: Any = rhs if is_sparse else np.asarray(rhs)
@@ -103,10 +91,11 @@ class Factorisation:
             raise ModelError(f"a right-hand side of shape {given.shape} for {self.n} equations")
         if not np.isfinite(given.data if is_sparse else given).all():
             raise ModelError("a right-hand side holds values that are not finite")
+        if np.iscomplexobj(given):
+            return self.solve(given.real) + 1j * self.solve(given.imag)
         columns = given.reshape((self.n, -1))
         columns = columns.tocsc() if is_sparse else columns
-        kind = np.result_type(columns.dtype, self._kind, np.float64)
-        solution = np.empty(columns.shape, dtype=kind)
+        solution = np.empty(columns.shape)
         scale = self._scale[:, None]
         for start in range(0, columns.shape[1], _COLUMNS_AT_ONCE):
             part = slice(start, start + _COLUMNS_AT_ONCE)
@@ -118,9 +107,9 @@ class Factorisation:
 def factorise(matrix: Matrix, singular_condition: float = SINGULAR_CONDITION) -> Factorisation:
     """Factorise a symmetric matrix, definite or not.
 
-    matrix: (n, n), sparse or dense, real or complex symmetric (not Hermitian), both triangles;
-    singular_condition: the condition from which on it counts as singular (inf: as long as there
-    is any answer, for work close to an eigenvalue). Raises ModelError where the matrix is not
+    matrix: (n, n), sparse or dense, both triangles; singular_condition: the condition
+    from which on it counts as singular (inf: as long as there is any answer, for work close to an
+    eigenvalue). Raises ModelError where the matrix is not
     square, symmetric and finite, an equation is empty, or the matrix is singular.
     """
     a = symmetric_matrix(matrix, "matrix")
@@ -134,21 +123,22 @@ def factorise(matrix: Matrix, singular_condition: float = SINGULAR_CONDITION) ->
             f"a matrix of {a.shape[0]} equations is singular: condition number {condition:.1e}; "
             "a part that moves freely, or a mechanism, must be held first"
         )
-    return Factorisation(a.shape[0], condition, solver, scale, factors, a.dtype)
+    return Factorisation(a.shape[0], condition, solver, scale, factors)
 
 
 def symmetric_matrix(matrix: Matrix, name: str) -> sparse.csr_array:
-    """The matrix as float64 or complex128 CSR with sorted indices, after a check at the door.
+    """The matrix as float64 CSR with sorted indices, after a check at the door.
 
-    matrix: (n, n). Raises ModelError, with the name, where it is empty, not square, not finite,
-    or unsymmetric by more than 10^-6 of its largest entry (text files keep seven digits).
+    matrix: (n, n). Raises ModelError, with the name, where it is empty, complex, not square, not
+    finite, or unsymmetric by more than 10^-6 of its largest entry (text files keep seven digits).
     """
     given: Any = matrix
     if not sparse.issparse(given) and np.ndim(given) != 2:
         raise ModelError(f"the {name} must be a matrix, but has {np.ndim(given)} axes")
     a = sparse.csr_array(given)
-    kind = np.complex128 if np.issubdtype(a.dtype, np.complexfloating) else np.float64
-    a = a.astype(kind)
+    if np.issubdtype(a.dtype, np.complexfloating):
+        raise ModelError(f"the {name} must be real, but is complex")
+    a = a.astype(np.float64)
     if a.shape[0] != a.shape[1] or a.shape[0] == 0:
         raise ModelError(f"the {name} must be square, but has shape {a.shape}")
     if not np.isfinite(a.data).all():
@@ -215,32 +205,28 @@ def _unit_diagonal(a: sparse.csr_array) -> NDArray[np.float64]:
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 1e-12 * largest, diagonal, largest)))
 
 
-def _factors_of(scaled: sparse.csr_array) -> tuple[_Solver, Literal["pardiso", "superlu"]]:
-    real = not np.iscomplexobj(scaled.data)
+def _factors_of(
+    scaled: sparse.csr_array,
+) -> tuple[SymmetricFactors, Literal["pardiso", "superlu"]]:
+    upper = filled_triangle(scaled)
     if not _superlu_only.get() and is_available():
-        return (_PardisoFactors if real else _ComplexPardisoFactors)(scaled), "pardiso"
-    try:
-        factors = linalg.splu(
-            sparse.csc_array(scaled),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.1,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError as error:  # all that SuperLU says of an exactly singular matrix
-        raise ModelError(f"a matrix of {scaled.shape[0]} equations is singular") from error
-    return _SuperLuFactors(factors, real), "superlu"
+        pardiso = roomy_factors(upper, matching=True)
+        pardiso.refactor(upper.data)
+        return pardiso, "pardiso"
+    superlu = _SymmetricSuperLu(upper, pivoting=0.1)
+    superlu.refactor(upper.data)
+    return superlu, "superlu"
 
 
-def _inverse_norm(factors: _Solver, a: sparse.csr_array) -> float:
+def _inverse_norm(factors: SymmetricFactors, a: sparse.csr_array) -> float:
     """A lower bound, seldom off by more than 3, of the 1-norm of the inverse (Higham 1988)."""
     n = a.shape[0]
-    x = np.full((n, 1), 1.0 / n, dtype=a.dtype)
+    x = np.full((n, 1), 1.0 / n)
     estimate, visited = 0.0, -1
     for _ in range(5):
         y = factors.solve(x)
         estimate = max(estimate, float(np.abs(y).sum()))
-        signs = np.where(y == 0, 1.0, y / np.where(y == 0, 1.0, np.abs(y)))
-        slope = np.abs(factors.solve(np.conj(signs)))
+        slope = np.abs(factors.solve(np.where(y < 0.0, -1.0, 1.0)))
         largest = int(np.argmax(slope))
         if largest == visited or not np.isfinite(estimate):
             break
@@ -248,30 +234,19 @@ def _inverse_norm(factors: _Solver, a: sparse.csr_array) -> float:
         x = np.zeros_like(x)
         x[largest] = 1.0
     alternating = (np.arange(n) % 2 * -2.0 + 1.0) * (1.0 + np.arange(n) / max(n - 1, 1))
-    other = factors.solve(alternating.astype(a.dtype)[:, None])
+    other = factors.solve(alternating[:, None])
     estimate = max(estimate, 2.0 * float(np.abs(other).sum()) / (3.0 * n))
     return estimate if np.isfinite(estimate) else np.inf
 
 
-class _SuperLuFactors:
-    """SuperLU's factors; a complex right-hand side of real factors is solved in two parts."""
-
-    def __init__(self, factors: Any, real: bool) -> None:
-        self._factors, self._real = factors, real
-
-    def solve(self, rhs: Any) -> Any:
-        if self._real and np.iscomplexobj(rhs):
-            return self.solve(rhs.real) + 1j * self.solve(rhs.imag)
-        kind = np.float64 if self._real else np.complex128
-        return self._factors.solve(np.asarray(rhs, dtype=kind))
-
-
 class _SymmetricSuperLu:
-    """SuperLU with pivots on the diagonal, whose signs then count eigenvalues."""
+    """SuperLU with pivots on the diagonal, whose signs then count eigenvalues; pivoting: share of
+    the largest in its column below which an entry of the diagonal is no pivot."""
 
     on_disk = False
 
-    def __init__(self, upper: sparse.csr_array) -> None:
+    def __init__(self, upper: sparse.csr_array, pivoting: float = 0.0) -> None:
+        self._pivoting = pivoting
         # Both triangles, and for each of their entries its place in the upper one.
         numbered = sparse.csr_array(
             (np.arange(1.0, upper.nnz + 1.0), upper.indices, upper.indptr), shape=upper.shape
@@ -291,7 +266,7 @@ class _SymmetricSuperLu:
             self._factors = linalg.splu(
                 matrix,
                 permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
+                diag_pivot_thresh=self._pivoting,
                 options={"SymmetricMode": True},
             )
         except RuntimeError as error:  # all that SuperLU says of an exactly singular matrix
@@ -309,30 +284,3 @@ class _SymmetricSuperLu:
             return np.asfortranarray(x)
         out[...] = x
         return out
-
-
-class _PardisoFactors:
-    """PARDISO's factors of a real symmetric matrix."""
-
-    def __init__(self, scaled: sparse.csr_array) -> None:
-        upper = filled_triangle(scaled)
-        self._pardiso = roomy_factors(upper, matching=True)
-        self._pardiso.refactor(upper.data)
-
-    def solve(self, rhs: Any) -> Any:
-        if np.iscomplexobj(rhs):
-            return self.solve(rhs.real) + 1j * self.solve(rhs.imag)
-        return self._pardiso.solve(rhs)
-
-
-class _ComplexPardisoFactors:
-    """PARDISO's factors of a complex symmetric matrix, through the real one of twice its size."""
-
-    def __init__(self, scaled: sparse.csr_array) -> None:
-        a, b = scaled.real, scaled.imag
-        self._n = scaled.shape[0]
-        self._real = _PardisoFactors(sparse.csr_array(sparse.block_array([[a, -b], [-b, -a]])))
-
-    def solve(self, rhs: Any) -> Any:
-        both = self._real.solve(np.concatenate([rhs.real, -rhs.imag]))
-        return both[: self._n] + 1j * both[self._n :]

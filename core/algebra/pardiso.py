@@ -6,7 +6,7 @@ campaign differ in their values, so it is gone through once and 22 for each mode
 that of parallel nested dissection (METIS).
 
 The matrix is A = L D L^T with 1x1 and 2x2 pivots (type -2), whose signs are the signs of A's
-eigenvalues (Sylvester), or L L^T (type 2), which a matrix that is not positive definite refuses.
+eigenvalues (Sylvester).
 
 The library is the one that pypardiso finds and loads; its own solve is not used, for it copies
 and compares the whole matrix with each call. PARDISO uses all cores in a call, and calls come
@@ -26,7 +26,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ Floats = NDArray[np.float64]
 _ONE_CALL = threading.RLock()
 _ANALYSE, _FACTORISE, _SOLVE, _FREE = 11, 22, 33, -1
 _TOO_LONG = -8
+_SYMMETRIC = -2  # real, indefinite
 _LARGEST_MB = 2**31 - 1  # MKL reads it as an int
 
 _INPUT, _MEMORY, _DISK = "input", "memory", "disk"
@@ -57,10 +58,6 @@ _ERRORS = {
     -11: (_DISK, "the files of the factors cannot be read or written"),
     -12: (_INPUT, "the library lacks its interface for 64-bit integers"),
 }
-
-
-class NotPositiveDefinite(ModelError):
-    """The matrix has an eigenvalue that is zero or negative: it has no Cholesky factor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,33 +118,30 @@ class Pardiso:
         self,
         upper: sparse.csr_array,
         *,
-        definite: bool = False,
         matching: bool = False,
         files: FactorFiles | None = None,
         long_integers: bool = False,
     ) -> None:
         """Order the unknowns of a matrix; `refactor` gives it its values.
 
-        upper: (n, n), the upper triangle, sorted, with each diagonal entry; definite: refuse what
-        is not positive definite; matching: scale and pair unknowns by their values first, for
-        matrices with zeros on the diagonal; files: keep the factors there, not in memory;
-        long_integers: for factors of more than 2^31 entries (turned to anyhow where PARDISO asks
-        for it). Raises ModelError where upper is not such a triangle, SolverExhausted where
-        memory or disk do not suffice.
+        upper: (n, n), the upper triangle, sorted, with each diagonal entry; matching: scale and
+        pair unknowns by their values first, for matrices with zeros on the diagonal; files: keep
+        the factors there, not in memory; long_integers: for factors of more than 2^31 entries
+        (turned to anyhow where PARDISO asks for it). Raises ModelError where upper is not such a
+        triangle, SolverExhausted where memory or disk do not suffice.
         """
         _check_triangle(upper)
         self.n = int(upper.shape[0])
-        self._settings = _settings(definite, matching, files is not None)
+        self._settings = _settings(matching, files is not None)
         self.files = files
-        self._matrix_type = 2 if definite else -2
         self._values = upper.data
         self._open(upper.indptr + 1, upper.indices + 1, long_integers)
 
     def refactor(self, values: Floats) -> None:
         """Factorise the matrix with these values in the same places.
 
-        values: (n_entries,), kept, not copied. Raises NotPositiveDefinite where that was asked
-        for, ModelError where the matrix is singular, SolverExhausted.
+        values: (n_entries,), kept, not copied. Raises ModelError where the matrix is singular,
+        SolverExhausted.
         """
         if values.shape != self._values.shape or values.dtype != np.float64:
             raise ModelError(f"{values.size} values for {self._values.size} entries of a matrix")
@@ -180,7 +174,7 @@ class Pardiso:
     @property
     def negative_pivots(self) -> int:
         """How many eigenvalues of the matrix are negative (Sylvester's law of inertia)."""
-        return 0 if self._matrix_type == 2 else int(self._handle.iparm[22])
+        return int(self._handle.iparm[22])
 
     @property
     def lifted_pivots(self) -> int:
@@ -207,7 +201,6 @@ class Pardiso:
     def _open(self, starts: Any, columns: Any, long_integers: bool) -> None:
         kind: Any = np.int64 if long_integers else np.int32
         self._handle = _Handle(
-            self._matrix_type,
             self.n,
             np.ascontiguousarray(starts, dtype=kind),
             np.ascontiguousarray(columns, dtype=kind),
@@ -227,7 +220,7 @@ class Pardiso:
             if phase != _ANALYSE:
                 self._call(phase, rhs, out)
         elif error:
-            raise _error_of(error, self._matrix_type, self._handle)
+            raise _error_of(error, self._handle)
 
 
 class _Handle:
@@ -235,7 +228,6 @@ class _Handle:
 
     def __init__(
         self,
-        matrix_type: int,
         n: int,
         starts: Any,
         columns: Any,
@@ -243,7 +235,7 @@ class _Handle:
         files: FactorFiles | None = None,
     ) -> None:
         self.files = files
-        self.matrix_type, self.n, self.starts, self.columns = matrix_type, n, starts, columns
+        self.n, self.starts, self.columns = n, starts, columns
         self.iparm = iparm
         self.long_integers = bool(iparm.dtype == np.int64)
         self._addresses = np.zeros(64, dtype=np.int64)
@@ -265,7 +257,7 @@ class _Handle:
                 _pointer(self._addresses),
                 number(1),
                 number(1),
-                number(self.matrix_type),
+                number(_SYMMETRIC),
                 number(phase),
                 number(self.n),
                 _pointer(values),
@@ -320,7 +312,7 @@ def _program(long_integers: bool) -> Any:
     return program
 
 
-def _settings(definite: bool, matching: bool, out_of_core: bool) -> NDArray[np.int64]:
+def _settings(matching: bool, out_of_core: bool) -> NDArray[np.int64]:
     iparm = np.zeros(64, dtype=np.int64)
     # 1: own settings; 2: parallel METIS; 10: pivots below 1e-20 of the norm are lifted, zeros
     # that is, for masses and rotations make small ones; 24: factors in two levels of parallel
@@ -328,8 +320,6 @@ def _settings(definite: bool, matching: bool, out_of_core: bool) -> NDArray[np.i
     # after a lifted pivot, for refining takes twice as long again as solving. 37: unknowns whose
     # rows are 95 % alike, as those of a node are, are ordered as one, which halves the ordering.
     chosen = {1: 1, 2: 3, 10: 20, 18: -1, 21: 1, 24: 1, 37: -95, 60: 2 if out_of_core else 0}
-    if definite:
-        chosen[21] = 0
     if matching:  # 10: the scaled matrix is of norm one; 24 does not go with 11 and 13
         chosen |= {2: 2, 10: 16, 11: 1, 13: 1, 24: 0, 37: 0}
     if out_of_core:  # no two levels for factors on disk, and no blocks
@@ -356,12 +346,8 @@ def _check_triangle(upper: sparse.csr_array) -> None:
         )
 
 
-def _error_of(error: int, matrix_type: Literal[2, -2] | int, handle: _Handle) -> ModetuneError:
+def _error_of(error: int, handle: _Handle) -> ModetuneError:
     of = f"a matrix of {handle.n} equations cannot be factorised"
-    if error == -4 and matrix_type == 2:
-        where = int(handle.iparm[29])
-        at = f", seen at equation {where}" if 0 < where <= handle.n else ""
-        return NotPositiveDefinite(f"{of} as a positive definite one: it is not one{at}")
     kind, words = _ERRORS.get(error, (_INPUT, "PARDISO gives a reason unknown here"))
     text = f"{of}: {words} (PARDISO error {error})"
     if kind == _MEMORY:

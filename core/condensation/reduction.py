@@ -7,12 +7,11 @@ matrix (not with SEREP of fewer modes than masters), those at the slaves are t:
     Guyan      K_ss t = -K_sm                                                  thesis A (1)-(9)
     dynamic    (K_ss - w^2 M_ss) t = -(K_sm - w^2 M_sm)                        A (10)
     IRS        t_1 = t_0 + K_ss^-1 (M_sm + M_ss t_0) M_r^-1 K_r                A (11)-(17)
-    iterated   t_{i+1} = t_0 + K_ss^-1 (M_sm + M_ss t_i) M_r,i^-1 K_r,i        Friswell et al. 1995
     SEREP      T = Phi Phi_m^+                                                 A (18)-(25)
 
 Guyan (1965) is exact at rest, dynamic reduction at w; IRS (O'Callahan 1989) lets the slaves'
-inertia follow the static shapes, and repeated with its own matrices it tends to the exact lowest
-modes; SEREP (O'Callahan, Avitabile and Riemer 1989) keeps the given modes exactly.
+inertia follow the static shapes; SEREP (O'Callahan, Avitabile and Riemer 1989) keeps the given
+modes exactly.
 
 A (15) as printed multiplies M_ss by K_ss^-1 and K_sm with a plus sign; the derivation before it
 and A (17) need M_sm - M_ss K_ss^-1 K_sm, which is what stands above.
@@ -29,7 +28,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import linalg, sparse
+from scipy import sparse
 
 from modetune.core.algebra.factorisation import (
     SINGULAR_CONDITION,
@@ -51,17 +50,15 @@ class Reduction:
 
     stiffness, mass: (n_masters, n_masters), in the order of masters. transformation:
     (n, n_masters). masters: (n_masters,), rows of the full model. condition: of the worst
-    inverse taken. iterations, converged: of iterated IRS; 0 and true for the other methods.
+    inverse taken.
     """
 
-    method: Literal["guyan", "dynamic", "irs", "iterated_irs", "serep"]
+    method: Literal["guyan", "dynamic", "irs", "serep"]
     stiffness: Floats
     mass: Floats
     transformation: Floats
     masters: Integers
     condition: float
-    iterations: int = 0
-    converged: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,45 +169,8 @@ def irs(stiffness: Matrix, mass: Matrix, masters: ArrayLike) -> Reduction:
     model = partition(stiffness, mass, masters)
     t_0, factors, condition = _static_rows(model)
     k, m = model.project(model.transformation(t_0))
-    t, worst = _with_inertia(model, factors, t_0, t_0, k, m)
-    return _reduction("irs", model, model.transformation(t), max(condition, worst), 1)
-
-
-def iterated_irs(
-    stiffness: Matrix,
-    mass: Matrix,
-    masters: ArrayLike,
-    n_modes: int | None = None,
-    tolerance: float = 1e-8,
-    max_iterations: int = 50,
-) -> Reduction:
-    """IRS repeated with its own matrices until the lowest eigenvalues settle.
-
-    As irs; n_modes: how many eigenvalues must settle, half the masters unless told; tolerance:
-    largest change of any, relative to the highest of them. Where max_iterations do not suffice
-    the last transformation is returned with converged false: the higher of the eigenvalues asked
-    for depend on slaves, and other masters show them better.
-    Source: Friswell, Garvey and Penny 1995.
-    """
-    model = partition(stiffness, mass, masters)
-    wanted = max(1, model.masters.size // 2) if n_modes is None else n_modes
-    if not 1 <= wanted <= model.masters.size or max_iterations < 1 or not tolerance > 0.0:
-        raise ModesError(f"{wanted} modes cannot settle on {model.masters.size} masters")
-    t_0, factors, condition = _static_rows(model)
-    t, before, converged, iteration = t_0, np.full(wanted, np.inf), False, 0
-    k, m = model.project(model.transformation(t))
-    while not converged and iteration < max_iterations:
-        iteration += 1
-        t, worst = _with_inertia(model, factors, t_0, t, k, m)
-        condition = max(condition, worst)
-        k, m = model.project(model.transformation(t))
-        _mass_condition(m)
-        eigenvalues = linalg.eigh(k, m, eigvals_only=True, subset_by_index=(0, wanted - 1))
-        change = float(np.abs(eigenvalues - before).max())
-        converged = change <= tolerance * float(np.abs(eigenvalues).max())
-        before = eigenvalues
-    whole = model.transformation(t)
-    return Reduction("iterated_irs", k, m, whole, model.masters, condition, iteration, converged)
+    t, worst = _with_inertia(model, factors, t_0, k, m)
+    return _reduction("irs", model, model.transformation(t), max(condition, worst))
 
 
 def serep(stiffness: Matrix, mass: Matrix, masters: ArrayLike, mode_shapes: Floats) -> Reduction:
@@ -264,13 +224,13 @@ def _static_rows(
 
 
 def _with_inertia(
-    model: Partition, factors: Factorisation | None, t_0: Floats, t: Floats, k: Floats, m: Floats
+    model: Partition, factors: Factorisation | None, t_0: Floats, k: Floats, m: Floats
 ) -> tuple[Floats, float]:
-    """The next t of IRS from t_i and its K_r, M_r; with the condition of M_r."""
+    """t of IRS from Guyan's t_0 and its K_r, M_r; with the condition of M_r."""
     worst = _mass_condition(m)
     if factors is None:
         return t_0, worst
-    return t_0 + factors.solve(model.inertia(t)) @ np.linalg.solve(m, k), worst
+    return t_0 + factors.solve(model.inertia(t_0)) @ np.linalg.solve(m, k), worst
 
 
 def _mass_condition(m: Floats) -> float:
@@ -290,7 +250,6 @@ def _reduction(
     model: Partition,
     transformation: Floats,
     condition: float,
-    iterations: int = 0,
 ) -> Reduction:
     k, m = model.project(transformation)
-    return Reduction(method, k, m, transformation, model.masters, condition, iterations)
+    return Reduction(method, k, m, transformation, model.masters, condition)

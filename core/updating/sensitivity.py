@@ -86,8 +86,8 @@ def fox_kapoor(
     """d lambda of mass-normalised modes, (n_modes,).
 
     mode_shapes: (n, n_modes); stiffness_change, mass_change: (n, n), dK/dp and dM/dp.
-    Source: Fox and Kapoor 1968. For modes of equal eigenvalue give shapes that have been turned
-    with cluster_rotation; else the derivatives of the pair are mixed.
+    Source: Fox and Kapoor 1968. For modes of equal eigenvalue give the shapes that change
+    smoothly with p; else the derivatives of the pair are mixed.
     """
     phi = mode_shapes
     return np.asarray(
@@ -185,25 +185,6 @@ def _inside_cluster(
         if other != mode and abs(gap) > REPEATED * abs(lam):
             change = change + mode_shapes[:, other] * (mode_shapes[:, other] @ force) / gap
     return change
-
-
-def cluster_rotation(
-    mode_shapes: Floats,
-    stiffness_change: sparse.csr_array,
-    mass_change: sparse.csr_array,
-    eigenvalue: float,
-) -> tuple[Floats, Floats]:
-    """Derivatives of a repeated eigenvalue, and the shapes that have them.
-
-    mode_shapes: (n, m), mass-normalised, all of one eigenvalue. Any rotation of them are modes;
-    only one rotation changes smoothly with the parameter: the eigenvectors of
-    phi^T (dK - lambda dM) phi. Returns (m,) derivatives and (n, m) turned shapes.
-    Source: Ojalvo 1988; Dailey 1989.
-    """
-    phi = mode_shapes
-    change = phi.T @ (stiffness_change @ phi) - eigenvalue * (phi.T @ (mass_change @ phi))
-    derivatives, rotation = np.linalg.eigh(0.5 * (change + change.T))
-    return derivatives, phi @ rotation
 
 
 def broyden_update(

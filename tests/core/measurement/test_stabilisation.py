@@ -7,7 +7,7 @@ import pytest
 
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.frf import Complexes, NormalModes, Residuals, Response, modal_frf
+from modetune.core.measurement.frf import Complexes, NormalModes, Response, modal_frf
 from modetune.core.measurement.modal_fit import (
     fit_residues,
     mode_shares,
@@ -147,13 +147,11 @@ def test_poles_asked_for_are_the_nearest_stable_and_others_are_named_all_at_once
         pick_tracks([], [60.0], Criteria())
 
 
-def system(
-    lines: Floats, kind: Response, residuals: Residuals | None = None
-) -> tuple[Complexes, Complexes]:
+def system(lines: Floats, kind: Response) -> tuple[Complexes, Complexes]:
     """Poles (3,) and functions (n_lines, 6) of three modes at three outputs and two inputs."""
     frequencies, damping = np.array([30.0, 60.0, 60.6]), np.array([0.01, 0.005, 0.006])
     modes = NormalModes((2.0 * np.pi * frequencies) ** 2, SHAPES, damping)
-    values = modal_frf(lines, modes, [0, 1, 2], [0, 1], kind, residuals)
+    values = modal_frf(lines, modes, [0, 1, 2], [0, 1], kind)
     poles = np.array([pole(f, z) for f, z in zip(frequencies, damping, strict=True)])
     return poles, values.reshape(lines.size, 6)
 
@@ -162,8 +160,10 @@ def system(
 def test_residues_and_residual_terms_come_back_from_exact_functions(kind: Response) -> None:
     """The functions come from core.frf, which superposes undamped modes with viscous damping."""
     lines = np.linspace(20.0, 80.0, 601)
-    terms = Residuals(np.full((3, 2), 2e-6), np.full((3, 2), 0.03))
-    poles, values = system(lines, kind, terms)
+    poles, values = system(lines, kind)
+    s = 2j * np.pi * lines[:, None]
+    # Modes above the band add a flexibility to the receptance, modes below it a mass.
+    values += s ** {"receptance": 0, "mobility": 1, "accelerance": 2}[kind] * (2e-6 + 0.03 / s**2)
     fit = fit_residues(lines, values, poles, kind)
     assert np.abs(fit.synthesise(lines) - values).max() < 1e-9 * np.abs(values).max()
     expected = (SHAPES[:, None, :] * SHAPES[None, :2, :]).reshape(6, 3) / (2j * poles.imag)

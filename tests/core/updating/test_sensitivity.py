@@ -14,7 +14,6 @@ from scipy.linalg import eigh
 
 from modetune.core.updating.sensitivity import (
     broyden_update,
-    cluster_rotation,
     fox_kapoor,
     nelson,
     strain_energy_derivative,
@@ -125,15 +124,6 @@ def test_strain_energy_is_half_the_relative_sensitivity() -> None:
         strain_energy_derivative(energies, float(SPRINGS[3])),
         fox_kapoor(lam, phi, csr(dk), csr(np.zeros((6, 6)))),
     )
-
-
-def test_a_repeated_pair_is_turned_to_shapes_that_change_smoothly() -> None:
-    # A square plate's pair in the small: equal oscillators in x and y, then x gets stiffer.
-    turned = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)
-    dk = np.diag([2.0, 0.0])
-    derivatives, shapes = cluster_rotation(turned, csr(dk), csr(np.zeros((2, 2))), 5.0)
-    np.testing.assert_allclose(derivatives, [0.0, 2.0], atol=1e-12)
-    np.testing.assert_allclose(np.abs(shapes), [[0.0, 1.0], [1.0, 0.0]], atol=1e-12)
 
 
 def test_broyden_explains_the_last_step_and_leaves_other_directions() -> None:
