@@ -15,6 +15,7 @@ from typing import Any, Literal
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.core.updating.direct import Filling
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.objects import write_campaign
@@ -22,6 +23,18 @@ from modetune.flows.campaign.schema import CampaignFile, ModelFile
 from modetune.flows.campaign.sketch import looked_at
 from modetune.flows.campaign.terminal import terminal
 from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
+from modetune.flows.studies.condensation.direct import (
+    DirectCorrection,
+    DirectMethod,
+    correct_directly,
+)
+from modetune.flows.studies.condensation.expand import Expansions, expand_shapes
+from modetune.flows.studies.condensation.reduce import (
+    ModelReduction,
+    ReductionMethod,
+    ReductionRequest,
+    reduce_model,
+)
 from modetune.flows.studies.correlate.correlate import Correlation
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
@@ -121,8 +134,7 @@ def modes(
     many modes. Raises CampaignError, SolverError, StoreError.
     """
     loaded = _looked_at(campaign, settings)
-    asked = [f"{name}={float(value)!r}" for name, value in (at or {}).items()]
-    return model_modes(loaded, parse_values(loaded, asked), number)
+    return model_modes(loaded, _values(loaded, at), number)
 
 
 def check(
@@ -242,6 +254,63 @@ def correlate(
     return correlate_sources(*sides, state, _texts(settings), orthogonality)
 
 
+def expand(
+    campaign: CampaignLike,
+    test: StrPath | Sequence[StrPath] = (),
+    method: str | None = None,
+    *,
+    modes: int | None = None,
+    at: Mapping[str, float] | None = None,
+    settings: Settings = (),
+) -> Expansions:
+    """The test's shapes at all nodes of a campaign's model or a deck, by all methods or one.
+
+    modes: elastic modes of SEREP's basis, chosen by held-out sensors unless named; at: values of
+    parameters. Raises CampaignError, SolverError, StoreError.
+    """
+    loaded = _looked_at(campaign, settings, test)
+    return expand_shapes(loaded, _values(loaded, at), method, modes)
+
+
+def reduce(
+    campaign: CampaignLike,
+    method: ReductionMethod = "guyan",
+    masters: Sequence[str] = (),
+    *,
+    test: StrPath | Sequence[StrPath] = (),
+    modes: int | None = None,
+    at: Mapping[str, float] | None = None,
+    settings: Settings = (),
+) -> ModelReduction:
+    """A model condensed to masters ("12.z", "13"), or to its test's sensors.
+
+    modes: how many are compared, kept by SEREP or added by Craig and Bampton. Raises CampaignError,
+    ModelError, SolverError, StoreError.
+    """
+    loaded = _looked_at(campaign, settings, test)
+    asked = ReductionRequest(method, ",".join(masters), modes)
+    return reduce_model(loaded, _values(loaded, at), asked)
+
+
+def direct(
+    campaign: CampaignLike,
+    test: StrPath | Sequence[StrPath] = (),
+    method: DirectMethod = "berman",
+    filling: Filling = "kidder",
+    *,
+    mass_normalised: bool = False,
+    at: Mapping[str, float] | None = None,
+    settings: Settings = (),
+) -> DirectCorrection:
+    """A model's stiffness and mass corrected as whole matrices, and what that breaks in them.
+
+    mass_normalised: whether the test's shapes are of unit modal mass in the model's own unit.
+    Raises CampaignError, ModesError, ModelError, SolverError, StoreError.
+    """
+    loaded = _looked_at(campaign, settings, test)
+    return correct_directly(loaded, _values(loaded, at), method, filling, mass_normalised)
+
+
 def identify(
     test: StrPath | Sequence[StrPath] | Measurement | MeasuredFrfs,
     band: tuple[float, float] | None = None,
@@ -285,6 +354,11 @@ def _looked_at(
     if test:
         raise CampaignError("a test stands beside the path of a deck or of a campaign file")
     return campaign_of(campaign, settings)
+
+
+def _values(campaign: Campaign, at: Mapping[str, float] | None) -> dict[str, float]:
+    asked = [f"{name}={float(value)!r}" for name, value in (at or {}).items()]
+    return parse_values(campaign, asked)
 
 
 def _paths(paths: StrPath | Sequence[StrPath]) -> list[Path]:

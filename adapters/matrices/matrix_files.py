@@ -4,6 +4,7 @@
     FILE.npz            scipy.sparse.save_npz; nothing pickled is ever read
     FILE.h5:NAME        a dataset (n, n), or a group with the datasets data, indices, indptr of a
                         CSR matrix (n, n); of a symmetric matrix both triangles
+    FILE.op4:NAME       a matrix of an OUTPUT4 file, text or binary; one alone needs no name
 
 A name with `:` in front of the dataset is how models and the functions here refer to a matrix.
 
@@ -25,12 +26,13 @@ from scipy import io, sparse
 
 from modetune.adapters.hdf5_reader import CSR, DEFLATE, read_hdf5
 from modetune.adapters.matrices.matrix_market import MOST_EQUATIONS, read_market
+from modetune.adapters.matrices.op4 import op4_lines, read_op4
 from modetune.adapters.regular_file import largest, open_regular
 from modetune.core.algebra.factorisation import symmetric_matrix
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
-HDF5 = (".h5", ".hdf5")
+HDF5, OP4 = (".h5", ".hdf5"), ".op4"
 #: What SciPy and NumPy raise on files that are cut, damaged or something else.
 NO_ARRAYS = (
     ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, OverflowError,
@@ -41,7 +43,7 @@ NO_ARRAYS = (
 def split_reference(reference: str) -> tuple[str, str]:
     """File and dataset of a reference; the dataset is empty where the file is the matrix."""
     file, separator, name = reference.rpartition(":")
-    if separator and Path(file).suffix.lower() in HDF5:
+    if separator and Path(file).suffix.lower() in (*HDF5, OP4):
         return file, name
     return reference, ""
 
@@ -64,7 +66,7 @@ def read_matrices(folder: Path, references: Sequence[str]) -> list[sparse.csr_ar
     """
     datasets: dict[str, list[str]] = {}
     for file, name in map(split_reference, references):
-        if name:
+        if name and Path(file).suffix.lower() in HDF5:
             datasets.setdefault(file, []).append(name)
     stored: dict[tuple[str, str], dict[str, Floats] | ModelError] = {}
     for file, names in datasets.items():
@@ -105,12 +107,15 @@ def _checked(
 
 def _read(path: Path, reference: str) -> Any:
     suffix = path.suffix.lower()
-    if suffix not in (".mtx", ".npz"):
+    if suffix not in (".mtx", ".npz", OP4):
         raise ModelError(
-            f"{reference}: a matrix is FILE.mtx, FILE.npz or FILE.h5:NAME, NAME the dataset"
+            f"{reference}: a matrix is FILE.mtx, FILE.npz, FILE.op4:NAME or FILE.h5:NAME, NAME "
+            "the dataset"
         )
     if suffix == ".mtx":
         return read_market(path)
+    if suffix == OP4:
+        return read_op4(path, split_reference(reference)[1])
     with open_regular(path) as stream:
         check_archive(path)
         return _sound(sparse.load_npz(stream))
@@ -157,7 +162,7 @@ def _of_arrays(arrays: dict[str, Floats]) -> Any:
 
 
 def write_matrix(folder: Path, reference: str, matrix: sparse.csr_array) -> None:
-    """Write a matrix where a reference says; other datasets of an HDF5 file stay."""
+    """Write a matrix where a reference says; others of an HDF5 or OUTPUT4 file stay."""
     file, name = split_reference(reference)
     path = folder / file
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -165,6 +170,9 @@ def write_matrix(folder: Path, reference: str, matrix: sparse.csr_array) -> None
         io.mmwrite(path, sparse.coo_array(matrix), precision=17, symmetry="symmetric")
     elif path.suffix.lower() == ".npz":
         sparse.save_npz(path, matrix)
+    elif path.suffix.lower() == OP4:
+        with path.open("a", encoding="ascii") as text:  # one matrix behind the other
+            text.writelines(op4_lines(name or path.stem[:8], matrix.toarray()))
     else:
         with h5py.File(path, "a") as out:
             group = out.create_group(name)

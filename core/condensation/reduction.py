@@ -7,11 +7,15 @@ matrix (not with SEREP of fewer modes than masters), those at the slaves are t:
     Guyan      K_ss t = -K_sm                                                  thesis A (1)-(9)
     dynamic    (K_ss - w^2 M_ss) t = -(K_sm - w^2 M_sm)                        A (10)
     IRS        t_1 = t_0 + K_ss^-1 (M_sm + M_ss t_0) M_r^-1 K_r                A (11)-(17)
+    iterated   t_{i+1} = t_0 + K_ss^-1 (M_sm + M_ss t_i) M_r,i^-1 K_r,i        Friswell et al. 1995
     SEREP      T = Phi Phi_m^+                                                 A (18)-(25)
+    Craig-     x_s = t_0 x_m + Phi_s q,  K_ss Phi_s = M_ss Phi_s W             Craig, Bampton 1968
+    Bampton
 
 Guyan (1965) is exact at rest, dynamic reduction at w; IRS (O'Callahan 1989) lets the slaves'
-inertia follow the static shapes; SEREP (O'Callahan, Avitabile and Riemer 1989) keeps the given
-modes exactly.
+inertia follow the static shapes, and repeated with its own matrices it tends to the exact lowest
+modes; SEREP (O'Callahan, Avitabile and Riemer 1989) keeps the given modes exactly. Craig and
+Bampton add unknowns q to the masters: the lowest modes of the model with its masters held.
 
 A (15) as printed multiplies M_ss by K_ss^-1 and K_sm with a plus sign; the derivation before it
 and A (17) need M_sm - M_ss K_ss^-1 K_sm, which is what stands above.
@@ -28,8 +32,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
+from scipy import linalg, sparse
 
+from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.factorisation import (
     SINGULAR_CONDITION,
     Factorisation,
@@ -50,15 +55,19 @@ class Reduction:
 
     stiffness, mass: (n_masters, n_masters), in the order of masters. transformation:
     (n, n_masters). masters: (n_masters,), rows of the full model. condition: of the worst
-    inverse taken.
+    inverse taken. iterations, converged: of iterated IRS; 0 and true for the other methods.
+    With fixed-interface modes ("craig_bampton") their amplitudes stand behind the masters in
+    matrices and transformation.
     """
 
-    method: Literal["guyan", "dynamic", "irs", "serep"]
+    method: Literal["guyan", "dynamic", "irs", "iterated_irs", "serep", "craig_bampton"]
     stiffness: Floats
     mass: Floats
     transformation: Floats
     masters: Integers
     condition: float
+    iterations: int = 0
+    converged: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,8 +178,45 @@ def irs(stiffness: Matrix, mass: Matrix, masters: ArrayLike) -> Reduction:
     model = partition(stiffness, mass, masters)
     t_0, factors, condition = _static_rows(model)
     k, m = model.project(model.transformation(t_0))
-    t, worst = _with_inertia(model, factors, t_0, k, m)
-    return _reduction("irs", model, model.transformation(t), max(condition, worst))
+    t, worst = _with_inertia(model, factors, t_0, t_0, k, m)
+    return _reduction("irs", model, model.transformation(t), max(condition, worst), 1)
+
+
+def iterated_irs(
+    stiffness: Matrix,
+    mass: Matrix,
+    masters: ArrayLike,
+    n_modes: int | None = None,
+    tolerance: float = 1e-8,
+    max_iterations: int = 50,
+) -> Reduction:
+    """IRS repeated with its own matrices until the lowest eigenvalues settle.
+
+    As irs; n_modes: how many eigenvalues must settle, half the masters unless told; tolerance:
+    largest change of any, relative to the highest of them. Where max_iterations do not suffice
+    the last transformation is returned with converged false: the higher of the eigenvalues asked
+    for depend on slaves, and other masters show them better.
+    Source: Friswell, Garvey and Penny 1995.
+    """
+    model = partition(stiffness, mass, masters)
+    wanted = max(1, model.masters.size // 2) if n_modes is None else n_modes
+    if not 1 <= wanted <= model.masters.size or max_iterations < 1 or not tolerance > 0.0:
+        raise ModesError(f"{wanted} modes cannot settle on {model.masters.size} masters")
+    t_0, factors, condition = _static_rows(model)
+    t, before, converged, iteration = t_0, np.full(wanted, np.inf), False, 0
+    k, m = model.project(model.transformation(t))
+    while not converged and iteration < max_iterations:
+        iteration += 1
+        t, worst = _with_inertia(model, factors, t_0, t, k, m)
+        condition = max(condition, worst)
+        k, m = model.project(model.transformation(t))
+        _mass_condition(m)
+        eigenvalues = linalg.eigh(k, m, eigvals_only=True, subset_by_index=(0, wanted - 1))
+        change = float(np.abs(eigenvalues - before).max())
+        converged = change <= tolerance * float(np.abs(eigenvalues).max())
+        before = eigenvalues
+    whole = model.transformation(t)
+    return Reduction("iterated_irs", k, m, whole, model.masters, condition, iteration, converged)
 
 
 def serep(stiffness: Matrix, mass: Matrix, masters: ArrayLike, mode_shapes: Floats) -> Reduction:
@@ -185,6 +231,46 @@ def serep(stiffness: Matrix, mass: Matrix, masters: ArrayLike, mode_shapes: Floa
     inverse, condition = basis_inverse(mode_shapes, model.masters, model.stiffness.shape[0])
     whole = np.asarray(mode_shapes, dtype=np.float64) @ inverse
     return _reduction("serep", model, whole, condition)
+
+
+def craig_bampton(stiffness: Matrix, mass: Matrix, masters: ArrayLike, n_fixed: int) -> Reduction:
+    """Static reduction with the lowest modes of the model whose masters are held.
+
+    As guyan; n_fixed: how many of them, 0 for Guyan's. Their amplitudes, each of unit modal mass,
+    are unknowns behind the masters, so K_r is [[K_guyan, 0], [0, W]]. Source: Craig and Bampton
+    1968.
+    """
+    model = partition(stiffness, mass, masters)
+    if not 0 <= n_fixed <= model.slaves.size:
+        raise ModesError(
+            f"{n_fixed} fixed-interface modes are asked of a model of {model.slaves.size} unknowns "
+            "besides its masters"
+        )
+    t, _, condition = _static_rows(model)
+    whole = np.zeros((model.stiffness.shape[0], model.masters.size + n_fixed))
+    whole[:, : model.masters.size] = model.transformation(t)
+    if n_fixed:
+        inner: list[Any] = [a[model.slaves][:, model.slaves] for a in (model.stiffness, model.mass)]
+        whole[model.slaves, model.masters.size :] = solve_modes(inner[0], inner[1], n_fixed)[1]
+    return _reduction("craig_bampton", model, whole, condition)
+
+
+def reduced_modes(reduced: Reduction) -> tuple[Floats, Floats]:
+    """Eigenvalues of a reduced model (n_modes,) ascending, and its modes at all unknowns.
+
+    Mass-normalised shapes (n, n_modes). A reduced mass matrix of lower rank (SEREP of fewer modes
+    than masters) has as many modes as its rank. Raises ModelError where no master has mass.
+    """
+    diagonal = np.diag(reduced.mass)
+    if not (diagonal > 0.0).any():
+        raise ModelError("the reduced mass matrix is zero: keep unknowns that carry mass")
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))  # units do not count
+    masses, axes = np.linalg.eigh(reduced.mass * scale[:, None] * scale)
+    # An eigenvalue is known to the number of unknowns times eps; products with T cost some more.
+    kept = masses > 1e3 * masses.size * np.finfo(np.float64).eps * masses.max()
+    basis = scale[:, None] * axes[:, kept] / np.sqrt(masses[kept])
+    eigenvalues, shapes = np.linalg.eigh(basis.T @ reduced.stiffness @ basis)
+    return eigenvalues, reduced.transformation @ (basis @ shapes)
 
 
 def basis_inverse(mode_shapes: Floats, rows: Integers, n: int) -> tuple[Floats, float]:
@@ -224,13 +310,13 @@ def _static_rows(
 
 
 def _with_inertia(
-    model: Partition, factors: Factorisation | None, t_0: Floats, k: Floats, m: Floats
+    model: Partition, factors: Factorisation | None, t_0: Floats, t: Floats, k: Floats, m: Floats
 ) -> tuple[Floats, float]:
-    """t of IRS from Guyan's t_0 and its K_r, M_r; with the condition of M_r."""
+    """The next t of IRS from t_i and its K_r, M_r; with the condition of M_r."""
     worst = _mass_condition(m)
     if factors is None:
         return t_0, worst
-    return t_0 + factors.solve(model.inertia(t_0)) @ np.linalg.solve(m, k), worst
+    return t_0 + factors.solve(model.inertia(t)) @ np.linalg.solve(m, k), worst
 
 
 def _mass_condition(m: Floats) -> float:
@@ -246,10 +332,11 @@ def _mass_condition(m: Floats) -> float:
 
 
 def _reduction(
-    method: Literal["guyan", "dynamic", "irs", "serep"],
+    method: Literal["guyan", "dynamic", "irs", "serep", "craig_bampton"],
     model: Partition,
     transformation: Floats,
     condition: float,
+    iterations: int = 0,
 ) -> Reduction:
     k, m = model.project(transformation)
-    return Reduction(method, k, m, transformation, model.masters, condition)
+    return Reduction(method, k, m, transformation, model.masters, condition, iterations)

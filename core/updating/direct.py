@@ -10,6 +10,10 @@ modes of the measured frequencies is
 
     dK = M' phi (phi^T K phi + W) phi^T M' - K phi phi^T M' - M' phi phi^T K,   W = diag(w_r^2).
 
+Baruch and Bar Itzhack (1978) believe the mass instead: the measured shapes are turned to the
+nearest that are orthonormal in it, phi (phi^T M phi)^-1/2, and dK is the same with M' = M. Measured
+frequencies then come out exactly, and the shapes that were turned.
+
 (3.3) writes M_A for M'; its proof, (K + dK) phi = M' phi W, needs the updated mass, as the
 sentence before it says. Frequencies and shapes then come out exactly.
 
@@ -103,14 +107,19 @@ class ReferenceModes:
 
 
 def direct_matrix_update(
-    stiffness: Matrix, mass: Matrix, measured: ReferenceModes, model_shapes: Floats | None = None
+    stiffness: Matrix,
+    mass: Matrix,
+    measured: ReferenceModes,
+    model_shapes: Floats | None = None,
+    keep_mass: bool = False,
 ) -> DirectUpdate:
     """Smallest changes of mass and stiffness that give the model the measured modes exactly.
 
     stiffness, mass: (n, n), sparse; model_shapes: (n, n_model_modes), for the fillings 'serep'
-    (any modes) and 'model' (paired, in measured order). Raises ModesError where shapes do not fit
-    or are not independent, ModelError where the matrices are not a model or an inverse fails.
-    Source: Berman and Nagy 1983; thesis (3.1)-(3.3).
+    (any modes) and 'model' (paired, in measured order); keep_mass: turn the shapes and leave the
+    mass as it is. Raises ModesError where shapes do not fit or are not independent, ModelError
+    where the matrices are not a model or an inverse fails.
+    Source: Berman and Nagy 1983; thesis (3.1)-(3.3); Baruch and Bar Itzhack 1978.
     """
     model = partition(stiffness, mass, measured.rows)
     k, m = model.stiffness, model.mass
@@ -124,6 +133,10 @@ def direct_matrix_update(
             f"the measured shapes are not independent of each other: their modal mass matrix has "
             f"condition number {condition:.1e}"
         )
+    if keep_mass:
+        values, axes = np.linalg.eigh(m_a)
+        turn = (axes / np.sqrt(values)) @ axes.T
+        phi, m_phi, m_a = phi @ turn, m_phi @ turn, np.eye(lam.size)
     m_a_inverse = np.linalg.inv(m_a)
     mass_change = LowRankChange(m_phi, m_a_inverse @ (np.eye(lam.size) - m_a) @ m_a_inverse)
     new_m_phi = m_phi + mass_change.times(phi)

@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 
 #: What decks are called; other files are decks by what stands in them.
 SUFFIXES = (".inp", ".bdf", ".nas", ".fem")
-#: Files of campaigns, and of models that are matrices, which need `--solver matrices`.
+#: Files of campaigns, and of models that are matrices.
 YAML = (".yaml", ".yml")
 #: Results and listings of solvers, which may repeat the deck.
 RESULTS = (".f06", ".op2", ".pch", ".pnh", ".frd", ".out", ".log")
@@ -78,6 +78,18 @@ def is_deck(path: Path) -> bool:
     return b"\0" not in start and DECK_LINE.search(start.decode("latin-1")) is not None
 
 
+def is_matrix_model(path: Path) -> bool:
+    """Whether a file names matrices, or is a system of masses and springs, as a model in YAML."""
+    if path.suffix.lower() not in YAML:
+        return False
+    try:
+        with open_regular(path) as file:
+            start = file.read(LOOKED_AT).decode("utf-8", "replace")
+    except OSError:
+        return False
+    return re.search(r"^(stiffness|masses):", start, re.MULTILINE) is not None
+
+
 def looked_at(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = ()) -> Campaign:
     """What a command looks at: a campaign file, or a deck.
 
@@ -91,12 +103,14 @@ def looked_at(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = 
     if tests:
         files = json.dumps([str(item.resolve()) for item in tests])  # YAML, whatever their names
         settings = [*settings, f"test.modes={files}", "test.use=null"]
-    if not is_deck(path) and not (by_solver and path.suffix.lower() not in YAML):
+    if is_matrix_model(path):
+        settings = settings if by_solver else [*settings, "model.solver=matrices"]
+    elif not is_deck(path) and not (by_solver and path.suffix.lower() not in YAML):
         return load_campaign(path, list(settings), OpenFile)
     sketch = sketch_deck(path, settings)
     if sketch.by_solver:
         logger.warning("solver: %s, which %s", sketch.name, sketch.by_solver)
-    if sketch.units is None and tests:
+    if sketch.units is None and tests and sketch.solver.deck.mesh().nodes.size:
         raise CampaignError(
             f"the units of {path} are not known, so a test cannot be laid over it: name them with "
             f"--units ({sketch.by_units})"

@@ -39,8 +39,9 @@ def identify(
 ) -> None:
     """Identify modes from measured response functions, and write them as a test file."""
     from modetune.adapters.test_files.measurements import read_measurement
+    from modetune.adapters.test_files.writing import check_out
     from modetune.core.errors import CampaignError
-    from modetune.flows.studies.identify.files import check_out, write_modes
+    from modetune.flows.studies.identify.files import write_modes
     from modetune.flows.studies.identify.identify import identify as identify_modes
 
     settings = _settings(band, order, pick, criteria)

@@ -26,7 +26,9 @@ from modetune.flows.cli.check import check
 from modetune.flows.cli.correlate import correlate
 from modetune.flows.cli.demo import demo
 from modetune.flows.cli.deploy import deploy
+from modetune.flows.cli.direct import direct
 from modetune.flows.cli.doctor import doctor
+from modetune.flows.cli.expand import expand
 from modetune.flows.cli.explain import explain
 from modetune.flows.cli.identify import identify
 from modetune.flows.cli.init import init
@@ -35,6 +37,7 @@ from modetune.flows.cli.localise import localise
 from modetune.flows.cli.modes import modes
 from modetune.flows.cli.paraview import paraview
 from modetune.flows.cli.pretest import pretest
+from modetune.flows.cli.reduce import reduce
 from modetune.flows.cli.report import report
 from modetune.flows.cli.sample import sample
 from modetune.flows.cli.schema import schema
@@ -54,6 +57,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "The test": (pretest, inspect, identify, sensors),
     "Model and test, before updating": (init, check, modes, correlate, screen, localise),
     "Updating": (update, view, explain),
+    "Whole matrices": (expand, reduce, direct),
     "How far to trust it": (validate, sample),
     "Results": (report, paraview),
     "Unattended": (deploy, serve, worker),

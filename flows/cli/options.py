@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,10 +17,17 @@ from modetune.core.errors import CampaignStopped
 if TYPE_CHECKING:
     from modetune.core.storage.store import Store
     from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.report.tables import Table
     from modetune.flows.updating.prefect import Pages
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
 ModelPath = Annotated[Path, typer.Argument(help="Campaign file (YAML), or a deck.")]
+TestPath = Annotated[
+    Path | None,
+    typer.Argument(
+        help="Test in place of the campaign's own; several files of one test with commas."
+    ),
+]
 SolverChoice = Annotated[
     str | None,
     typer.Option(
@@ -125,6 +133,46 @@ def begun(text: str) -> Iterator[Callable[[str], None]]:
     with JobProgress(terminal(stderr=True)).shown() as progress:
         progress.working(text)
         yield progress.working
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """What a command on whole matrices works on, and the pages it is told to."""
+
+    campaign: Campaign
+    values: Mapping[str, float]
+    pages: Pages | None
+
+    def done(self, said: str, tables: Sequence[Table], written: Sequence[Path]) -> None:
+        """It has come to its end."""
+        if self.pages is not None:
+            self.pages.done(said, tables, written)
+
+
+@contextmanager
+def condensed(
+    name: str,
+    model: Path,
+    test: Path | None,
+    at: list[str] | None,
+    solver: str | None,
+    units: str | None,
+    settings: list[str] | None,
+    no_prefect: bool,
+) -> Iterator[Condensed]:
+    """The model of `expand`, `reduce` and `direct` with its test; NAME of the command."""
+    with begun(f"{name}: reading {model}") as tell:
+        from modetune.flows.campaign.sketch import looked_at
+        from modetune.flows.updating.modal_run import parse_values
+
+        tests = [] if test is None else [test]
+        if test is not None and not test.exists():
+            tests = [Path(part.strip()) for part in str(test).split(",")]
+        campaign = looked_at(model, with_model(settings, solver, units), tests)
+        values = parse_values(campaign, at or [])
+        tell(f"{name}: {campaign.name} by {campaign.solver_name}")
+        with paged(name, campaign.name, no_prefect) as pages:
+            yield Condensed(campaign, values, pages)
 
 
 @contextmanager

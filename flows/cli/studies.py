@@ -16,9 +16,12 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.flows.cli.check import check
 from modetune.flows.cli.correlate import correlate
+from modetune.flows.cli.direct import direct
+from modetune.flows.cli.expand import expand
 from modetune.flows.cli.localise import localise
 from modetune.flows.cli.options import on_pages
 from modetune.flows.cli.pretest import pretest
+from modetune.flows.cli.reduce import reduce
 from modetune.flows.cli.sample import sample
 from modetune.flows.cli.screen import screen
 from modetune.flows.cli.update import update
@@ -28,7 +31,9 @@ if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.updating.prefect import Pages
 
-STUDIES = (update, screen, sample, validate, localise, check, pretest, correlate)
+STUDIES = (
+    update, screen, sample, validate, localise, check, pretest, correlate, expand, reduce, direct,
+)  # fmt: skip
 #: What is not part of a study: `deploy` has options for it, or nobody would see it.
 NOT_THERE = ("settings", "runs", "as_json", "no_prefect", "dry_run")
 #: What a wrong command line raises; typer has no name for it that all its versions share.

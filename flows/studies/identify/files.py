@@ -4,38 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modetune.adapters.test_files.hdf5 import write_test_hdf5
-from modetune.adapters.test_files.modes_csv import write_modes_csv
-from modetune.adapters.test_files.universal.write import write_universal
-from modetune.core.errors import CampaignError
-from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.adapters.test_files.writing import write_test
+from modetune.core.measurement.measurement import TestGeometry
 from modetune.flows.studies.identify.identify import Identification
-
-FORMS = (".csv", ".h5", ".unv", ".uff")
-
-
-def check_out(path: Path) -> None:
-    """Refuse what cannot be written, before the work is done. Raises CampaignError."""
-    if path.suffix.lower() not in FORMS:
-        raise CampaignError(f"{path}: a test file is written as {', '.join(FORMS)}, by its name")
 
 
 def write_modes(
     path: Path, found: Identification, geometry: TestGeometry | None, source: str
 ) -> None:
-    """Write the real modes, in CSV with a comment on how they came about.
-
-    geometry: of the test, which universal files and HDF5 take along. Raises StorageUnavailable,
-    CampaignError for an unknown ending.
-    """
-    check_out(path)
-    said = comments(found, source)
-    if path.suffix.lower() == ".csv":
-        write_modes_csv(path, found.modes.numbers, found.modes.modes, said)
-    elif path.suffix.lower() == ".h5":
-        write_test_hdf5(path, Measurement(found.modes, geometry, None, said))
-    else:
-        write_universal(path, Measurement(found.modes, geometry))
+    """Write the real modes. Raises StorageUnavailable, CampaignError for an unknown ending."""
+    write_test(path, found.modes, geometry, comments(found, source))
 
 
 def comments(found: Identification, source: str) -> tuple[str, ...]:

@@ -14,11 +14,20 @@ from hypothesis import strategies as st
 from scipy import linalg, sparse
 
 from modetune.core.algebra.factorisation import superlu_only
-from modetune.core.condensation.reduction import Reduction, dynamic, guyan, irs, serep
+from modetune.core.condensation.reduction import (
+    Reduction,
+    craig_bampton,
+    dynamic,
+    guyan,
+    irs,
+    iterated_irs,
+    reduced_modes,
+    serep,
+)
 from modetune.core.errors import ModelError, ModesError
 
 Method = Callable[[Any, Any, Any], Reduction]
-METHODS: tuple[Method, ...] = (guyan, irs)
+METHODS: tuple[Method, ...] = (guyan, irs, iterated_irs)
 
 
 def chain(n: int) -> tuple[sparse.csr_array, sparse.csr_array]:
@@ -113,8 +122,21 @@ def test_each_method_comes_closer_to_the_cantilevers_closed_form() -> None:
     # Roots of cos x cosh x = -1 (Blevins 1979, table 8-1); eigenvalue x^4 for unit E I, mass.
     exact = np.array([1.87510407, 4.69409113]) ** 4
     static, improved = guyan(k, m, masters), irs(k, m, masters)
-    errors = [np.abs(eigenvalues(one)[:2] / exact - 1.0) for one in (static, improved)]
+    iterated = iterated_irs(k, m, masters)
+    errors = [np.abs(eigenvalues(one)[:2] / exact - 1.0) for one in (static, improved, iterated)]
     assert (errors[1] < 0.1 * errors[0]).all()
+    assert iterated.converged
+    assert (errors[2] < 5e-6).all()  # what 20 elements leave
+
+
+def test_iterated_irs_reaches_the_lowest_modes_and_tells_when_it_did_not() -> None:
+    k, m = chain(60)
+    masters = [5, 20, 35, 50, 59]
+    exact = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
+    reduced = iterated_irs(k, m, masters, n_modes=3, tolerance=1e-12, max_iterations=200)
+    assert reduced.converged
+    np.testing.assert_allclose(eigenvalues(reduced)[:3], exact[:3], rtol=1e-7)
+    assert not iterated_irs(k, m, masters, n_modes=5, max_iterations=2).converged
 
 
 def test_serep_keeps_its_modes_exactly() -> None:
@@ -242,6 +264,11 @@ def test_modes_alike_at_the_masters_are_an_error_of_serep() -> None:
         serep(k, m, [0, 1], shapes[:4])
 
 
+def test_bad_settings_of_iterated_irs_are_refused() -> None:
+    with pytest.raises(ModesError, match="settle"):
+        iterated_irs(*chain(6), [0, 1], n_modes=3)
+
+
 def test_guyan_reduction_of_an_aeroplane_is_mystrans(shared_data: Path) -> None:
     with np.load(shared_data / "garteur/mystran/gart_KM.npz") as file:
         shape = tuple(file["shape"].tolist())
@@ -263,3 +290,38 @@ def test_guyan_reduction_of_an_aeroplane_is_mystrans(shared_data: Path) -> None:
     # IRS takes off what Guyan adds, at every one of the ten lowest elastic modes.
     improved = eigenvalues(irs(k, m, masters))[6:16]
     assert (np.abs(improved / full - 1.0) < 0.01 * np.abs(lam[6:16] / full - 1.0)).all()
+
+
+def test_all_fixed_modes_make_craig_and_bampton_exact_and_none_make_it_guyans() -> None:
+    k, m = chain(9)
+    masters = [8, 3]
+    whole, static = craig_bampton(k, m, masters, 7), craig_bampton(k, m, masters, 0)
+    full = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
+    # Nothing is lost: the same space in other coordinates.
+    np.testing.assert_allclose(eigenvalues(whole), full, rtol=1e-12)
+    np.testing.assert_allclose(static.stiffness, guyan(k, m, masters).stiffness, rtol=1e-13)
+    np.testing.assert_allclose(static.mass, guyan(k, m, masters).mass, rtol=1e-13)
+
+
+def test_fixed_modes_do_not_couple_with_masters_in_stiffness() -> None:
+    k, m = cantilever(8)
+    reduced = craig_bampton(k, m, [14, 6], 4)
+    held = np.delete(np.arange(16), [6, 14])
+    inner = k.toarray()[np.ix_(held, held)], m.toarray()[np.ix_(held, held)]
+    fixed = linalg.eigh(*inner, eigvals_only=True)[:4]
+    size = np.abs(reduced.stiffness).max()
+    np.testing.assert_allclose(reduced.stiffness[:2, 2:], 0.0, atol=1e-11 * size)
+    np.testing.assert_allclose(reduced.stiffness[2:, 2:], np.diag(fixed), atol=1e-9 * fixed[-1])
+    np.testing.assert_allclose(reduced.mass[2:, 2:], np.eye(4), atol=1e-10)
+    with pytest.raises(ModesError, match="17 fixed-interface modes"):
+        craig_bampton(k, m, [14, 6], 17)
+
+
+def test_modes_of_a_reduced_model_are_ritz_modes_of_the_full_one() -> None:
+    k, m = cantilever(8)
+    shapes = linalg.eigh(k.toarray(), m.toarray())[1][:, :3]
+    # Rank 3 at five masters: three modes, which SEREP keeps exactly.
+    found, phi = reduced_modes(serep(k, m, [0, 4, 8, 12, 14], shapes))
+    full = linalg.eigh(k.toarray(), m.toarray(), eigvals_only=True)
+    np.testing.assert_allclose(found, full[:3], rtol=1e-7)
+    np.testing.assert_allclose(np.abs(phi.T @ (m @ shapes)), np.eye(3), atol=1e-6)

@@ -187,3 +187,23 @@ def test_measured_modes_that_do_not_fit_are_refused() -> None:
         error_matrix_update(k, m, good, frequencies[:3], phi[:, :3])
     with pytest.raises(ModelError, match="not one model"):
         direct_matrix_update(k, sparse.eye_array(5), good)
+
+
+@pytest.mark.parametrize("rows", [ALL, np.array([0, 2, 4, 5])])
+def test_with_the_mass_believed_frequencies_are_exact_and_shapes_as_near_as_can_be(
+    rows: Any,
+) -> None:
+    k, m = chain(MODEL)
+    test = measured(3, rows)
+    update = direct_matrix_update(k, m, test, keep_mass=True)
+    assert not update.mass_change.core.any()
+    phi = update.mode_shapes
+    np.testing.assert_allclose(phi.T @ (m @ phi), np.eye(3), atol=1e-12)
+    new_k = update.stiffness_change.added_to(k)
+    lam = (2.0 * np.pi * test.frequencies_hz) ** 2
+    np.testing.assert_allclose(new_k @ phi, m @ phi * lam, atol=1e-9 * np.abs(new_k).max())
+    # Baruch: of all orthonormal sets none is nearer in the mass than the symmetric turn gives.
+    given = direct_matrix_update(k, m, test).mode_shapes
+    turn = linalg.expm(0.01 * np.array([[0, 1, -2], [-1, 0, 1], [2, -1, 0]]))
+    away, farther = ((x - given).T @ (m @ (x - given)) for x in (phi, phi @ turn))
+    assert np.trace(away) < np.trace(farther)

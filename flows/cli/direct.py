@@ -1,0 +1,122 @@
+"""`modetune direct`: whole matrices corrected from measured modes, and what that breaks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import (
+    AsJson,
+    At,
+    ModelPath,
+    NoPrefect,
+    Settings,
+    SolverChoice,
+    TestPath,
+    UnitsChoice,
+    condensed,
+    stoppable,
+)
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.studies.condensation.direct import DirectCorrection
+
+
+def direct(
+    model: ModelPath,
+    test: TestPath = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="berman (mass and stiffness), baruch (stiffness alone) or error_matrix "
+            "(first order)."
+        ),
+    ] = "berman",
+    filling: Annotated[
+        str,
+        typer.Option(help="How unmeasured unknowns are filled: kidder, static, serep or model."),
+    ] = "kidder",
+    mass_normalised: Annotated[
+        bool,
+        typer.Option(
+            "--mass-normalised",
+            help="The test's shapes are of unit modal mass in the model's own unit.",
+        ),
+    ] = False,
+    at: At = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml.")
+    ] = None,
+    solver: SolverChoice = None,
+    units: UnitsChoice = None,
+    settings: Settings = None,
+    no_prefect: NoPrefect = False,
+    as_json: AsJson = False,
+) -> None:
+    """Correct stiffness and mass as whole matrices, and tell what that breaks in them."""
+    with (
+        stoppable(),
+        condensed("direct", model, test, at, solver, units, settings, no_prefect) as on,
+    ):
+        from modetune.adapters.matrices.exchange import check_form, write_matrices
+        from modetune.flows.studies.condensation.direct import (
+            correct_directly,
+            filling_named,
+            method_named,
+        )
+
+        if out is not None:
+            check_form(out)
+        ways = method_named(method), filling_named(filling)
+        found = correct_directly(on.campaign, on.values, *ways, mass_normalised, on.pages)
+        written = write_matrices(out, found.matrices) if out is not None else ()
+        on.done(found.sentence, _tables(found), written)
+    if as_json:
+        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
+        return
+    said = *found.notes, found.sentence, *(f"written: {path}" for path in written)
+    show([*_tables(found), *said])
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectedRow:
+    """A mode of the corrected model; test: the imposed mode that it is, 0 where it is none."""
+
+    mode: Annotated[int, Column("mode")]
+    corrected_hz: Annotated[float, Column("corrected", "Hz", ".5g")]
+    test: Annotated[str, Column("test mode")]
+    difference: Annotated[float, Column("off the test", "%", "+.2g")]
+    initial_hz: Annotated[float, Column("most like before", "Hz", ".5g")]
+    mac: Annotated[float, Column("by MAC", form=".3f")]
+
+
+def _tables(found: DirectCorrection) -> list[Table]:
+    rows = [
+        CorrectedRow(
+            place,
+            item.corrected_hz,
+            str(item.test or ""),
+            item.difference,
+            item.initial_hz,
+            item.mac,
+        )
+        for place, item in enumerate(found.modes, start=1)
+    ]
+    return [table_of("Modes of the corrected model", rows, CorrectedRow)]
+
+
+def told(found: DirectCorrection) -> dict[str, Json]:
+    """The `--json` object of `modetune direct`."""
+    return json_object(
+        found,
+        "method filling imposed lost modes why_no_modes damage residual rigid_hz condition notes",
+        status="done",
+        unknowns=found.n,
+        measured=found.n_seen,
+    )

@@ -1,0 +1,126 @@
+"""`modetune reduce`: a model condensed to a few of its unknowns, for other programs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.cli.options import (
+    AsJson,
+    At,
+    ModelPath,
+    NoPrefect,
+    Settings,
+    SolverChoice,
+    TestPath,
+    UnitsChoice,
+    condensed,
+    stoppable,
+)
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+
+if TYPE_CHECKING:
+    from modetune.core.storage.keys import Json
+    from modetune.flows.studies.condensation.reduce import ModelReduction
+
+
+def reduce(
+    model: ModelPath,
+    test: TestPath = None,
+    method: Annotated[
+        str, typer.Option(help="guyan, irs, iterated_irs, serep or craig_bampton.")
+    ] = "guyan",
+    masters: Annotated[
+        str,
+        typer.Option(
+            help="Unknowns that are kept: 12.z,13,20-25.xyz, or a file with them; default: the "
+            "test's sensors."
+        ),
+    ] = "",
+    modes: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Modes that are compared, and that SEREP keeps or Craig-Bampton adds."
+        ),
+    ] = None,
+    at: At = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Matrices: .npz, .op4, .bdf (DMIG), or .yaml, a model that modetune takes."
+        ),
+    ] = None,
+    solver: SolverChoice = None,
+    units: UnitsChoice = None,
+    settings: Settings = None,
+    no_prefect: NoPrefect = False,
+    as_json: AsJson = False,
+) -> None:
+    """Reduce a model to a few unknowns, its frequencies beside the full model's."""
+    with (
+        stoppable(),
+        condensed("reduce", model, test, at, solver, units, settings, no_prefect) as on,
+    ):
+        from modetune.adapters.matrices.exchange import check_form, write_matrices
+        from modetune.flows.studies.condensation.reduce import (
+            ReductionRequest,
+            method_named,
+            reduce_model,
+        )
+
+        if out is not None:
+            check_form(out)
+        request = ReductionRequest(method_named(method), masters, modes)
+        found = reduce_model(on.campaign, on.values, request, on.pages)
+        written = write_matrices(out, found.matrices) if out is not None else ()
+        on.done(found.sentence, [_table(found)], written)
+    if as_json:
+        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
+        return
+    from modetune.core.modes import dof_name
+
+    held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
+    lines = [held] if found.held else []
+    show([_table(found), *lines, found.sentence, *(f"written: {path}" for path in written)])
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedMode:
+    """A mode of the full model beside the reduced one's; error: relative, NaN of rigid modes."""
+
+    mode: Annotated[int, Column("mode")]
+    full_hz: Annotated[float, Column("full model", "Hz", ".5g")]
+    reduced_hz: Annotated[float, Column("reduced", "Hz", ".5g")]
+    error: Annotated[float, Column("error", "%", "+.3g", "rigid")]
+    shared: Annotated[float, Column("of its kinetic energy kept", "%", ".4g")]
+
+
+def _rows(found: ModelReduction) -> list[ReducedMode]:
+    columns = found.full_hz, found.reduced_hz, found.errors, found.shared
+    values = zip(*(column.tolist() for column in columns), strict=True)
+    return [ReducedMode(number, *row) for number, row in enumerate(values, start=1)]
+
+
+def told(found: ModelReduction) -> dict[str, Json]:
+    """The `--json` object of `modetune reduce`."""
+    from modetune.core.modes import dof_name
+
+    return json_object(
+        found,
+        "method",
+        status="done",
+        unknowns=found.n_full,
+        masters=[dof_name(dof) for dof in found.masters],
+        held=[dof_name(dof) for dof in found.held],
+        condition=found.reduction.condition,
+        converged=found.reduction.converged,
+        modes=_rows(found),
+    )
+
+
+def _table(found: ModelReduction) -> Table:
+    return table_of(f"Reduced to {len(found.masters)} masters", _rows(found), ReducedMode)

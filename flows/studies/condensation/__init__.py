@@ -1,0 +1,1 @@
+"""Reduction, expansion and direct methods on a model's own matrices."""

@@ -1,0 +1,342 @@
+"""Corrections of whole matrices from measured modes, and what they break: `modetune direct`.
+
+Direct methods reproduce the test at once, and know nothing of springs and plates. What a user has
+to know before a corrected matrix is used: where it couples unknowns that no element joins, how much
+of it is at unknowns that nobody measured, whether it is still a stiffness and a mass (no negative
+eigenvalue), whether rigid motion costs energy now, and which modes that were not measured moved.
+
+The corrected matrices are full, so that their model has to be small: a large one is reduced to its
+sensors first (`modetune reduce --out FILE.yaml`), as the field does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy import linalg, sparse
+from scipy.sparse.linalg import spsolve
+
+from modetune.adapters.matrices.exchange import WrittenMatrices
+from modetune.core.algebra.eigen import solve_modes
+from modetune.core.brief import brief
+from modetune.core.correlation.pairing import pair_by_shape
+from modetune.core.errors import CampaignError, ModelError
+from modetune.core.modes import Floats, Integers, ModeSet, Normalisation, mode_set
+from modetune.core.parameters import Values
+from modetune.core.updating.direct import (
+    Filling,
+    LowRankChange,
+    ReferenceModes,
+    direct_matrix_update,
+    error_matrix_update,
+)
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.studies.condensation.model import (
+    FullModel,
+    by_sensors,
+    full_model,
+    named,
+    relative,
+    sensor_names,
+)
+
+DirectMethod = Literal["berman", "baruch", "error_matrix"]
+METHODS: tuple[DirectMethod, ...] = get_args(DirectMethod)
+FILLINGS: tuple[Filling, ...] = get_args(Filling)
+#: Unknowns of a model whose full matrices are still handled at ease: 70 MB each.
+MOST = 3000
+#: Eigenvalues and couplings below this part of the largest, an unknown, are rounding.
+ROUNDING = 1e-13
+#: As in reductions: below this part of the highest eigenvalue looked at a mode is rigid.
+REST = 1e-8
+#: A corrected mode of this MAC with an imposed shape is that one.
+SAME = 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectedMode:
+    """A mode of the corrected model, and the test's or the model's own one that it is most like.
+
+    test: number of the test's mode, 0 where it is none; difference: of frequency to that, relative;
+    initial_hz: of the first model's mode that it is most like, mac: how much.
+    """
+
+    corrected_hz: float
+    test: int
+    difference: float
+    initial_hz: float
+    mac: float
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixDamage:
+    """What a change breaks in one matrix, each entry by the roots of its diagonal ones, so that
+    units do not count.
+
+    size: of the change over that of the matrix; couplings: entries that were zero and are not;
+    outside: the part of the change's size at entries that were zero; unmeasured: that at rows or
+    columns that no sensor sees; negative: negative eigenvalues that it brought.
+    """
+
+    matrix: str
+    size: float
+    couplings: int
+    outside: float
+    unmeasured: float
+    negative: int
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class DirectCorrection:
+    """A model corrected by a direct method.
+
+    imposed: numbers of the test's modes that were used; lost: those without a partner in the model,
+    which the method had to leave out. modes: the lowest of the corrected model. residual: largest
+    of |K phi - w^2 M phi| over |K phi| of the test's modes, at all unknowns. rigid_hz: frequency
+    that rigid motion now has, 0 without rigid modes. condition: of the worst inverse.
+    """
+
+    method: DirectMethod
+    filling: Filling
+    n: int
+    n_seen: int
+    imposed: tuple[int, ...]
+    lost: tuple[int, ...]
+    modes: tuple[CorrectedMode, ...]
+    why_no_modes: str
+    damage: tuple[MatrixDamage, MatrixDamage]
+    residual: float
+    rigid_hz: float
+    condition: float
+    matrices: WrittenMatrices
+
+    __repr__ = brief
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What it breaks, a sentence each."""
+        said = []
+        for item in self.damage:
+            if item.size == 0.0:
+                continue
+            said.append(
+                f"{item.matrix}: changed by {100.0 * item.size:.3g} % of its size; "
+                f"{item.couplings} couplings of unknowns that no element joins, "
+                f"{100.0 * item.outside:.3g} % of the change; {100.0 * item.unmeasured:.3g} % of "
+                f"it at unknowns that no sensor sees ({self.n - self.n_seen} of {self.n})"
+            )
+            if item.negative:
+                said.append(
+                    f"{item.matrix} has {item.negative} negative eigenvalues more than before: it "
+                    "is not that of a structure"
+                )
+        if self.rigid_hz > 0.0:
+            said.append(f"rigid motion is not free any more: it has up to {self.rigid_hz:.4g} Hz")
+        if self.lost:
+            said.append(
+                f"without a partner in the model, and so left out: test mode "
+                f"{', '.join(map(str, self.lost))}"
+            )
+        if self.why_no_modes:
+            said.append(f"the corrected matrices have no modes to show: {self.why_no_modes}")
+        return tuple(said)
+
+    @property
+    def sentence(self) -> str:
+        """What came out, for people."""
+        return (
+            f"{self.method} with {len(self.imposed)} test modes at {self.n_seen} of {self.n} "
+            f"unknowns (filled by {self.filling}): these are modes of the corrected model to "
+            f"{self.residual:.2g}"
+        )
+
+
+def method_named(name: str) -> DirectMethod:
+    """A method by its name. Raises CampaignError."""
+    return named("--method", name, METHODS)
+
+
+def filling_named(name: str) -> Filling:
+    """A way of filling by its name. Raises CampaignError."""
+    return named("--filling", name, FILLINGS)
+
+
+def correct_directly(
+    campaign: Campaign,
+    values: Values,
+    method: DirectMethod = "berman",
+    filling: Filling = "kidder",
+    mass_normalised: bool = False,
+    watcher: JobWatcher | None = None,
+) -> DirectCorrection:
+    """Correct a model's matrices. Raises CampaignError, ModesError, ModelError, SolverError.
+
+    mass_normalised: whether the test's shapes are of unit modal mass in the deck's own unit; else
+    they are scaled to that in the model, and so say nothing of the whole mass.
+    """
+    names = sensor_names(campaign)
+    model = full_model(campaign, values, watcher)
+    n = model.stiffness.shape[0]
+    if n > MOST:
+        raise CampaignError(
+            f"{campaign.name} has {n} unknowns, and direct methods fill whole matrices: {MOST} is "
+            "the most; reduce it first (`modetune reduce --out reduced.yaml`) and name that"
+        )
+    seen, moving = model.seen(by_sensors(model), names)
+    own = _modes_of(model, min(campaign.case.n_modes, n))
+    test = campaign.case.measured.modes.rows(moving)
+    if np.iscomplexobj(test.mode_shapes):
+        raise CampaignError("direct methods are for undamped models: real shapes are required")
+    watched = sparse.csr_array(by_sensors(model).matrix[moving])
+    computed = mode_set(
+        own.elastic_hz, np.asarray(watched @ own.elastic), test.nodes, test.components
+    )
+    pairing = pair_by_shape(test, computed, drop=True)
+    paired = method == "error_matrix" or filling == "model"
+    used = pairing.measured if paired else np.arange(test.n_modes)
+    partners = pairing.computed if paired else np.arange(min(computed.n_modes, moving.size))
+    back = sparse.csc_array(seen.back)
+    basis = spsolve(back, own.elastic[:, partners]).reshape(n, partners.size)
+    given = test.select(used)
+    scale: Normalisation = "mass" if mass_normalised else "unknown"
+    reference = ReferenceModes(
+        given.frequencies_hz, given.mode_shapes.real, seen.rows, scale, filling
+    )
+    if method == "error_matrix":
+        pairs = own.elastic_hz[partners], basis
+        found = error_matrix_update(seen.stiffness, seen.mass, reference, *pairs)
+    else:
+        keep = method == "baruch"
+        found = direct_matrix_update(seen.stiffness, seen.mass, reference, basis, keep)
+    stiffness, mass = (
+        LowRankChange(spsolve(back.T.tocsc(), item.basis).reshape(n, -1), item.core).dense()
+        for item in (found.stiffness_change, found.mass_change)
+    )
+    k, m = model.stiffness.toarray() + stiffness, model.mass.toarray() + mass
+    numbers = np.array(campaign.case.measured.numbers, dtype=np.int64)
+    phi = np.asarray(back @ found.mode_shapes)
+    modes, why = _corrected(k, m, own, model, (numbers[used], given, phi))
+    said = f"modetune direct: {campaign.name}, {method}, {used.size} modes, filled by {filling}"
+    return DirectCorrection(
+        method=method,
+        filling=filling,
+        n=n,
+        n_seen=int(moving.size),
+        imposed=tuple(numbers[used].tolist()),
+        lost=tuple(np.delete(numbers, used).tolist()),
+        modes=modes,
+        why_no_modes=why,
+        damage=(
+            _damage("stiffness", model.stiffness, stiffness, watched),
+            _damage("mass", model.mass, mass, watched),
+        ),
+        residual=float(np.max(relative(k @ phi - m @ phi * given.eigenvalues, k @ phi))),
+        rigid_hz=_rigid_hz(own, k, m),
+        condition=found.condition,
+        matrices=WrittenMatrices(
+            k, m, model.matrices.nodes, model.matrices.components, comments=(said,)
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _OwnModes:
+    """Modes of the model before: frequencies (n_modes,) and shapes (n, n_modes) of elastic ones,
+    shapes of rigid ones."""
+
+    elastic_hz: Floats
+    elastic: Floats
+    rigid: Floats
+
+
+def _modes_of(model: FullModel, count: int) -> _OwnModes:
+    eigenvalues, shapes = solve_modes(model.stiffness, model.mass, count)
+    rest = eigenvalues <= REST * np.abs(eigenvalues).max()
+    frequencies = np.sqrt(eigenvalues[~rest]) / (2.0 * np.pi)
+    return _OwnModes(frequencies, shapes[:, ~rest], shapes[:, rest])
+
+
+def _corrected(
+    k: Floats,
+    m: Floats,
+    own: _OwnModes,
+    model: FullModel,
+    imposed: tuple[Integers, ModeSet, Floats],
+) -> tuple[tuple[CorrectedMode, ...], str]:
+    """The lowest modes of the corrected model, as many as are known of the first; or why none."""
+    count = own.elastic_hz.size + own.rigid.shape[1]
+    try:
+        eigenvalues, shapes = linalg.eigh(k, m, subset_by_index=(0, count - 1))
+    except linalg.LinAlgError:  # unknowns without mass, or a mass matrix that is none any more
+        try:
+            pair = sparse.csr_array(k), sparse.csr_array(m)
+            eigenvalues, shapes = solve_modes(*pair, count)
+        except ModelError as error:
+            return (), str(error)
+    hertz = np.sign(eigenvalues) * np.sqrt(np.abs(eigenvalues)) / (2.0 * np.pi)
+    numbers, test, phi = imposed
+    first = np.hstack([own.rigid, own.elastic])
+    first_hz = np.concatenate([np.zeros(own.rigid.shape[1]), own.elastic_hz])
+    with_own, with_test = (_likeness(model.mass, shapes, other) for other in (first, phi))
+    rows = []
+    for place, value in enumerate(hertz.tolist()):
+        partner, mine = int(with_own[place].argmax()), int(with_test[place].argmax())
+        is_test = with_test[place, mine] > SAME
+        number = int(numbers[mine]) if is_test else 0
+        away = value / float(test.frequencies_hz[mine]) - 1.0 if is_test else float("nan")
+        rows.append(
+            CorrectedMode(
+                value, number, away, float(first_hz[partner]), float(with_own[place, partner])
+            )
+        )
+    return tuple(rows), ""
+
+
+def _likeness(mass: sparse.csr_array, shapes: Floats, others: Floats) -> Floats:
+    """MAC in the metric of a mass matrix, (n_shapes, n_others)."""
+    m_shapes, m_others = mass @ shapes, mass @ others
+    sizes = np.outer(np.sum(shapes * m_shapes, axis=0), np.sum(others * m_others, axis=0))
+    return np.asarray((shapes.T @ m_others) ** 2 / np.abs(sizes))
+
+
+def _damage(
+    name: str, before: sparse.csr_array, change: Floats, watched: sparse.csr_array
+) -> MatrixDamage:
+    """What a change (n, n) breaks in a matrix."""
+    matrix: Floats = before.toarray()
+    diagonal = np.abs(np.diag(matrix))
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, diagonal[diagonal > 0.0].mean()))
+    whole, added = matrix * np.outer(scale, scale), change * np.outer(scale, scale)
+    new = (matrix == 0.0) & (np.abs(added) > ROUNDING * np.abs(whole).max())
+    unseen = np.ones(matrix.shape[0], dtype=np.bool_)
+    unseen[watched.indices] = False
+    size = float(np.linalg.norm(added))
+    part = size or 1.0
+    return MatrixDamage(
+        matrix=name,
+        size=size / float(np.linalg.norm(whole)),
+        couplings=int(new.sum()),
+        outside=float(np.linalg.norm(added[new])) / part,
+        unmeasured=float(np.linalg.norm(added[unseen[:, None] | unseen])) / part,
+        negative=_negative(np.asarray(whole + added)) - _negative(whole),
+    )
+
+
+def _negative(matrix: Floats) -> int:
+    """Eigenvalues below zero by more than rounding (n eps of the largest, and sums of it)."""
+    values = np.linalg.eigvalsh(matrix)
+    return int((values < -ROUNDING * values.size * np.abs(values).max()).sum())
+
+
+def _rigid_hz(own: _OwnModes, k: Floats, m: Floats) -> float:
+    """The highest frequency that the rigid modes have now; 0 without them, or as good as free."""
+    rigid = own.rigid
+    if not rigid.shape[1]:
+        return 0.0
+    stiffness, mass = rigid.T @ k @ rigid, rigid.T @ m @ rigid
+    largest = float(np.abs(linalg.eigvals(stiffness, mass)).max())
+    highest = (2.0 * np.pi * own.elastic_hz.max(initial=0.0)) ** 2
+    return float(np.sqrt(largest) / (2.0 * np.pi)) if largest > REST * highest else 0.0
