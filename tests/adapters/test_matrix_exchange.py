@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ def written(n: int = 7, n_scalar: int = 2) -> WrittenMatrices:
     """Numbers over twenty decades with empty columns; nodes 3, 4, ... and scalar points."""
     random = np.random.default_rng(n)
     half = random.normal(size=(n, n)) * 10.0 ** random.integers(-10, 10, (n, n))
-    stiffness = half + half.T
+    stiffness: Any = half + half.T
     stiffness[2], stiffness[:, 2] = 0.0, 0.0
     nodes = np.array([3, 3, 4, 5, 5, 90, 91][:n], dtype=np.int64)
     components = np.array([1, 6, 3, 1, 2, 1, 1][:n], dtype=np.int64)
@@ -75,7 +76,7 @@ def test_an_output4_matrix_of_a_model_is_updated_where_it_stands(tmp_path: Path)
     assert abs(ratio).max() == 0.0
 
 
-def read_of(folder: Path) -> object:
+def read_of(folder: Path) -> Any:
     write_matrices(folder / "r.op4", written())
     return read_matrix(folder, "r.op4:KAAX")
 
