@@ -46,7 +46,8 @@ BINARY: tuple[tuple[bytes, str, str], ...] = (
 )
 #: What has such lines near its start, the first that fits: form, pattern, what it is, remedy.
 TEXT: tuple[tuple[Form, str, str, str], ...] = (
-    ("universal", r"^ {4}-1[ \t]*\r?\n {0,5}\d{1,5}b?\b", "a universal file", ""),
+    ("universal", r"^ {4}-1[ \t]*\r?\n {0,5}\d{1,5}b?\b|\A\s*-1[ \t]*\r?\n[ \t]*\d{2,4}b?[ \t\r]*$",
+     "a universal file", ""),
     ("frd", r"\A {4}1[CU]", "a result file of CalculiX (.frd)", ""),
     ("punch", r"\A(?:\$[^\n]*\n){0,3}\$TITLE   =[^\n]{50,69} \d+[ \r]*$",
      "a punch file of Nastran", ""),

@@ -30,6 +30,8 @@ Axes = Literal["rows", "columns", "auto"]
 TEST_LAB = re.compile(r"test\.?\s?lab\b(?:\D*(\d+))?", re.IGNORECASE)
 #: The first revision that writes columns.
 COLUMNS_FROM = 15
+#: Whose name Test.Lab has had since 2018, after that revision, with or without a number.
+SIMCENTER = "simcenter"
 #: A direction along a line: cosine of 2 degrees.
 ALONG = 0.9994
 #: Nodes that must tell, and the share of them that must agree.
@@ -71,6 +73,8 @@ def _found(file: UniversalFile) -> tuple[Literal["rows", "columns"], str]:
     """What the program's name and the drawing say; rows, and no reason, where neither does."""
     known = TEST_LAB.search(file.program)
     revision = int(known.group(1) or 0) if known else 0
+    if known and not known.group(1) and SIMCENTER in file.program.lower():
+        revision = COLUMNS_FROM
     rows, columns, count = _along_lines(file)
     told = count >= FEWEST and max(rows, columns) >= MOST and abs(rows - columns) > 0.5
     lines = f"the lines of the drawing run along them at {max(rows, columns):.0%} of {count} points"

@@ -28,12 +28,13 @@ class DatasetPlace:
 class Units:
     """Dataset 164. metres, newtons: the file's units of length and force in SI.
 
-    newtons: NaN where the file gives no factor that can be one.
+    newtons: NaN where the file gives no factor that can be one. doubt: "" where there is none.
     """
 
     place: DatasetPlace
     metres: float
     newtons: float
+    doubt: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +90,7 @@ class DatasetShape:
 
     number: the mode's, 0 where the file gives none. damping: ratio, NaN where not given. values:
     (n, 3) or (n, 6), real or complex, zero where nothing was measured. modal_mass: NaN where none.
+    doubt: "" where there is none.
     """
 
     place: DatasetPlace
@@ -98,6 +100,7 @@ class DatasetShape:
     nodes: Integers
     values: Floats | Complexes
     modal_mass: float
+    doubt: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +109,8 @@ class Function:
 
     kind: 4 response function, 6 coherence, ... direction: 1..6 with the sensor's sign, 0 for a
     scalar. numerator, denominator: kinds of quantity, 8 displacement, 11 velocity, 12 acceleration,
-    13 force. unit, denominator_unit: labels of their units.
+    13 force. unit, denominator_unit: labels of their units. part, reference_part: the components of
+    the structure that the nodes are of, "" where they have no name.
     """
 
     place: DatasetPlace
@@ -121,6 +125,8 @@ class Function:
     denominator: int
     unit: str
     denominator_unit: str
+    part: str = ""
+    reference_part: str = ""
 
 
 Content = Units | NodeTable | CoordinateSystems | Drawing | DatasetShape | Function

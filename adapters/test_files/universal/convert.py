@@ -7,6 +7,7 @@ the dataset ("has ..."), where the answer does not fit what the dataset announce
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,10 @@ from modetune.adapters.test_files.universal.contents import (
 )
 from modetune.core.modes import Floats, Integers
 
+#: Units of length by the code of dataset 164, metres; 9 is one of the user's.
+CODES = {1: 1.0, 2: 0.3048, 3: 1.0, 4: 0.3048, 5: 1e-3, 6: 1e-2, 7: 0.0254, 8: 1e-3}
+#: A point as test systems name it, where it has no number: wing:12, wing:12:+Z.
+_POINT = re.compile(r"(?:.*:)?(\d+)(?::?([+-]?)([XYZ]))?", re.IGNORECASE)
 #: Coordinates beyond this are garbled text, in whatever unit; their squares are still numbers.
 FARTHEST = 1e30
 
@@ -34,7 +39,13 @@ def units(place: DatasetPlace, block: DatasetBlock, read: Any) -> Units:
         raise ValueError(f"has {factor:g} as factor of lengths, which must be above zero")
     force = float(read["force"])
     newtons = 1.0 / force if math.isfinite(force) and force > 0.0 else math.nan
-    return Units(place, 1.0 / factor, newtons)
+    named = CODES.get(int(read["units_code"]))
+    if named is None or math.isclose(named, 1.0 / factor, rel_tol=0.01):
+        return Units(place, 1.0 / factor, newtons)
+    said = f"its code {read['units_code']} means lengths in {named:g} m, its factor {factor:g}"
+    if math.isclose(named, factor, rel_tol=0.01):  # the factor is the other way round
+        return Units(place, factor, 1.0 / newtons, f"{said} the inverse; the code is taken")
+    return Units(place, 1.0 / factor, newtons, f"{said} {1.0 / factor:g} m; the factor is taken")
 
 
 def node_table(place: DatasetPlace, block: DatasetBlock, read: Any) -> NodeTable:
@@ -164,20 +175,37 @@ def function(place: DatasetPlace, block: DatasetBlock, read: Any) -> Function:
     count = int(read["num_pts"])
     if values.size < count or abscissae.size < count:
         raise ValueError(f"announces {count} values and has {values.size}")
+    part, node, direction = _end(read, "rsp")
+    reference_part, reference_node, reference_direction = _end(read, "ref")
     return Function(
         place=place,
         kind=int(read["func_type"]),
         abscissae=abscissae[:count],
         values=values[:count],
-        node=int(read["rsp_node"]),
-        direction=int(read["rsp_dir"]),
-        reference_node=int(read["ref_node"]),
-        reference_direction=int(read["ref_dir"]),
+        node=node,
+        direction=direction,
+        reference_node=reference_node,
+        reference_direction=reference_direction,
         numerator=int(read["ordinate_spec_data_type"]),
         denominator=int(read["orddenom_spec_data_type"]),
         unit=str(read["ordinate_axis_units_lab"]).strip(),
         denominator_unit=str(read["orddenom_axis_units_lab"]).strip(),
+        part=part,
+        reference_part=reference_part,
     )
+
+
+def _end(read: Any, end: str) -> tuple[str, int, int]:
+    """Component, node and direction of one end of a function; by its name if it has no number."""
+    name = str(read[f"{end}_ent_name"]).strip()
+    part = "" if name.upper() == "NONE" else name
+    node, direction = int(read[f"{end}_node"]), int(read[f"{end}_dir"])
+    named = _POINT.fullmatch(part)
+    if node or named is None:
+        return part, node, direction
+    if not direction and named[3]:
+        direction = ("XYZ".index(named[3].upper()) + 1) * (-1 if named[2] == "-" else 1)
+    return part.rpartition(named[1])[0].strip(":"), int(named[1]), direction
 
 
 def _whole(values: Floats) -> Integers:

@@ -1,6 +1,6 @@
 """Universal files read through pyuff: a test's points, modes and functions, in one or in several.
 
-pyuff reads whole files by name. It gets a tidied copy of the datasets that matter (`blocks.py`),
+pyuff reads whole files by name. It gets a tidied copy of the datasets that matter (`tidying.py`),
 and what it returns is checked against the counts that the dataset itself gives. A dataset that
 neither can read is passed over with a note.
 """
@@ -17,11 +17,13 @@ import numpy as np
 import pyuff
 
 from modetune.adapters.test_files.universal.axes import Axes, with_axes
-from modetune.adapters.test_files.universal.blocks import DatasetBlock, bad_row, read_blocks, tidy
+from modetune.adapters.test_files.universal.blocks import DatasetBlock, read_blocks
 from modetune.adapters.test_files.universal.contents import (
     Content,
     DatasetPlace,
+    DatasetShape,
     Function,
+    Units,
     UniversalFile,
 )
 from modetune.adapters.test_files.universal.convert import (
@@ -37,6 +39,7 @@ from modetune.adapters.test_files.universal.functions import frfs
 from modetune.adapters.test_files.universal.geometry import geometry
 from modetune.adapters.test_files.universal.modes import modes
 from modetune.adapters.test_files.universal.shapes import shape_55, shape_2414
+from modetune.adapters.test_files.universal.tidying import bad_row, tidy
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats
@@ -54,8 +57,9 @@ CONVERT: dict[int, Callable[[DatasetPlace, DatasetBlock, Any], Content | None]] 
     2414: shape_2414,
     2420: systems_2420,
 }
-#: Datasets whose content is not needed otherwise: a header with names and dates.
-UNUSED = {151}
+#: Datasets whose content is not needed otherwise: a header with names and dates; windows, averages
+#: and names beside each function (1858), none of which changes a ratio.
+UNUSED = {151, 1858}
 #: Rows of a header, counted from its number on, with the program that wrote the file or its data.
 PROGRAMS = (6, 3)
 
@@ -84,6 +88,7 @@ def read_file(path: Path) -> UniversalFile:
         notes.append(f"{path}: dataset {name} ({_lines(lines)}) is not one that is read here")
     contents = _contents(wanted, passed)
     notes += [_passed_over(reason, found) for reason, found in passed.items()]
+    notes += _doubts(contents)
     if not contents:
         raise CampaignError([f"{path} holds nothing of a test that can be read", *notes])
     return UniversalFile(
@@ -141,6 +146,19 @@ def _passed_over(reason: str, found: Sequence[tuple[DatasetPlace, DatasetBlock]]
     where = "" if row is None else f" (line {block.line + row} is not made of numbers)"
     more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
     return f"{doubt}{place} {reason}{where}; passed over{more}"
+
+
+def _doubts(contents: Sequence[Content]) -> list[str]:
+    """What is doubtful of datasets that are read, a sentence each kind of doubt."""
+    found: dict[str, list[DatasetPlace]] = {}
+    for item in contents:
+        if isinstance(item, Units | DatasetShape) and item.doubt:
+            found.setdefault(item.doubt, []).append(item.place)
+    return [
+        f"doubtful: {places[0]}: {doubt}"
+        + (f" (and {len(places) - 1} more)" if len(places) > 1 else "")
+        for doubt, places in found.items()
+    ]
 
 
 def _read_set(file: Any, index: int) -> Any:

@@ -30,6 +30,9 @@ FORCES = (0, 1, 9, 13)
 #: What the others are called, for people.
 MOTIONS = {8: "a displacement", 11: "a velocity", 12: "an acceleration"}
 
+#: How a doubt begins about points of several components with one number.
+UNNUMBERED = "whose point"
+
 Dof = tuple[int, int, int, int]
 
 
@@ -48,12 +51,13 @@ def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | Non
             continue
         grid = np.round(function.abscissae, 6).tobytes()
         group = usable.setdefault((quantity, grid), {})
-        if _dof(function) in group:
-            passed.setdefault("that was given before", []).append(function)
+        if (first := group.get(_dof(function))) is not None:
+            passed.setdefault(_again(first, function), []).append(function)
         group.setdefault(_dof(function), function)
     for reason, others in passed.items():
         more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
-        notes.append(f"{others[0].place}: a response function {reason}; passed over{more}")
+        doubt = "doubtful: " if reason.startswith(UNNUMBERED) else ""
+        notes.append(f"{doubt}{others[0].place}: a response function {reason}; passed over{more}")
     if not usable:
         return None
     chosen = max(usable, key=lambda key: len(usable[key]))
@@ -77,6 +81,18 @@ def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | Non
         reference_components=np.abs(names[:, 3]),
         reference_signs=np.sign(names[:, 3]).astype(np.float64),
         coherences=_coherences(group, functions, notes),
+    )
+
+
+def _again(first: Function, second: Function) -> str:
+    """Why a function at the node and direction of one before is passed over."""
+    parts, others = ((end.part, end.reference_part) for end in (first, second))
+    if parts == others:
+        return "that was given before"
+    one, two = (" over ".join(name or "no name" for name in names) for names in (parts, others))
+    return (
+        f"{UNNUMBERED} in {two} has the number of one in {one}; export the test with numbers that "
+        "are used once over all components"
     )
 
 

@@ -26,6 +26,8 @@ from modetune.core.modes import Floats, MeasuredModes, ModeSet
 SAME_MODE, SAME_POLE = 1e-2, 1e-3
 #: How far shapes of one mode may differ at a node, relative to their largest entry.
 SAME_VALUE = 1e-3
+#: Damping ratios that structures with modes hardly have.
+HIGH = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +245,12 @@ def _damping_ratios(
     negative = [number for number, ratio in zip(numbers, ratios, strict=True) if ratio < 0.0]
     if negative:
         notes.append(f"doubtful: modes with negative damping: {_some(negative)}")
+    high = [number for number, ratio in zip(numbers, ratios, strict=True) if ratio > HIGH]
+    if high:
+        notes.append(
+            f"doubtful: modes with a damping ratio above {HIGH:g}: {_some(high)}; is it in per "
+            "cent in the file?"
+        )
     return np.nan_to_num(ratios)
 
 

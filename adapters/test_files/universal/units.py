@@ -20,14 +20,24 @@ from modetune.core.measurement.frf import Complexes, Response
 
 #: Standard gravity, m/s^2 (exact by definition).
 GRAVITY = 9.80665
-METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
+METRES = {
+    "m": 1.0,
+    "nm": 1e-9,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "in": 0.0254,
+    "inch": 0.0254,
+    "ft": 0.3048,
+}
 NEWTONS = {
-    "n": 1.0, "kn": 1e3, "lbf": 4.4482216152605, "lb": 4.4482216152605, "kgf": GRAVITY,
+    "n": 1.0, "kn": 1e3, "lbf": 4.4482216152605, "lb": 4.4482216152605, "lbs": 4.4482216152605,
+    "kgf": GRAVITY,
 }  # fmt: skip
 #: How often a motion is divided by time.
 DERIVATIVES: dict[Response, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
-_MOTION = re.compile(r"(um|mm|cm|m|inch|in|ft)(?:/s(?:ec)?((?:\^|\*\*)?2|/s)?)?")
-_RATIO = re.compile(r"(.+?)\s*/\s*[(\[]?\s*(kgf|kn|lbf|lb|n)\s*[)\]]?")
+_MOTION = re.compile(r"(nm|um|mm|cm|m|inch|in|ft)(?:/s(?:ec)?((?:\^|\*\*)?2|/s)?)?")
+_RATIO = re.compile(r"(.+?)\s*/\s*[(\[]?\s*(kgf|kn|lbf|lbs|lb|n)\s*[)\]]?")
 #: How far the factors of dataset 164, some printed with four digits, may be from those of a label.
 SAME = 1e-3
 #: Where the number of functions goes in a note; in no path or label.
@@ -52,7 +62,7 @@ def in_si(
 def motion_label(label: str) -> tuple[float, int] | None:
     """SI value of the unit of a motion and its derivatives by time; nothing if it is none."""
     text = _bare(label)
-    if text in ("g", "gn"):
+    if text in ("g", "gn", "gs", "g's"):
         return GRAVITY, 2
     found = _MOTION.fullmatch(text.replace(" ", ""))
     if found is None:

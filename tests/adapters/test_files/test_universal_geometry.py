@@ -246,6 +246,8 @@ def turned_test(folder: Path, program: str, along: int | None) -> Path:
     [
         ("LMS Test.Lab Rev project-15A", None, True, "columns of the matrices: so Test.Lab"),
         ("Simcenter Testlab 2021.1", None, True, "columns of the matrices: so Testlab"),
+        ("Simcenter Testlab", None, True, "columns of the matrices: so Testlab"),
+        ("LMS Test.Lab", None, False, ""),
         ("LMS Test.Lab Rev 12A", None, False, ""),
         ("some program", None, False, ""),
         ("some program", 1, False, "rows of the matrices: the lines of the drawing run along them"),

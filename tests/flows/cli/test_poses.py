@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 import modetune
 from modetune.core.modes import Floats, Integers
 from modetune.core.storage.store import Store
+from tests.adapters.test_files.test_universal_dialects import units
+from tests.adapters.test_files.universal_text import mode_55, nodes_15
 from tests.command_line import run_command as run
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
@@ -161,3 +163,42 @@ def test_a_kept_pose_is_believed_by_its_checksum_alone(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(text.replace("0.4442", "0.4443", 1))
     assert SEARCHING in run(tmp_path, "sensors", "plate.yaml", **INFO).stderr
     assert len(searches(tmp_path)) == 2
+
+
+def test_check_tells_unit_and_stray_points_of_an_odd_universal_file(tmp_path: Path) -> None:
+    """Marks without blanks, Windows' line ends, a factor of dataset 164 the other way round, names
+    of components, one point metres away."""
+    campaign(tmp_path, 8.0)
+    table = np.loadtxt(tmp_path / "modes.csv", delimiter=",", skiprows=1)
+    frequencies, shapes = table[:, 1].tolist(), table[:, 2:].tolist()
+    names = [201, *range(202, 209), 300]
+    places = [*(PLACES[SENSORS - 1] @ TURN).tolist(), [3000.0, -2500.0, 40.0]]
+    values = [[*shape, 0.3] for shape in shapes]
+    text = units(5, 1e-3, 1e-3) + nodes_15(
+        *((name, 0, 0, tuple(place)) for name, place in zip(names, places, strict=True))
+    )
+    text += "".join(
+        mode_55(
+            mode,
+            hertz,
+            {name: (0.0, 0.0, value) for name, value in zip(names, shape, strict=True)},
+        )
+        for mode, (hertz, shape) in enumerate(zip(frequencies, values, strict=True), 1)
+    )
+    odd = text.replace("    -1\n", "-1\n").replace("\n", "\r\n")
+    (tmp_path / "lab.unv").write_bytes(odd.encode())
+    yaml = (tmp_path / "plate.yaml").read_text()
+    yaml = yaml.replace("[modes.csv, points.csv], length: m", "lab.unv")
+    (tmp_path / "plate.yaml").write_text(
+        yaml.replace("align: fit", "align: fit, unmapped: leave_out")
+    )
+    report = json.loads(run(tmp_path, "check", "plate.yaml", "--json", "--no-run").stdout)
+    doubts = [item["what"] for item in report["findings"] if item["level"] == "doubtful"]
+    (unit,) = [what for what in doubts if "dataset 164" in what]
+    assert "its code 5 means lengths in 0.001 m, its factor 0.001 the inverse" in unit
+    (stray,) = [item for item in report["findings"] if item["where"] == "sensor 300.z"]
+    assert stray["level"] == "doubtful"
+    assert "mm away" in stray["what"]
+    told = " ".join(item["what"] for item in report["findings"])
+    assert "1 of 9 test points lie far from the model and took no part in the fit" in told
+    assert "8 sensors on 8 nodes" in told
