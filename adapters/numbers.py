@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Parameter
+from modetune.core.parameters import Parameter, reached
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,32 @@ def moved_numbers(
             factor = there / number.value if number.value else 1.0
         ratio = factor
         found.append((number, there))
+    return found
+
+
+def refusals(
+    numbers_of: Callable[[Parameter], list[Number]], parameters: tuple[Parameter, ...]
+) -> list[str]:
+    """Why parameters cannot move the numbers of a deck, a sentence each; empty if fine."""
+    found = []
+    owners: dict[Any, str] = {}
+    for parameter in parameters:
+        try:
+            numbers = numbers_of(parameter)
+            for number in numbers[:1]:
+                what = f"{number.where}: {parameter.quantity}"
+                check_moved(parameter, what, (item.value for item in numbers))
+            for there in reached(parameter, parameters):
+                moved_numbers(parameter, numbers, there)
+        except ModelError as error:
+            found.append(f"parameter {parameter.name}: {error}")
+            continue
+        for number in numbers:
+            first = owners.setdefault(number.place, parameter.name)
+            if first != parameter.name:
+                found.append(
+                    f"{number.where}: both {first} and {parameter.name} change this number"
+                )
     return found
 
 

@@ -16,12 +16,12 @@ from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from modetune.adapters.numbers import Number, check_moved, moved_numbers
+from modetune.adapters.numbers import Number, refusals
 from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh, shortest_length
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, TargetKind, Values, reached
+from modetune.core.parameters import Parameter, TargetKind, Values
 from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation, nothing_known
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -219,26 +219,7 @@ class Deck(Protocol):
 
     def problems(self, parameters: tuple[Parameter, ...]) -> list[str]:
         """Why these parameters cannot be applied to the model, a sentence each; empty if fine."""
-        found = []
-        owners: dict[Any, str] = {}
-        for parameter in parameters:
-            try:
-                numbers = self.numbers(parameter)
-                for number in numbers[:1]:
-                    what = f"{number.where}: {parameter.quantity}"
-                    check_moved(parameter, what, (item.value for item in numbers))
-                for there in reached(parameter, parameters):
-                    moved_numbers(parameter, numbers, there)
-            except ModelError as error:
-                found.append(f"parameter {parameter.name}: {error}")
-                continue
-            for number in numbers:
-                first = owners.setdefault(number.place, parameter.name)
-                if first != parameter.name:
-                    found.append(
-                        f"{number.where}: both {first} and {parameter.name} change this number"
-                    )
-        return found
+        return refusals(self.numbers, parameters)
 
     def splits(self) -> tuple[str, ...]:
         """Cards that were added to the deck for the elements of parameters, a sentence each."""

@@ -10,11 +10,7 @@ core/algebra/krylov): of the first model from a few random vectors, of models wi
 and nearly the same modes from those. ARPACK, which takes one vector after the other, is not a match
 for the first either: of a square bar's pairs of bending modes it lacks one for 9 of 40 numbers of
 modes, and a solution with six right-hand sides costs little more than with one, so that its fewer
-vectors take half as long again and more. One solution with all shapes at once, phi = A phi / theta,
-gives their rows without mass, and the residuals ||A phi - theta phi||_M / theta tell that there is
-a lambda within
-
-    |lambda - lambda_found| <= residual (lambda_found - s).
+vectors take half as long again and more. Pairs become modes in core/algebra/solved_modes.
 
 No way sees what its start vectors lack. So eigenvalues are counted: K - c M has as many negative
 pivots as there are eigenvalues below c (Sylvester), at the cost of one more factorisation. From
@@ -41,7 +37,7 @@ the computed eigenvalues of rigid modes show. Small models are solved whole by L
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -68,6 +64,7 @@ from modetune.core.algebra.pencil import (
     singular_together,
     triangle_product,
 )
+from modetune.core.algebra.solved_modes import SolvedModes, completed, of_pairs
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
@@ -98,26 +95,6 @@ LEAST_BLOCKS, MOST_BLOCKS = 3, 8
 BLOCK_COLUMN, KRYLOV_MODE = 2.5, 4.5
 #: Eigenvalues this close, relative to their distance from the shift, are not told apart.
 _SAME = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class SolvedModes:
-    """The lowest modes of a model.
-
-    eigenvalues: (n_modes,) ascending, (rad/s)^2. shapes: (n, n_modes), mass-normalised.
-    residuals: (n_modes,), largest error of an eigenvalue relative to its distance from the shift;
-    those of the shapes before the last solution, which makes them better.
-    shift: (rad/s)^2. way: how they were found. counted: whether inertia has shown that none below
-    the last one is missing. solutions: right-hand sides solved.
-    """
-
-    eigenvalues: Floats
-    shapes: Floats
-    residuals: Floats
-    shift: float
-    way: str
-    counted: bool
-    solutions: int
 
 
 class ModeSolver:
@@ -178,7 +155,7 @@ class ModeSolver:
         if pencil.n_with_mass <= DENSE or n_modes > pencil.n_with_mass // 2:
             self._shift = factorise_below(pencil, shift)
             inverted, shapes = solve_condensed(pencil, n_modes)
-            return _completed(pencil, inverted, shapes, "condensed", pencil.n_with_mass, True)
+            return completed(pencil, inverted, shapes, "condensed", pencil.n_with_mass, True)
         if start is not None and start.shape[1] >= n_modes and start.shape[0] == size:
             if kept_blocks and not self._count and pencil.kept_shift is not None:
                 pairs = self._with_kept(pencil, n_modes, pencil.kept_shift, start, kept_blocks)
@@ -215,7 +192,7 @@ class ModeSolver:
         return self._shift is not None
 
     def inverse(self, block: Floats) -> Floats:
-        """(K - s M)^-1 block of the last model, (n,) or (n, n_columns), s as in its `Solved`.
+        """(K - s M)^-1 block of the last model, (n,) or (n, n_columns), s as in its `SolvedModes`.
 
         Of the earlier model whose factors are at hand, where the last one was solved by these.
         """
@@ -286,14 +263,14 @@ class ModeSolver:
         )
         if not pairs.converged:
             return None
-        return _of_pairs(pencil, pairs, n_modes, "start", self._count)
+        return of_pairs(pencil, pairs, n_modes, "start", self._count)
 
     def _from_random(self, pencil: Pencil, n_modes: int, shift: float) -> SolvedModes:
         self._shift = factorise_below(pencil, shift)
         if not pencil.is_invertible():
             raise singular_together(pencil)
         pairs = _random_pairs(pencil, n_modes)
-        solved = _of_pairs(pencil, pairs, n_modes, "random", False)
+        solved = of_pairs(pencil, pairs, n_modes, "random", False)
         if not self._count:
             return solved
         last = float(solved.eigenvalues[-1])
@@ -336,7 +313,7 @@ class ModeSolver:
             solutions += pairs.solutions
             if pairs.converged:
                 pairs = replace(pairs, solutions=solutions)
-                return _of_pairs(pencil, pairs, n_modes, "random, again", True)
+                return of_pairs(pencil, pairs, n_modes, "random, again", True)
             shapes = pairs.images
         return None
 
@@ -382,64 +359,6 @@ def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:
         f"{n_modes} modes were not found in {solutions} vectors: the largest residual of the "
         f"{pairs.inverted.size} at hand is {float(np.max(pairs.residuals, initial=0.0)):.1e}"
     )
-
-
-def _of_pairs(
-    pencil: Pencil, pairs: RitzPairs, n_modes: int, way: str, counted: bool
-) -> SolvedModes:
-    theta, vectors = pairs.inverted[:n_modes], pairs.vectors[:, :n_modes]
-    if not isinstance(pencil.rows, slice):
-        return _completed(pencil, theta, vectors, way, pairs.solutions, counted)
-    # Where all rows have mass the last solution is at hand: A x.
-    inertia, images = pencil.inertia(vectors), pairs.images[:, :n_modes]
-    values, shapes = _refined(pencil, inertia, images, images, pencil.inertia(images))
-    residuals = pairs.residuals[:n_modes]
-    return SolvedModes(values, shapes, residuals, _shift_of(pencil), way, counted, pairs.solutions)
-
-
-def _completed(
-    pencil: Pencil,
-    inverted: Floats,
-    vectors: Floats,
-    way: str,
-    solutions: int,
-    counted: bool = False,
-) -> SolvedModes:
-    """Shapes on all rows by one solution.
-
-    inverted: theta (n_modes,); vectors: (n_with_mass, n_modes).
-    """
-    inertia = pencil.inertia(vectors)
-    images = pencil.apply(inertia)
-    own = images[pencil.rows]
-    own_inertia = pencil.inertia(own)
-    values, shapes = _refined(pencil, inertia, images, own, own_inertia)
-    rest, rest_inertia = own - vectors * inverted, own_inertia - inertia * inverted
-    squares = np.sum(rest * rest_inertia, axis=0) / np.sum(vectors * inertia, axis=0)
-    residuals = np.sqrt(np.maximum(squares, 0.0)) / np.abs(inverted)
-    solutions += inverted.size
-    return SolvedModes(values, shapes, residuals, _shift_of(pencil), way, counted, solutions)
-
-
-def _refined(
-    pencil: Pencil, inertia: Floats, images: Floats, own: Floats, own_inertia: Floats
-) -> tuple[Floats, Floats]:
-    """Rayleigh-Ritz in the space of A x: eigenvalues, ascending, and mass-normalised shapes.
-
-    inertia: b = M x; images: z = (K - s M)^-1 b on all rows; own, own_inertia: z and M z on the
-    rows with mass. z^T (K - s M) z is z^T b: no product with K.
-    """
-    energy, mass = own.T @ inertia, own.T @ own_inertia
-    lengths = np.sqrt(np.diag(mass))
-    energy, mass = (0.5 * (a + a.T) / np.outer(lengths, lengths) for a in (energy, mass))
-    above_shift, ritz = eigh(energy, mass)
-    shapes = dgemm(1.0, images, np.asfortranarray(ritz / lengths[:, None]))
-    return above_shift + _shift_of(pencil), shapes
-
-
-def _shift_of(pencil: Pencil) -> float:
-    assert pencil.shift is not None
-    return pencil.shift
 
 
 def _margin(pencil: Pencil, eigenvalue: float, shift: float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.eigen import ModeSolver, SolvedModes
+from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.rigid_modes import (
@@ -20,6 +20,7 @@ from modetune.core.algebra.rigid_modes import (
     count_rigid_modes,
     matrix_energies,
 )
+from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.modes import Floats, Integers
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.results import ModalResult

@@ -29,8 +29,9 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.eigen import ModeSolver, SolvedModes
+from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.pencil import shift_below
+from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.storage.keys import Json, canonical_json, content_key

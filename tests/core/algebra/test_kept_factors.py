@@ -9,9 +9,10 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 
-from modetune.core.algebra.eigen import GUARD, ModeSolver, SolvedModes
+from modetune.core.algebra.eigen import GUARD, ModeSolver
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pencil import Pencil
+from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.modes import Floats
 
 MODES = 8
