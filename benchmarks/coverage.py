@@ -28,7 +28,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.zoo.structures import FAMILIES, Generator, Structure, spring
+from benchmarks.zoo.families import FAMILIES
+from benchmarks.zoo.matrix_models import spring
+from benchmarks.zoo.structure import Generator, Structure
 from scipy import linalg, stats
 
 import modetune

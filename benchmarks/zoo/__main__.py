@@ -34,7 +34,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.zoo.structures import FAMILIES, Structure
+from benchmarks.zoo.families import FAMILIES
+from benchmarks.zoo.structure import Structure
 from benchmarks.zoo.twins import KINDS, SOUND, Kind, measured, true_structure
 
 import modetune

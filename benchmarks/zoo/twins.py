@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from benchmarks.zoo.structures import Generator, Structure
+from benchmarks.zoo.structure import Generator, Structure
 from scipy.spatial.transform import Rotation
 
 from modetune.adapters.test_files.geometry_csv import write_geometry_csv

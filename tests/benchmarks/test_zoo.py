@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.zoo.__main__ import Outcome, table, update_twin
-from benchmarks.zoo.structures import FAMILIES
+from benchmarks.zoo.families import FAMILIES
 from benchmarks.zoo.twins import Kind
 
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.zoo.structures import bricks, elements, rows
+from benchmarks.zoo.solids import bricks
+from benchmarks.zoo.structure import elements, rows
 
 import modetune
 from modetune.core.modes import COMPONENTS, Floats, ModeSet

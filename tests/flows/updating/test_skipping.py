@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 from benchmarks.zoo.__main__ import campaign_of, truth_of
-from benchmarks.zoo.structures import FAMILIES
+from benchmarks.zoo.families import FAMILIES
 from benchmarks.zoo.twins import measured
 
 import modetune
