@@ -52,9 +52,7 @@ class F06:
     mode_shapes: (n_dof, n_shapes), sorted by node, in each point's output frame (CD).
     elements: (n_el,); strain_energies: (n_el, n_modes), NaN where not printed;
     total_strain_energy: (n_modes,), of the whole problem, NaN where there is none.
-    mass, center_of_gravity (3,), inertia (3, 3): of the grid point weight generator, PARAM,WTMASS
-    taken off, the inertia about the centre of gravity as printed (the programs differ in the sign
-    of the products); NaN where there is none.
+    mass: of the grid point weight generator, PARAM,WTMASS taken off; NaN where there is none.
     """
 
     version: str
@@ -70,8 +68,6 @@ class F06:
     strain_energies: Floats
     total_strain_energy: Floats
     mass: float
-    center_of_gravity: Floats
-    inertia: Floats
 
 
 def read_f06(path: Path) -> F06:
@@ -151,7 +147,6 @@ class _Scan:
         energies = self._energies.tables() if tables else []
         n_modes = eigenvalues.size or len({table.mode for table in energies})
         elements, strain_energies, totals = energy_table(energies, range(1, n_modes + 1))
-        mass, center, inertia = self._weight.properties()
         return F06(
             version=self._version,
             ended=self.ended,
@@ -165,7 +160,5 @@ class _Scan:
             elements=elements,
             strain_energies=strain_energies,
             total_strain_energy=totals,
-            mass=mass,
-            center_of_gravity=center,
-            inertia=inertia,
+            mass=self._weight.mass,
         )

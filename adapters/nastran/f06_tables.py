@@ -13,6 +13,8 @@ import numpy as np
 from modetune.adapters.nastran.eigenvectors import ElementEnergies, GridShape
 from modetune.core.modes import Floats
 
+#: Lines of a weight generator's table at most.
+WEIGHT_LINES = 80
 #: A heading has spaced letters; any of them closes the table before it.
 HEADING = re.compile(r"(?:\b[A-Z] ){4}")
 MESSAGE = re.compile(r"[0 ]?\s{0,4}(?:\*{3}|\^{3}) ")
@@ -232,44 +234,22 @@ class EnergyTables:
 
 
 class WeightTable:
-    """Output of the grid point weight generator, the first one if there are several."""
+    """The mass by the grid point weight generator, the first if there are several; NaN if none."""
 
     def __init__(self) -> None:
-        self._lines: list[str] | None = None
-        self._closed = False
+        self.mass = np.nan
+        self._left = 0  # lines that may still be the table's
 
     def take(self, line: str) -> None:
-        if self._closed:
+        if "O U T P U T   F R O M" in line and "W E I G H T   G E N E R A T O R" in line:
+            self._left = WEIGHT_LINES
+        if not self._left or np.isfinite(self.mass):
             return
-        if self._lines is not None:
-            self._lines.append(line)
-            # Principal inertias come last of what is read, in all programs.
-            self._closed = len(self._lines) > 80 or "I(Q)" in line or "principal dir" in line
-        elif "O U T P U T   F R O M" in line and "W E I G H T   G E N E R A T O R" in line:
-            self._lines = []
-
-    def properties(self) -> tuple[float, Floats, Floats]:
-        """Mass, centre of gravity (3,), inertia (3, 3); NaN where not printed."""
-        mass, center, inertia = np.nan, np.full(3, np.nan), np.full((3, 3), np.nan)
-        if not self._closed or self._lines is None:
-            return mass, center, inertia
-        axes: dict[str, list[float]] = {}
-        matrix: list[list[float]] = []
-        in_inertia = False
-        for line in self._lines:
-            if "I(S)" in line or "about above c.g." in line:
-                in_inertia = "principal" not in line
-            words = line.replace("*", " ").split()
-            numbers = [number(word) for word in words if NUMBERS.fullmatch(word)]
-            if words[:1] in (["X"], ["Y"], ["Z"]) and len(numbers) == 4:
-                axes[words[0]] = numbers
-            elif "Total mass" in line and len(numbers) == 1:
-                mass = numbers[0]
-            elif "C.G. location" in line and len(numbers) == 3:
-                center = np.array(numbers)
-            elif in_inertia and len(numbers) == 3 and len(matrix) < 3:
-                matrix.append(numbers)
-        if len(axes) == 3:
-            mass = axes["X"][0]
-            center = np.array([axes["Y"][1], axes["X"][2], axes["X"][3]])
-        return mass, center, np.array(matrix) if len(matrix) == 3 else inertia
+        self._left -= 1
+        words = line.replace("*", " ").split()
+        numbers = [number(word) for word in words if NUMBERS.fullmatch(word)]
+        # Mass and centre along the first axis; NX prints the mass by name.
+        if (words[:1] == ["X"] and len(numbers) == 4) or (
+            "Total mass" in line and len(numbers) == 1
+        ):
+            self.mass = numbers[0]

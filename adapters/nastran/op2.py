@@ -58,9 +58,8 @@ class Op2Modes:
     elements: (n_el,), ascending; strain_energies: (n_el, n_modes), NaN where the file does not
     list the element for the mode; total_strain_energy: (n_modes,), of the whole problem, NaN
     where there are no energies.
-    mass, center_of_gravity (3,), inertia (3, 3): of the grid point weight generator, which takes
-    PARAM,WTMASS off again; inertia is I(S) about the centre of gravity, with the signs of the
-    file; NaN where there is none.
+    mass: of the grid point weight generator, which takes PARAM,WTMASS off again; NaN where there is
+    none.
     """
 
     eigenvalues: Floats
@@ -72,8 +71,6 @@ class Op2Modes:
     strain_energies: Floats
     total_strain_energy: Floats
     mass: float
-    center_of_gravity: Floats
-    inertia: Floats
 
 
 def read_op2(path: Path) -> Op2Modes:
@@ -108,7 +105,6 @@ def _modes(tables: list[Op2Table]) -> Op2Modes:
     nodes, components, mode_shapes = shape_matrix(shapes, len(numbers))
     energies = _energies([table for table in tables if table.name in STRAIN_ENERGIES])
     elements, strain_energies, totals = energy_table(energies, numbers)
-    mass, center, inertia = _mass_properties(tables)
     return Op2Modes(
         eigenvalues=eigenvalues,
         nodes=nodes,
@@ -118,9 +114,7 @@ def _modes(tables: list[Op2Table]) -> Op2Modes:
         elements=elements,
         strain_energies=strain_energies,
         total_strain_energy=totals,
-        mass=mass,
-        center_of_gravity=center,
-        inertia=inertia,
+        mass=_mass(tables),
     )
 
 
@@ -251,15 +245,12 @@ def _energies(tables: list[Op2Table]) -> list[ElementEnergies]:
     return found
 
 
-def _mass_properties(tables: list[Op2Table]) -> tuple[float, Floats, Floats]:
+def _mass(tables: list[Op2Table]) -> float:
     table = next((table for table in tables if table.name in MASS_PROPERTIES), None)
     if table is None or len(table.records) < 2:
-        return np.nan, np.full(3, np.nan), np.full((3, 3), np.nan)
+        return np.nan
     numbers = table.records[1].floats()
     if numbers.size < 78:
         raise ValueError(f"its table {table.name} has {numbers.size} words, not 78")
-    # Each row is the mass along one axis of S and the centre of it; on its own axis the centre of
-    # a row is not a centre of gravity but what couples to rotations, zero for a proper model.
-    axes = numbers[45:57].reshape(3, 4)
-    center = np.array([axes[1, 1], axes[0, 2], axes[0, 3]])
-    return float(axes[0, 0]), center, numbers[57:66].reshape(3, 3)
+    # Behind two matrices: the mass along each axis and its centre.
+    return float(numbers[45])

@@ -143,9 +143,6 @@ def test_all_probes_of_mystran_are_those_of_their_op2_files(
         )
         assert_same_shapes(f06, op2)
         assert f06.mass == pytest.approx(modes.mass, rel=1e-6)
-        np.testing.assert_allclose(
-            f06.center_of_gravity, modes.center_of_gravity, rtol=1e-6, atol=1e-9
-        )
 
 
 def test_nastran_95_prints_the_garteur_mass_and_thirty_eigenvalues(shared_data: Path) -> None:
@@ -156,7 +153,6 @@ def test_nastran_95_prints_the_garteur_mass_and_thirty_eigenvalues(shared_data: 
     np.testing.assert_allclose(cycles, [6.366620, 46.01503], rtol=1e-6)
     assert f06.generalized_mass[6] == pytest.approx(3.826903e-03)
     assert f06.mass == pytest.approx(41.265, rel=1e-6)  # the README of the data, in kg
-    np.testing.assert_allclose(f06.center_of_gravity[[0, 2]], [759.64498, 109.22392], rtol=1e-6)
     assert f06.ended
 
 

@@ -184,14 +184,10 @@ def test_kinetic_energies_are_not_taken_for_strain_energies(shared_data: Path) -
     assert not np.isin([50, 51], modes.elements).any()
 
 
-def test_the_center_of_gravity_and_the_inertia_are_those_printed(shared_data: Path) -> None:
+def test_the_mass_is_the_one_printed(shared_data: Path) -> None:
     modes = read_op2(shared_data / "nastran" / "yeti_gpwg1" / "rdop2gpwg_1.op2")
     # Figures of the F06 of the same run, seven digits.
     assert modes.mass == pytest.approx(5.005019e01, rel=1e-6)
-    np.testing.assert_allclose(
-        modes.center_of_gravity, [3.420008, 9.999156e-02, 1.999163e-01], rtol=1e-6
-    )
-    np.testing.assert_allclose(np.diag(modes.inertia), [155.0258, 522.5329, 536.5345], rtol=1e-6)
 
 
 @pytest.mark.parametrize("word", [4, 8])
@@ -296,9 +292,5 @@ def differences(found: Op2Modes, good: Op2Modes) -> int:
         (found.components, good.components),
     ]
     if np.isfinite(found.mass):  # not lost
-        pairs += [
-            (found.inertia, good.inertia),
-            (found.center_of_gravity, good.center_of_gravity),
-            (np.array(found.mass), np.array(good.mass)),
-        ]
+        pairs.append((np.array(found.mass), np.array(good.mass)))
     return sum(int((one != other).sum()) for one, other in pairs)

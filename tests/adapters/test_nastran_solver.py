@@ -528,8 +528,6 @@ def op2_modes(**changes: object) -> Op2Modes:
         strain_energies=np.array([[1.0], [3.0]]),
         total_strain_energy=np.array([4.0]),
         mass=2.0,
-        center_of_gravity=np.zeros(3),
-        inertia=np.zeros((3, 3)),
     )
     return replace(whole, **changes)  # type: ignore[arg-type]
 
