@@ -26,6 +26,7 @@ from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation, nothing_known
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.static import LoadCase
 
 R = TypeVar("R", bound=Result)
 
@@ -321,6 +322,13 @@ class Deck(Protocol):
         solver has no matrices.
         """
         return nothing_known(nodes.size, matrices.nodes.size)
+
+    def load_case(self, number: int) -> LoadCase:
+        """The forces of a load case. Raises ModelError for one that the deck has not."""
+        raise ModelError(
+            f"{self.summary.name}: load cases are read from CalculiX and Nastran decks, not from "
+            "this model: give the forces by node instead"
+        )
 
 
 class Program(Protocol):

@@ -40,7 +40,7 @@ class Constraints:
 
 def read_constraints(model: CalculixModel) -> Constraints:
     """All ties of the deck. Raises ModelError where a number is none."""
-    sets = _node_sets(model)
+    sets = node_sets(model)
     equations = _equations(model)
     bodies = _bodies(model, sets)
     followed = not model.deck.named(*NOT_FOLLOWED) and equations is not None
@@ -59,7 +59,7 @@ def read_constraints(model: CalculixModel) -> Constraints:
     )
 
 
-def _node_sets(model: CalculixModel) -> dict[str, set[int]]:
+def node_sets(model: CalculixModel) -> dict[str, set[int]]:
     deck = model.deck
     sets: dict[str, set[int]] = {}
     for card in deck.named("*NODE"):
@@ -75,11 +75,11 @@ def _node_sets(model: CalculixModel) -> dict[str, set[int]]:
                 members.update(range(first, last + 1, step))
             else:
                 for field in fields:
-                    members |= _members(field, sets)
+                    members |= set_members(field, sets)
     return sets
 
 
-def _members(field: str, sets: dict[str, set[int]]) -> set[int]:
+def set_members(field: str, sets: dict[str, set[int]]) -> set[int]:
     """The node of a number, or the nodes of a set."""
     return {int(field)} if field.isdecimal() else sets.get(canonical_name(field), set())
 
@@ -94,7 +94,7 @@ def _held(model: CalculixModel, sets: dict[str, set[int]]) -> Iterable[Dof]:
             fields = [*model.deck.fields(position), "", ""]
             first = _whole(fields[1])
             last = _whole(fields[2]) or first
-            for node in _members(fields[0], sets):
+            for node in set_members(fields[0], sets):
                 for component in range(first, min(last, 6) + 1):
                     yield node, component
 

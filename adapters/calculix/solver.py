@@ -23,6 +23,7 @@ from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
 from modetune.adapters.calculix.incidence import Incidence, read_incidence
 from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text
+from modetune.adapters.calculix.loads import load_case
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.places import edited_lines, energy_sets, find_numbers
@@ -72,6 +73,7 @@ from modetune.core.parameters import Parameter, Quantity, Values, assigned, driv
 from modetune.core.storage.keys import Json
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult, Result
+from modetune.core.updating.static import LoadCase
 
 logger = logging.getLogger(__name__)
 
@@ -189,6 +191,9 @@ class CalculixDeck(Deck):
         return observe(
             self.model, self._incidence, matrices.nodes, matrices.components, nodes, components
         )
+
+    def load_case(self, number: int) -> LoadCase:
+        return load_case(self.model, number)
 
     def edited(self, values: Values) -> EditedCalculix:
         return EditedCalculix(self.model, self._changed(values))

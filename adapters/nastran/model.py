@@ -22,6 +22,7 @@ from modetune.adapters.nastran.deck import (
 from modetune.adapters.nastran.geometry import read_geometry
 from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.adapters.nastran.left_out import check_left_out
+from modetune.adapters.nastran.loads import load_case
 from modetune.adapters.nastran.lumped_masses import lumped_properties
 from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.places import ValuePlace as ValuePlace
@@ -38,6 +39,7 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values, assigned, driven_by
 from modetune.core.updating.observation import Observation, observe
+from modetune.core.updating.static import LoadCase
 
 #: Quantities in which stiffness and mass matrices are linear whatever the card.
 LINEAR = (
@@ -328,6 +330,9 @@ class NastranModel(Deck):
         self, matrices: MatrixResult, nodes: Integers, components: Integers
     ) -> Observation:
         return observe(matrices, nodes, components)
+
+    def load_case(self, number: int) -> LoadCase:
+        return load_case(self.structure, number)
 
     def _without_shear(self, card: NastranCard) -> bool:
         """Whether a bar bends without shear, so that its stiffness is linear in A and I.

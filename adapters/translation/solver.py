@@ -38,6 +38,7 @@ from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values, driven_by
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult
+from modetune.core.updating.static import LoadCase
 
 logger = logging.getLogger(__name__)
 
@@ -164,6 +165,9 @@ class TranslatedDeck(Deck):
         )
         turn.eliminate_zeros()
         return basic.turned(turn)
+
+    def load_case(self, number: int) -> LoadCase:
+        return self.model.load_case(number)
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         return self.model.write_updated(values, folder)

@@ -1,0 +1,143 @@
+"""Static load cases and what was measured under them: the campaign's `residuals.static`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from modetune.adapters.solver import Deck
+from modetune.adapters.yaml_file import Place
+from modetune.core.errors import ModelError
+from modetune.core.modes import COMPONENTS, Floats, Integers
+from modetune.core.updating.responses.static import Static
+from modetune.core.updating.static import LoadCase, Reading
+from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
+
+ByName = Annotated[dict[str, Finite], BeforeValidator(by_name)]
+
+
+class StaticSection(Section):
+    """A load case and what was measured under it."""
+
+    load: Annotated[int, Field(ge=1)] | None = None
+    """Number of the deck's load case: of a CalculiX deck's *STATIC steps in turn, or of a Nastran
+    load set (FORCE, MOMENT, LOAD)."""
+    forces: ByName = Field(default={})
+    """Forces and moments by `node.component`, in place of a load case of the deck, in its units and
+    in the axes that shapes have at the node."""
+    displacements: ByName = Field(default={})
+    """Measured displacements and rotations by `node.component`, in the deck's units and in the axes
+    that shapes have at the node."""
+    strains: ByName = Field(default={})
+    """Measured strains by `node-node`: how much the distance between two nodes grew, over it."""
+    deviation: Positive = 0.02
+    """Standard deviation [of the largest displacement, or strain, of the case]"""
+    tolerance: Positive = 0.05
+    """Largest error that e1 allows [of the largest displacement, or strain, of the case]"""
+    weight: NotNegative = 1.0
+    """Emphasis of the case; 0 leaves it out."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> StaticSection:
+        if (self.load is None) == (not self.forces):
+            raise ValueError("`load` or `forces` says what the structure is loaded by: one of them")
+        if not (self.displacements or self.strains):
+            raise ValueError("nothing was measured: give `displacements`, `strains` or both")
+        for key, values in (("displacements", self.displacements), ("strains", self.strains)):
+            if values and not any(values.values()):
+                raise ValueError(f"all `{key}` are zero, which nothing can be measured against")
+        return self
+
+
+def static_response(
+    sections: Sequence[StaticSection], deck: Deck
+) -> tuple[Static, list[tuple[Place, str]]]:
+    """What is compared, and why some of it cannot be, each with its place below `static`."""
+    readings: list[Reading] = []
+    loads: list[LoadCase] = []
+    problems: list[tuple[Place, str]] = []
+    for position, section in enumerate(sections):
+        try:
+            loads.append(_load(section, deck))
+        except ModelError as error:
+            problems.append(((position, "forces" if section.forces else "load"), str(error)))
+        for key, values, terms in (
+            ("displacements", section.displacements, _displacement),
+            ("strains", section.strains, _elongation),
+        ):
+            size = max(map(abs, values.values()), default=0.0)
+            for name, value in values.items():
+                try:
+                    nodes, components, factors = terms(name, deck)
+                except ModelError as error:
+                    problems.append(((position, key, name), str(error)))
+                    continue
+                called = f"{key[:-1]} {name} of load case {section.load or position + 1}"
+                readings.append(
+                    Reading(
+                        name=called,
+                        load=position,
+                        nodes=nodes,
+                        components=components,
+                        factors=factors,
+                        value=value,
+                        deviation=section.deviation * size,
+                        tolerance=section.tolerance * size,
+                        weight=section.weight,
+                    )
+                )
+    return Static(tuple(readings), tuple(loads), deck.observation), problems
+
+
+def _load(section: StaticSection, deck: Deck) -> LoadCase:
+    if section.load is not None:
+        return deck.load_case(section.load)
+    forces = ((*_dof(name, deck), value) for name, value in section.forces.items())
+    return LoadCase.of_forces([(node, c, value, "forces") for node, c, value in forces])
+
+
+def _displacement(name: str, deck: Deck) -> tuple[Integers, Integers, Floats]:
+    node, component = _dof(name, deck)
+    return np.array([node]), np.array([component]), np.ones(1)
+
+
+def _elongation(name: str, deck: Deck) -> tuple[Integers, Integers, Floats]:
+    """(u_b - u_a) . t / l, with t the direction from a to b and l their distance."""
+    first, _, second = name.partition("-")
+    if not (first.isdecimal() and second.isdecimal()) or first == second:
+        raise ModelError(f"{name!r} is not two nodes such as 12-13")
+    ends, mesh = np.array([_node(first, deck), _node(second, deck)]), deck.mesh()
+    if not mesh.nodes.size:
+        raise ModelError("the model has no geometry, which strains need")
+    at = mesh.coordinates[mesh.rows(ends)]
+    length = float(np.linalg.norm(at[1] - at[0]))
+    if not length:
+        raise ModelError(f"nodes {first} and {second} lie at one place")
+    along = (at[1] - at[0]) / length**2
+    factors = [
+        sign * (mesh.frames.get(int(node), np.eye(3)) @ along)
+        for node, sign in zip(ends, (-1.0, 1.0), strict=True)
+    ]
+    return np.repeat(ends, 3), np.tile(np.arange(1, 4), 2), np.concatenate(factors)
+
+
+def _dof(name: str, deck: Deck) -> tuple[int, int]:
+    node, _, component = name.partition(".")
+    if component not in COMPONENTS:
+        raise ModelError(
+            f"{name!r} is not a node and a component (x, y, z, rx, ry, rz), such as 12.z"
+        )
+    number = COMPONENTS.index(component) + 1
+    if number not in deck.summary.components:
+        raise ModelError(f"{name}: nodes of this model have no {component}")
+    return _node(node, deck), number
+
+
+def _node(text: str, deck: Deck) -> int:
+    node = int(text) if text.isdecimal() else 0
+    if node not in deck.summary.node_ids:
+        raise ModelError(f"the model has no node {text}")
+    return node
