@@ -23,6 +23,7 @@ from modetune.core.mesh import Mesh, shortest_length
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, TargetKind, Values
 from modetune.core.storage.keys import Json
+from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation, nothing_known
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import MatrixResult, ModalResult, Result
@@ -322,6 +323,14 @@ class Deck(Protocol):
         solver has no matrices.
         """
         return nothing_known(nodes.size, matrices.nodes.size)
+
+    def undamped(self) -> str:
+        """Why damping cannot be computed of the model; empty where `damping` tells of it."""
+        return "damping is computed of models that are matrices alone (`solver: matrices`)"
+
+    def damping(self, base: MatrixResult) -> DampingModel:
+        """What damps the model, in the equations of these matrices."""
+        return DampingModel(())
 
     def load_case(self, number: int) -> LoadCase:
         """The forces of a load case. Raises ModelError for one that the deck has not."""

@@ -6,6 +6,9 @@ A spring-mass system; each mass is one unknown, component x of node 1, 2, ... in
     springs:
       k1: {between: [ground, m1], stiffness: 1100.0}
       k2: {between: [m1, m2], stiffness: 1000.0}
+    dampers:                                     # optional; modes leave them aside
+      c1: {between: [ground, m1], viscous: 0.4}
+      h2: {between: [m1, m2], structural: 10.0}  # imaginary part of a stiffness
 
 Matrices (`matrix_files.py` has the forms); unknown i is component x of node i unless `dofs` names
 a text file with a `node.component` a line:
@@ -38,10 +41,11 @@ from modetune.core.modes import Integers
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Values, assigned
 from modetune.core.storage.files import storage_errors, writing
+from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation, observe
 from modetune.core.updating.results import MatrixResult
 
-SYSTEM_KEYS = {"masses", "springs"}
+SYSTEM_KEYS = {"masses", "springs", "dampers"}
 MATRIX_KEYS = {"stiffness", "mass", "dofs", "parts"}
 
 
@@ -89,7 +93,7 @@ class MatrixDeck(Deck):
         found = []
         for target, part in parts:
             where = self.file.where(self.values.get(target, ("parts", target)))
-            if not any(m is not None and m.count_nonzero() for m in (part.stiffness, part.mass)):
+            if not any(matrix.count_nonzero() for matrix in part.matrices.values()):
                 raise ModelError(
                     f"{where}: all matrices of part {target} are zero, so nothing depends on it: "
                     "name other files or leave it out"
@@ -109,6 +113,14 @@ class MatrixDeck(Deck):
         self, matrices: MatrixResult, nodes: Integers, components: Integers
     ) -> Observation:
         return observe(matrices, nodes, components)
+
+    def undamped(self) -> str:
+        if self.model.damping(self.parameters).dampers:
+            return ""
+        return f"{self.file.path}: no `viscous` or `structural` damping stands in the model"
+
+    def damping(self, base: MatrixResult) -> DampingModel:
+        return self.model.damping(self.parameters)
 
     def edited(self, values: Values) -> EditedMatrices:
         return EditedMatrices(self.model, self._factors(values))

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.matrices.matrix_files import read_matrices, split_reference, write_matrix
-from modetune.adapters.matrices.model import Factors, MatrixModel, MatrixPart
+from modetune.adapters.matrices.model import MATRIX_KINDS, Factors, MatrixModel, MatrixPart
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
@@ -37,8 +37,7 @@ def read_index(file: YamlFile) -> MatrixModel:
         name: MatrixPart(
             "matrix_factor",
             1.0,
-            matrices.get(("parts", name, "stiffness")),
-            matrices.get(("parts", name, "mass")),
+            *(matrices.get(("parts", name, kind)) for kind in MATRIX_KINDS),
         )
         for name in names
     }
@@ -50,10 +49,10 @@ def _matrices(file: YamlFile, problems: list[str]) -> list[tuple[Place, sparse.c
     places: list[Place] = [("stiffness",), ("mass",)]
     for name in file.entries(("parts",), problems) if "parts" in file.data else {}:
         given = file.entries(("parts", name), problems)
-        if not given or not set(given) <= {"stiffness", "mass"}:
+        if not given or not set(given) <= set(MATRIX_KINDS):
             problems.append(
-                f"{file.where(('parts', name))}: part {name} needs `stiffness`, `mass` or both, "
-                "and nothing else"
+                f"{file.where(('parts', name))}: part {name} needs one or several of "
+                f"{', '.join(f'`{kind}`' for kind in MATRIX_KINDS)}, and nothing else"
             )
             continue
         places += [("parts", name, kind) for kind in given]
@@ -104,9 +103,8 @@ def write_index(file: YamlFile, model: MatrixModel, factors: Factors, folder: Pa
     scaled = model.assembled(factors)
     new: dict[Place, sparse.csr_array] = {("stiffness",): scaled.stiffness, ("mass",): scaled.mass}
     for name, part in model.parts.items():
-        for kind, matrix in (("stiffness", part.stiffness), ("mass", part.mass)):
-            if matrix is not None:
-                new[("parts", name, kind)] = sparse.csr_array(factors.get(name, 1.0) * matrix)
+        for kind, matrix in part.matrices.items():
+            new[("parts", name, kind)] = sparse.csr_array(factors.get(name, 1.0) * matrix)
     words: dict[Place, str] = {}
     within = _below(file, [*new, ("dofs",)] if "dofs" in file.data else list(new), words)
     for name in {split_reference(reference)[0] for reference in within.values()}:

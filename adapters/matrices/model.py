@@ -23,19 +23,23 @@ from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
+from modetune.core.updating.damping import Damper, DampingKind, DampingModel
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     Powers,
     parameter_matrices,
 )
 
+#: What matrices a part may have, as models' files call them; modes know the first two.
+MATRIX_KINDS = ("stiffness", "mass", "viscous", "structural")
+DAMPING_KINDS: tuple[DampingKind, ...] = ("viscous", "structural")
 #: Values of parts relative to the model's own; a part that is not named stays as it is.
 Factors = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class MatrixPart:
-    """What one parameter may scale: its matrices of stiffness and mass, (n, n), or none.
+    """What one parameter may scale: its matrices of stiffness, mass and damping, (n, n), or none.
 
     quantity: how parameters call it; value: in the model's units, 1 for matrices.
     """
@@ -44,6 +48,19 @@ class MatrixPart:
     value: float
     stiffness: sparse.csr_array | None
     mass: sparse.csr_array | None
+    viscous: sparse.csr_array | None = None
+    structural: sparse.csr_array | None = None
+
+    @property
+    def matrices(self) -> dict[str, sparse.csr_array]:
+        """Those that it has, by the keys of models' files."""
+        found = {kind: getattr(self, kind) for kind in MATRIX_KINDS}
+        return {kind: matrix for kind, matrix in found.items() if matrix is not None}
+
+    @property
+    def damps_only(self) -> bool:
+        """Whether modes do not depend on it."""
+        return self.stiffness is None and self.mass is None
 
 
 @dataclass(frozen=True)
@@ -121,6 +138,23 @@ class MatrixModel:
         base = self.assembled(here) if moved else self.by_parts.base
         return ParameterMatrices(np.ones(len(parameters)), base, stiffness, mass)
 
+    def damping(self, parameters: tuple[Parameter, ...]) -> DampingModel:
+        """What damps the model, for all values of these parameters."""
+        here, there = (
+            {name: (f, column) for column, p in enumerate(parameters)
+             for name, f in self.factors(p, value).items()}
+            for value in (0.0, 1.0)
+        )  # fmt: skip
+        found = []
+        for name, part in self.parts.items():
+            (constant, column), (end, _) = here.get(name, (1.0, -1)), there.get(name, (1.0, -1))
+            found += [
+                Damper(kind, matrix, constant, end - constant, column)
+                for kind in DAMPING_KINDS
+                if (matrix := getattr(part, kind)) is not None
+            ]
+        return DampingModel(tuple(found))
+
     def factors(self, parameter: Parameter, value: float) -> dict[str, float]:
         """Factors on the parts of a parameter at its value."""
         shown, plain = parameter.shown(value), parameter.values == "relative"
@@ -160,10 +194,9 @@ class MatrixModel:
         _feed_matrix(digest, "stiffness", self.stiffness)
         _feed_matrix(digest, "mass", self.mass)
         for name in sorted(self.parts):
-            part = self.parts[name]
-            for kind, matrix in (("stiffness", part.stiffness), ("mass", part.mass)):
-                if matrix is not None:
-                    _feed_matrix(digest, f"{name}/{kind}", matrix)
+            for kind in MATRIX_KINDS[:2]:
+                if kind in self.parts[name].matrices:
+                    _feed_matrix(digest, f"{name}/{kind}", self.parts[name].matrices[kind])
         return digest.hexdigest()
 
 

@@ -44,7 +44,11 @@ class MatricesProgram:
             "version": self.version(),
             "reader": self.reader_version,
             "model": deck.model.digest,
-            "factors": {name: value for name, value in deck.factors.items() if value != 1.0},
+            "factors": {
+                name: value
+                for name, value in deck.factors.items()
+                if value != 1.0 and not deck.model.parts[name].damps_only
+            },
             "n_modes": modal.n_modes,
             "nodes": list(modal.nodes),
             "groups": [[name, list(parts)] for name, parts in modal.groups],

@@ -1,4 +1,4 @@
-"""Spring-mass systems: the YAML lines of masses and springs, and the matrices they make."""
+"""Spring-mass systems: the YAML lines of masses, springs and dampers, and their matrices."""
 
 from __future__ import annotations
 
@@ -8,12 +8,19 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.matrices.model import MatrixModel, MatrixPart
+from modetune.adapters.matrices.model import MATRIX_KINDS, MatrixModel, MatrixPart
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
 from modetune.core.near_names import suggestion
+from modetune.core.parameters import Quantity
 
 GROUND = "ground"
+#: Sections of what stands between masses, and of each the key of its number with its quantity.
+LINKS: dict[str, dict[str, Quantity]] = {
+    "springs": {"stiffness": "spring_stiffness"},
+    "dampers": {"viscous": "viscous_damping", "structural": "structural_damping"},
+}
+NOTHING: dict[str, None] = dict.fromkeys(MATRIX_KINDS)
 
 
 def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
@@ -23,7 +30,10 @@ def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
     """
     problems: list[str] = []
     masses = file.entries(("masses",), problems)
-    springs = file.entries(("springs",), problems)
+    links = {
+        section: file.entries((section,), problems) if section in file.data else {}
+        for section in LINKS
+    }
     parts: dict[str, MatrixPart] = {}
     row_of = {name: row for row, name in enumerate(masses)}
     size = len(masses)
@@ -33,12 +43,15 @@ def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
         value = _number(file, ("masses", name), problems)
         parts[name] = MatrixPart("mass", value, None, _element(size, [row_of[name]], value))
     places: dict[str, Place] = {name: ("masses", name) for name in masses}
-    for name in springs:
+    for place in ((section, name) for section, names in links.items() for name in names):
+        name = place[1]
         if name in parts:
-            problems.append(f"{file.where(('springs', name))}: {name} is a mass already")
-        rows, value = _spring(file, name, row_of, problems)
-        parts[name] = MatrixPart("spring_stiffness", value, _element(size, rows, value), None)
-        places[name] = ("springs", name, "stiffness")
+            problems.append(f"{file.where(place)}: the name {name} stands twice")
+        rows, key, value = _link(file, place, row_of, problems)
+        parts[name] = MatrixPart(
+            LINKS[place[0]][key], value, **{**NOTHING, key: _element(size, rows, value)}
+        )
+        places[name] = (*place, key)
     if problems:
         raise ModelError("\n".join(problems))
     zero = sparse.csr_array((size, size))
@@ -55,16 +68,15 @@ def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
     return model, places
 
 
-def _spring(
-    file: YamlFile, name: str, row_of: Mapping[str, int], problems: list[str]
-) -> tuple[list[int], float]:
-    """Rows of the masses that a spring holds, one or two, and its stiffness."""
-    place = ("springs", name)
-    where, given = file.where(place), file.entries(place, problems)
-    unknown = [key for key in given if key not in ("between", "stiffness")]
+def _link(
+    file: YamlFile, place: Place, row_of: Mapping[str, int], problems: list[str]
+) -> tuple[list[int], str, float]:
+    """Rows of the masses that a spring or damper holds, one or two, its key, and its value."""
+    where, given, keys = file.where(place), file.entries(place, problems), LINKS[str(place[0])]
+    unknown = [key for key in given if key not in ("between", *keys)]
     if unknown:
         problems.append(
-            f"{where}: unknown key `{unknown[0]}`{suggestion(unknown[0], ('between', 'stiffness'))}"
+            f"{where}: unknown key `{unknown[0]}`{suggestion(unknown[0], ('between', *keys))}"
         )
     ends = given.get("between")
     if not isinstance(ends, list) or len(ends) != 2 or ends[0] == ends[1]:
@@ -73,10 +85,13 @@ def _spring(
     names = [str(end) for end in ends if end != GROUND]
     problems += [f"{where}: there is no mass {name}" for name in names if name not in row_of]
     rows = [row_of[name] for name in names if name in row_of]
-    if "stiffness" not in given:
-        problems.append(f"{where}: the key `stiffness` is missing")
-        return rows, 0.0
-    return rows, _number(file, (*place, "stiffness"), problems)
+    own = [key for key in keys if key in given]
+    if len(own) != 1:
+        said = " or ".join(f"`{key}`" for key in keys)
+        what = "is missing" if not own else "is given twice: a damper has one of them"
+        problems.append(f"{where}: the key {said} {what}")
+        return rows, next(iter(keys)), 0.0
+    return rows, own[0], _number(file, (*place, own[0]), problems)
 
 
 def _element(size: int, rows: list[int], value: float) -> sparse.csr_array:

@@ -58,9 +58,10 @@ class DampedSystem:
 
     def slope(self, s: complex, x: Complexes, change: DampedSystem) -> complex:
         """ds with respect to what changes the matrices so; x: (n,), the mode of s."""
-        forces = change.complex_stiffness @ x + s * (change.viscous @ x) + s**2 * (change.mass @ x)
-        inertia = 2.0 * s * (self.mass @ x) + self.viscous @ x
-        return -complex(x @ forces) / complex(x @ inertia)
+        stiff = np.asarray(change.complex_stiffness @ x)
+        forces = stiff + s * (change.viscous @ x) + s**2 * (change.mass @ x)
+        inertia = np.asarray(2.0 * s * (self.mass @ x) + self.viscous @ x)
+        return complex(-np.sum(x * forces) / np.sum(x * inertia))
 
 
 @dataclass(frozen=True, slots=True)

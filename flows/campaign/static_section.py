@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -11,7 +11,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.errors import ModelError
-from modetune.core.modes import COMPONENTS, Floats, Integers
+from modetune.core.modes import COMPONENTS, Floats, Integers, MeasuredModes
+from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.static import Static
 from modetune.core.updating.static import LoadCase, Reading
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
@@ -19,7 +20,7 @@ from modetune.flows.campaign.section import Finite, NotNegative, Positive, Secti
 ByName = Annotated[dict[str, Finite], BeforeValidator(by_name)]
 
 
-class StaticSection(Section):
+class StaticCase(Section):
     """A load case and what was measured under it."""
 
     load: Annotated[int, Field(ge=1)] | None = None
@@ -41,7 +42,7 @@ class StaticSection(Section):
     """Emphasis of the case; 0 leaves it out."""
 
     @model_validator(mode="after")
-    def _whole(self) -> StaticSection:
+    def _whole(self) -> StaticCase:
         if (self.load is None) == (not self.forces):
             raise ValueError("`load` or `forces` says what the structure is loaded by: one of them")
         if not (self.displacements or self.strains):
@@ -52,47 +53,58 @@ class StaticSection(Section):
         return self
 
 
-def static_response(
-    sections: Sequence[StaticSection], deck: Deck
-) -> tuple[Static, list[tuple[Place, str]]]:
-    """What is compared, and why some of it cannot be, each with its place below `static`."""
-    readings: list[Reading] = []
-    loads: list[LoadCase] = []
-    problems: list[tuple[Place, str]] = []
-    for position, section in enumerate(sections):
-        try:
-            loads.append(_load(section, deck))
-        except ModelError as error:
-            problems.append(((position, "forces" if section.forces else "load"), str(error)))
-        for key, values, terms in (
-            ("displacements", section.displacements, _displacement),
-            ("strains", section.strains, _elongation),
-        ):
-            size = max(map(abs, values.values()), default=0.0)
-            for name, value in values.items():
-                try:
-                    nodes, components, factors = terms(name, deck)
-                except ModelError as error:
-                    problems.append(((position, key, name), str(error)))
-                    continue
-                called = f"{key[:-1]} {name} of load case {section.load or position + 1}"
-                readings.append(
-                    Reading(
-                        name=called,
-                        load=position,
-                        nodes=nodes,
-                        components=components,
-                        factors=factors,
-                        value=value,
-                        deviation=section.deviation * size,
-                        tolerance=section.tolerance * size,
-                        weight=section.weight,
-                    )
-                )
-    return Static(tuple(readings), tuple(loads), deck.observation), problems
+class StaticSection(Section):
+    """Static displacements and strains under load cases."""
+
+    cases: Annotated[tuple[StaticCase, ...], Field(min_length=1)]
+    """Load cases, and what was measured under each."""
+
+    @property
+    def mode_keys(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def shape_weights(self) -> Mapping[str, float]:
+        return {}
+
+    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Static:
+        """As a model has it, without what `problems` tells of."""
+        loads, readings, _ = self._made(deck)
+        return Static(tuple(readings), tuple(loads), deck.observation)
+
+    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+        """Why some of it cannot be compared, each with its place below the section."""
+        return self._made(deck)[2]
+
+    def _made(self, deck: Deck) -> tuple[list[LoadCase], list[Reading], list[tuple[Place, str]]]:
+        readings: list[Reading] = []
+        loads: list[LoadCase] = []
+        problems: list[tuple[Place, str]] = []
+        for position, case in enumerate(self.cases):
+            place: Place = ("cases", position)
+            try:
+                loads.append(_load(case, deck))
+            except ModelError as error:
+                problems.append(((*place, "forces" if case.forces else "load"), str(error)))
+            for key, values, terms in (
+                ("displacements", case.displacements, _displacement),
+                ("strains", case.strains, _elongation),
+            ):
+                size = max(map(abs, values.values()), default=0.0)
+                called = f"of load case {case.load or position + 1}"
+                for name, value in values.items():
+                    try:
+                        nodes, components, factors = terms(name, deck)
+                    except ModelError as error:
+                        problems.append(((*place, key, name), str(error)))
+                        continue
+                    own = f"{key[:-1]} {name} {called}", position, nodes, components, factors
+                    allowed = case.deviation * size, case.tolerance * size, case.weight
+                    readings.append(Reading(*own, value, *allowed))
+        return loads, readings, problems
 
 
-def _load(section: StaticSection, deck: Deck) -> LoadCase:
+def _load(section: StaticCase, deck: Deck) -> LoadCase:
     if section.load is not None:
         return deck.load_case(section.load)
     forces = ((*_dof(name, deck), value) for name, value in section.forces.items())

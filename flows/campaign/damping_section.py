@@ -1,0 +1,55 @@
+"""Modal damping ratios as responses: the campaign's `residuals.damping`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydantic import Field
+
+from modetune.adapters.solver import Deck
+from modetune.adapters.yaml_file import Place
+from modetune.core.modes import MeasuredModes
+from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.responses.damping import Damping
+from modetune.flows.campaign.section import OTHERS, Positive, Section, Weights
+
+
+class DampingSection(Section):
+    """Damping ratios of the paired modes, by the dampers of the model."""
+
+    weight: Weights = Field(default=1.0, validate_default=True)
+    """Emphasis, of all modes or by mode; 0 leaves them out."""
+    deviation: Positive = 0.1
+    """Standard deviation of measured ratios [of the ratio]"""
+    tolerance: Positive = 0.2
+    """Largest error that e1 allows [of the measured ratio]"""
+
+    @property
+    def mode_keys(self) -> tuple[str, ...]:
+        return ("weight",)
+
+    @property
+    def shape_weights(self) -> Mapping[str, float]:
+        return {}
+
+    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Damping:
+        """As a test and a model have it, without what `problems` tells of."""
+        weights = {number: self._weight(number) for number in test.numbers}
+        return Damping(weights, self.deviation, self.tolerance, deck.damping)
+
+    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+        """Why some of it cannot be compared, each with its place below the section."""
+        ratios = test.modes.damping_ratios
+        if not ratios.size:
+            return [((), "the test has no damping ratios: leave this out")]
+        found: list[tuple[Place, str]] = [
+            (("weight",), f"mode {number} has the damping ratio {ratio:g}, which must be above "
+             "zero: give it weight 0")
+            for number, ratio in zip(test.numbers, ratios.tolist(), strict=True)
+            if ratio <= 0.0 and self._weight(number)
+        ]  # fmt: skip
+        said = deck.undamped()
+        return [*found, *([((), said)] if said else [])]
+
+    def _weight(self, number: int) -> float:
+        return self.weight.get(str(number), self.weight.get(OTHERS, 1.0))
