@@ -46,7 +46,8 @@ def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
     for place in ((section, name) for section, names in links.items() for name in names):
         name = place[1]
         if name in parts:
-            problems.append(f"{file.where(place)}: the name {name} stands twice")
+            what = {"masses": "mass", "springs": "spring"}[str(places[name][0])]
+            problems.append(f"{file.where(place)}: {name} is a {what} already")
         rows, key, value = _link(file, place, row_of, problems)
         parts[name] = MatrixPart(
             LINKS[place[0]][key], value, **{**NOTHING, key: _element(size, rows, value)}

@@ -10,7 +10,7 @@ from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.modes import MeasuredModes
 from modetune.core.updating.criteria import Tolerances
-from modetune.core.updating.responses.damping import Damping
+from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.section import OTHERS, Positive, Section, Weights
 
 
@@ -32,10 +32,10 @@ class DampingSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return {}
 
-    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Damping:
+    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> DampingRatios:
         """As a test and a model have it, without what `problems` tells of."""
         weights = {number: self._weight(number) for number in test.numbers}
-        return Damping(weights, self.deviation, self.tolerance, deck.damping)
+        return DampingRatios(weights, self.deviation, self.tolerance, deck.damping)
 
     def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""

@@ -191,7 +191,11 @@ def test_unknowns_are_nodes_in_order_where_nothing_names_them(index: Path) -> No
         ("model.h5:whole/M", "model.h5:whole/N", "has no dataset or group 'whole/N'"),
         ("model.h5:whole/M", "model.h5:whole", "holds no matrix"),
         ("parts:", "pieces:", "unknown key `pieces`"),
-        ("joint: {stiffness:", "joint: {damping:", "part joint needs `stiffness`, `mass` or both"),
+        (
+            "joint: {stiffness:",
+            "joint: {damping:",
+            "part joint needs one or several of `stiffness`, `mass`",
+        ),
         ("dofs.txt", "none.txt", r"none\.txt cannot be read"),
     ],
 )

@@ -33,7 +33,7 @@ MORE_MODES = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Damping:
+class DampingRatios:
     """Modal damping ratios of the pairs.
 
     weights: by number of the test's modes, 0 of those whose ratio is not above 0; deviation,

@@ -1,0 +1,127 @@
+"""Static deflections beside frequencies: what one kind alone cannot tell apart; run by ccx."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.adapters.ccx_decks import MATERIAL, bar
+from tests.command_line import run_command
+
+pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+
+#: Of modulus and density, relative.
+TRUTH = 1.12, 0.9
+STEPS = """*STEP
+*STATIC
+*CLOAD
+21,3,-60.
+22,3,-60.
+*NODE PRINT, NSET=SEEN
+U
+*END STEP
+*STEP
+*FREQUENCY
+6
+*END STEP
+"""
+CAMPAIGN = """name: cantilever
+model: {deck: bar.inp, solver: calculix, units: mm-t-s}
+test: {modes: measured.csv}
+parameters:
+  - {name: E, quantity: youngs_modulus, material: A, bounds: [0.5, 2.0]}
+  - {name: rho, quantity: density, material: A, bounds: [0.5, 2.0]}
+residuals:
+  shape_weight: 0.0
+%s
+update: {e1: {frequency: 1.0e-4}}
+"""
+STATIC = """  static:
+    cases:
+      - load: 1
+        displacements: {21.z: %g, 13.z: %g}
+        strains: {"2-6": %.7g}
+        deviation: 0.002
+        tolerance: 0.001
+"""
+
+
+def deck(modulus: float = 1.0, density: float = 1.0) -> str:
+    """A clamped bar of five bricks, 50 x 10 x 8."""
+    material = (
+        f"*MATERIAL, NAME=A\n*ELASTIC\n{70000 * modulus}, 0.3\n*DENSITY\n{2.7e-9 * density}\n"
+    )
+    held = "*BOUNDARY\n1,1,3\n2,1,3\n3,1,3\n4,1,3\n"
+    text = bar("C3D8I", bricks=5, held=held)
+    assert MATERIAL in text
+    return text.replace(MATERIAL, material) + "*NSET, NSET=SEEN\n2, 6, 13, 21\n" + STEPS
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """Frequencies and static readings of the truth, by ccx itself: a test file, and a section."""
+    folder = tmp_path_factory.mktemp("truth")
+    (folder / "own.inp").write_text(deck(*TRUTH))
+    subprocess.run(["ccx", "own"], cwd=folder, check=True, capture_output=True)
+    printed = (folder / "own.dat").read_text()
+    table = printed.split("displacements (vx,vy,vz)")[1].split("E I G")[0]
+    moved = {
+        int(row[0]): [float(word) for word in row[1:]]
+        for row in map(str.split, table.splitlines())
+        if len(row) == 4 and row[0].isdecimal()
+    }
+    rows = [line.split() for line in printed.split("E I G E N V A L U E")[1].splitlines()]
+    hz = [row[3] for row in rows if len(row) == 5 and row[0].isdecimal()][:3]
+    test = f"mode, {', '.join(str(n + 1) for n in range(3))}\nfrequency_hz, {', '.join(hz)}\n"
+    strain = (moved[6][0] - moved[2][0]) / 10.0  # nodes 10 mm apart along x
+    return test, STATIC % (moved[21][2], moved[13][2], strain)
+
+
+def campaign(folder: Path, test: str, residuals: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "bar.inp").write_text(deck())
+    (folder / "measured.csv").write_text(test)
+    path = folder / "campaign.yaml"
+    path.write_text(CAMPAIGN % residuals)
+    return path
+
+
+def test_both_kinds_tell_modulus_and_density(tmp_path: Path, measured: tuple[str, str]) -> None:
+    path = campaign(tmp_path, *measured)
+    ended = run_command(tmp_path, "update", str(path), "--json", "--set", "report.page=false")
+    told = json.loads(ended.stdout)
+    assert ended.returncode == 0, ended.stderr
+    assert told["status"] == "converged"
+    # e1 of 1e-4 in frequency and 1e-3 of the deflection bound both to some 1e-3.
+    updated = [item["updated"] for item in told["parameters"]]
+    assert updated == pytest.approx(TRUTH, rel=2e-3)
+    errors = [item["standard_error"] for item in told["parameters"]]
+    assert max(errors) < 0.02
+
+
+def test_loads_that_the_deck_has_not_are_told_with_file_and_line(
+    tmp_path: Path, measured: tuple[str, str]
+) -> None:
+    wrong = STATIC.replace("load: 1", "load: 4").replace("13.z", "999.z").replace("2-6", "2-2") % (
+        -0.1,
+        -0.1,
+        1e-5,
+    )
+    path = campaign(tmp_path, measured[0], wrong)
+    ended = run_command(tmp_path, "update", str(path))
+    assert ended.returncode == 2
+    lines = path.read_text().splitlines()
+    for text, word in (
+        ("no load case 4; it has 1 *STATIC step", "load: 4"),
+        ("the model has no node 999", "999.z"),
+        ("'2-2' is not two nodes", "2-2"),
+    ):
+        line = 1 + next(n for n, own in enumerate(lines) if word in own)
+        found = re.search(rf"campaign\.yaml, line {line}: .*", ended.stderr)
+        assert text in " ".join(ended.stderr.split()), ended.stderr
+        assert found, (line, ended.stderr)
