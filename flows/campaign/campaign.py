@@ -277,6 +277,9 @@ def _read_case(
         return None
     used, held = used_modes(file, measurement), held_out_modes(file, measurement)
     test = replace(used, modes=used.modes.rows(mapping.rows))
+    problems += file.residuals.problems(source, test, solver)
+    if problems:
+        return None
     parameters = file.parameter_set()
     tolerances = Tolerances(file.update.e1.frequency, file.update.e1.mac)
     return Case(
@@ -301,7 +304,7 @@ def _read_case(
             drop=file.test.unmatched == "drop",
             reach=frequency_reach(parameters, parameters.initial),
         ),
-        compared=file.residuals.responses(tolerances, test.numbers),
+        compared=file.residuals.responses(tolerances, test, solver.deck),
         tolerances=tolerances,
     )
 

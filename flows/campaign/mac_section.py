@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from pydantic import Field
 
+from modetune.adapters.solver import Deck
+from modetune.adapters.yaml_file import Place
+from modetune.core.modes import MeasuredModes
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.mac import Mac, MacQuantity
 from modetune.flows.campaign.section import OTHERS, Deviations, Section, Weights
@@ -30,8 +33,9 @@ class MacSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return self.weight
 
-    def response(self, e1: Tolerances, numbers: Sequence[int]) -> Mac:
-        """As a test with modes of these numbers has it."""
+    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Mac:
+        """As a test has it."""
+        numbers = test.numbers
         return Mac(
             {n: self.weight.get(str(n), self.weight.get(OTHERS, 1.0)) for n in numbers},
             {
@@ -42,3 +46,6 @@ class MacSection(Section):
             self.quantity,
             e1.mac,
         )
+
+    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+        return []

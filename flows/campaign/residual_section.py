@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal, Protocol, get_args
 
 from pydantic import BeforeValidator, Field
 
+from modetune.adapters.solver import Deck, Solver
+from modetune.adapters.yaml_file import Place, YamlFile
+from modetune.core.modes import MeasuredModes
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.response import Response
+from modetune.flows.campaign.damping_section import DampingSection
 from modetune.flows.campaign.mac_section import MacSection
 from modetune.flows.campaign.section import (
     OTHERS,
@@ -19,6 +23,7 @@ from modetune.flows.campaign.section import (
     Weights,
     by_name,
 )
+from modetune.flows.campaign.static_section import StaticSection
 
 #: What a key of modes stands for.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]
@@ -26,7 +31,7 @@ SensorKey = Literal["sensor_weight", "sensor_deviation"]
 
 
 #: Keys of the kinds of responses beside frequencies and shapes, in the order of their rows.
-KINDS = ("mac",)
+KINDS = ("mac", "static", "damping")
 
 
 class KindSection(Protocol):
@@ -42,7 +47,13 @@ class KindSection(Protocol):
         """Its weights by mode, where it compares shapes."""
         ...
 
-    def response(self, e1: Tolerances, numbers: Sequence[int]) -> Response: ...
+    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Response:
+        """The kind as a test and a model have it, without what `problems` tells of."""
+        ...
+
+    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+        """Why it does not fit them, each with its place below the section."""
+        ...
 
 
 class ResidualSection(Section):
@@ -69,6 +80,10 @@ class ResidualSection(Section):
     given [of the shape's deviation]"""
     mac: MacSection | None = None
     """MAC as a response of its own."""
+    static: StaticSection | None = None
+    """Static displacements and strains under load cases."""
+    damping: DampingSection | None = None
+    """Modal damping ratios."""
 
     @property
     def kinds(self) -> dict[str, KindSection]:
@@ -76,9 +91,25 @@ class ResidualSection(Section):
         found = ((key, getattr(self, key)) for key in KINDS)
         return {key: section for key, section in found if section is not None}
 
-    def responses(self, e1: Tolerances, numbers: Sequence[int]) -> tuple[Response, ...]:
-        """These kinds as a test with modes of these numbers has them."""
-        return tuple(section.response(e1, numbers) for section in self.kinds.values())
+    def responses(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> tuple[Response, ...]:
+        """These kinds as a test and a model have them."""
+        return tuple(section.response(e1, test, deck) for section in self.kinds.values())
+
+    def problems(self, source: YamlFile, test: MeasuredModes, solver: Solver) -> list[str]:
+        """Why these kinds do not fit a test and a model, each with file and line."""
+        found = []
+        for kind, section in self.kinds.items():
+            said = section.problems(test, solver.deck)
+            if "matrices" in section.response(Tolerances(), test, solver.deck).needs:
+                if not solver.program.capabilities.matrices:
+                    said.append(((), f"{solver.program.name} gives no matrices, which it requires"))
+                elif solver.deck.preload():
+                    said.append(((), f"{solver.deck.preload()}: the stiffness depends on a state"))
+            found += [
+                f"{source.where(('residuals', kind, *place))}: residuals.{kind}: {text}"
+                for place, text in said
+            ]
+        return found
 
     @property
     def by_mode(self) -> Iterator[tuple[tuple[str, ...], Mapping[str, float]]]:
