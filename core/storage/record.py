@@ -93,6 +93,13 @@ class RunCounts:
     core_s: float = 0.0
     licence_s: float = 0.0
 
+    @property
+    def sentence(self) -> str:
+        return (
+            f"solver runs: {self.modal} modal, {self.sensitivity} sensitivity, {self.reused} "
+            "answered by the store"
+        )
+
     def plus(self, other: RunCounts) -> RunCounts:
         return RunCounts(
             self.modal + other.modal,

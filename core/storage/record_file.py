@@ -104,8 +104,11 @@ def write_record(path: Path, record: CampaignRecord) -> None:
 
 
 def read_record(path: Path) -> CampaignRecord:
-    """A campaign's record as it was written. Raises CampaignError, StoreDamaged."""
-    record = CAMPAIGN.read(path)
+    """A campaign's record as it was written, from its file or its run folder.
+
+    Raises CampaignError, StoreDamaged.
+    """
+    record = CAMPAIGN.read(path / CAMPAIGN.file if path.is_dir() else path)
     if not any(item.accepted for item in record.iterations):
         raise CampaignError(f"{path} is not a record of a campaign: no iteration was accepted")
     return record

@@ -210,12 +210,7 @@ def quality_lines(found: Pretest) -> list[str]:
         f"determinant {quality.determinant:.2e} of that of all, {quality.efficiency:.2f} times "
         "the mean candidate a sensor and mode"
     )
-    runs = found.runs
-    lines.append(
-        f"solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered "
-        "by the store"
-    )
-    return lines
+    return [*lines, found.runs.sentence]
 
 
 def _sensor_table(found: Pretest) -> Table:

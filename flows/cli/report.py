@@ -11,9 +11,6 @@ import typer
 from modetune.flows.cli.options import AsJson
 from modetune.flows.report.tables import json_object
 
-#: How a record in a run folder is named.
-RECORD = "campaign.h5"
-
 
 def report(
     record: Annotated[Path, typer.Argument(help="Run folder, or the campaign.h5 in it.")],
@@ -33,9 +30,8 @@ def report(
 
     if form not in ("png", "svg"):
         raise CampaignError(f"--format {form!r}: expected png or svg")
-    path = record / RECORD if record.is_dir() else record
-    known = read_record(path)
-    page = write_page(known, out or path.with_name("report.html"))
+    known, folder = read_record(record), record if record.is_dir() else record.parent
+    page = write_page(known, out or folder / "report.html")
     kind: Literal["png", "svg"] = "svg" if form == "svg" else "png"
     pictures: tuple[Path, ...] = ()
     if figures is not None:

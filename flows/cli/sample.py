@@ -70,9 +70,7 @@ def sample(
         campaign = load_campaign(campaign_file, settings or [])
     folder = runs / campaign.name
     check_writable(folder, "name another place for run folders with --runs")
-    earlier = None
-    if record is not None:
-        earlier = read_record(record / "campaign.h5" if record.is_dir() else record)
+    earlier = read_record(record) if record is not None else None
     request = SamplingRequest(points, walkers, steps, seed, checks)
     with (
         stoppable(),

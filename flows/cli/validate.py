@@ -107,10 +107,8 @@ def _parts(found: Validation) -> list[Table | Text | str]:
         columns += [Column(parameter, form=".4f") for parameter in found.parameters]
         rows = [(fold.name.removeprefix("without "), *fold.updated) for fold in found.folds]
         parts.append(Table("Parameters over the updates", tuple(columns), tuple(rows)))
-    runs = found.runs
     return [
         *parts,
         f"{found.status}: {found.sentence}",
-        f"{len(found.folds)} updates; solver runs: {runs.modal} modal, {runs.sensitivity} "
-        f"sensitivity, {runs.reused} answered by the store; {found.wall_s:.1f} s",
+        f"{len(found.folds)} updates; {found.runs.sentence}; {found.wall_s:.1f} s",
     ]

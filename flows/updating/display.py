@@ -136,10 +136,8 @@ def show_run(console: Console, run: CampaignRun) -> None:
         *record.splits,
         *trust_lines(record),
         f"{record.status}: {record.reason}",
-        f"iterations: {record.iterations[-1].number}; solver runs: {runs.modal} modal, "
-        f"{runs.sensitivity} sensitivity, {runs.reused} answered by the store{by_e2}; "
-        f"{record.wall_s:.1f} s, "
-        f"{runs.core_s / 60.0:.1f} core-minutes{licences}",
+        f"iterations: {record.iterations[-1].number}; {runs.sentence}{by_e2}; "
+        f"{record.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes{licences}",
         f"record       {run.folder / 'campaign.h5'}",
         f"updated deck {run.updated_deck}",
         *([f"report       {page}"] if page.exists() else []),

@@ -91,8 +91,7 @@ def place_of(campaign: Campaign, record: Path | None, configuration: str | None)
     return LocalisedModel(campaign.alone(case), None if theta is None else theta[columns])
 
 
-def _updated_values(campaign: Campaign, place: Path) -> Floats:
-    path = place / "campaign.h5" if place.is_dir() else place
+def _updated_values(campaign: Campaign, path: Path) -> Floats:
     record = read_record(path)
     if record.parameters.names != campaign.parameters.names:
         raise CampaignError(

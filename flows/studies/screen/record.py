@@ -3,25 +3,8 @@
 The file is the dataclass Screening below as `core/storage/codec` writes it, behind a seal: single
 values are attributes, arrays datasets, dataclasses groups, each by the name of its field.
 
-/                     attributes: name, seed, solver, solver_version, units, campaign_text (of the
-                      file), wall_s, wanted; datasets: names, deviations, importance
-                      (n_parameters,), numbers, test_hz, nominal_hz, nominal_mac (n_modes,),
-                      configurations (n_modes,) where there are several
-design/               points (n_points, n_parameters), blocks (n_points,), lower, upper
-                      (n_parameters,); attributes method, levels
-responses/            frequencies_hz, mac (n_points, n_modes), NaN where a point failed; mac
-                      without columns where no shape was measured; failures (text, empty where
-                      good), keys of the jobs (n_points,)
-local/                frequencies: (df/f) / (dp/p) (n_modes, n_parameters), mac likewise where
-                      shapes are compared, weighted (n_residuals, n_parameters),
-                      weighted_residual, methods, missing (text)
-indices/              measures (names), values (n_measures, n_responses, n_parameters), moves,
-                      explained, interactions, interaction_shares; attribute used. Not for `local`.
-choice/               verdicts/0000/...: attributes name, rank, reason; ranking, misfits,
-                      groups/0000, ...
-reduced_model/        where points were found by one: attributes sets, vectors, solutions, asked,
-                      error, estimate, in_full, solver, apart, where (`core/updating/reduced_range`)
-runs/                 attributes modal, sensitivity, reused, core_s, licence_s
+Groups: design, responses, local, indices (not for `local`), choice, reduced_model (where points
+were found by one), runs. A group of what a screening does not have is not there.
 """
 
 from __future__ import annotations

@@ -229,10 +229,7 @@ def lines(screening: Screening) -> list[str]:
     said.extend(f"note: {note}" for note in notes(screening))
     if screening.points_by:
         said.append(screening.points_by)
-    said.append(
-        f"solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered "
-        f"by the store; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes"
-    )
+    said.append(f"{runs.sentence}; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes")
     return said
 
 
