@@ -112,9 +112,13 @@ def next_pairing(
 ) -> Pairing:
     """The pairs of a later model, of the test modes that have been paired before.
 
-    elastic: its elastic modes at the rows of those before. Raises LostMode, ModesError.
+    elastic: its elastic modes; those before are tracked where both are known (matrices tell
+    translations alone, a solver rotations too). Raises LostMode, ModesError.
     """
     pairing, previous = before
+    if previous.n_dof != elastic.n_dof:
+        rows_before, rows_now = common_dofs(previous, elastic)
+        previous, elastic = previous.rows(rows_before), elastic.rows(rows_now)
     if not test.has_shapes:
         return pair_by_tracking(pairing, previous, elastic)
     by_hand = np.isin([test.numbers[row] for row in pairing.measured], list(rules.by_hand))

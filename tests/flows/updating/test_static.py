@@ -10,7 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from modetune.adapters.nastran.solver import mystran_solver
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.updating.results import ModalResult
 from tests.adapters.ccx_decks import MATERIAL, bar
+from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
@@ -125,3 +129,41 @@ def test_loads_that_the_deck_has_not_are_told_with_file_and_line(
         found = re.search(rf"campaign\.yaml, line {line}: .*", ended.stderr)
         assert text in " ".join(ended.stderr.split()), ended.stderr
         assert found, (line, ended.stderr)
+
+
+def nastran_bar(modulus: float, density: float) -> str:
+    grids = "".join(f"GRID,{k + 1},,{0.1 * k:.1f},0.,0.\n" for k in range(11))
+    bars = "".join(f"CBAR,{k},1,{k},{k + 1},0.,0.,1.\n" for k in range(1, 11))
+    return (
+        "SOL 103\nCEND\nMETHOD=1\nSPC=1\nBEGIN BULK\nEIGRL,1,,,6\n"
+        f"{grids}{bars}PBAR,1,1,6.-4,4.5-8,2.-8,5.-8\nMAT1,1,{modulus:.4f}+11,,.3,{density}\n"
+        "SPC1,1,123456,1\nFORCE,3,11,,50.,0.,0.,-1.\nMOMENT,3,11,,4.,0.,1.,0.\nENDDATA\n"
+    )
+
+
+@pytest.mark.skipif(not shutil.which("mystran"), reason="MYSTRAN is not installed")
+def test_forces_and_moments_of_a_load_set_on_mystran(tmp_path: Path) -> None:
+    """A cantilever without shear: readings are closed forms, frequencies MYSTRAN's own."""
+    (tmp_path / "truth.bdf").write_text(nastran_bar(2.2, 7000.0))
+    solver = mystran_solver(tmp_path / "truth.bdf", ())
+    modal = run(solver, {}, ModalAnalysis(6, (11,)), tmp_path)
+    assert isinstance(modal, ModalResult)
+    hz = ", ".join(f"{value:.8g}" for value in modal.elastic.frequencies_hz[:3])
+    (tmp_path / "measured.csv").write_text(f"mode, 1, 2, 3\nfrequency_hz, {hz}\n")
+    (tmp_path / "bar.bdf").write_text(nastran_bar(2.0, 7800.0))
+    bending, force, moment = 2.2e11 * 4.5e-8, 50.0, 4.0
+    # w = F L^3 / 3 EI + M L^2 / 2 EI downwards, and the rotation about y, with L = 1 m.
+    down = force / (3.0 * bending) + moment / (2.0 * bending)
+    turn = force / (2.0 * bending) + moment / bending
+    section = (
+        "  static:\n    cases:\n"
+        f"      - {{load: 3, displacements: {{11.z: {-down:.8g}}}, tolerance: 0.001}}\n"
+        f"      - {{load: 3, displacements: {{11.ry: {turn:.8g}}}, tolerance: 0.001}}\n"
+    )
+    text = (CAMPAIGN % section).replace("bar.inp, solver: calculix, units: mm-t-s", "bar.bdf, "
+        "solver: mystran, units: m-kg-s").replace("material: A", "material: 1")  # fmt: skip
+    (tmp_path / "campaign.yaml").write_text(text)
+    ended = run_command(tmp_path, "update", "campaign.yaml", "--json", "--set", "report.page=false")
+    assert ended.returncode == 0, ended.stderr
+    updated = [item["updated"] for item in json.loads(ended.stdout)["parameters"]]
+    assert updated == pytest.approx([1.1, 7000.0 / 7800.0], rel=2e-3)
