@@ -29,7 +29,11 @@ def load_case(model: CalculixModel, number: int) -> LoadCase:
     static = [step for step in steps if any(card.is_one_of("*STATIC") for card in step)]
     if not 0 < number <= len(static):
         at = ", ".join(deck.where(step[0]) for step in static)
-        has = f"{len(static)} *STATIC steps ({at})" if static else "no *STATIC step"
+        has = (
+            f"{len(static)} *STATIC step{'s' * (len(static) > 1)} ({at})"
+            if static
+            else "no *STATIC step"
+        )
         raise ModelError(f"{deck.file}: the deck has no load case {number}; it has {has}")
     if model.preload():
         raise ModelError(

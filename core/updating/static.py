@@ -111,7 +111,10 @@ class StaticModel:
 
         Raises ModelError where the stiffness is singular, as a free structure's is.
         """
-        factors = factorise(matrices.at(theta).stiffness)
+        try:
+            factors = factorise(matrices.at(theta).stiffness)
+        except ModelError as error:
+            raise ModelError(f"static displacements: {error}") from error
         moved = factors.solve(self.forces)
         adjoint = factors.solve(self.rows.T.toarray())
         slopes = np.zeros((self.loads.size, theta.size))
