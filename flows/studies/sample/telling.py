@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -34,6 +35,10 @@ ITSELF = (
 )
 
 
+#: Sentences, each behind whether it is red.
+Said = Iterator[tuple[bool, str]]
+
+
 @dataclass(frozen=True, slots=True)
 class PosteriorFinding:
     """A sentence; red where the posterior cannot be relied on."""
@@ -44,47 +49,37 @@ class PosteriorFinding:
 
 def findings(record: PosteriorRecord) -> tuple[PosteriorFinding, ...]:
     """What is to be said of a posterior, red findings first."""
-    found = [*_of_checks(record), *_of_chains(record), *_of_peaks(record)]
-    found += [*_of_ends(record), *_of_shapes(record), *_of_prior(record), *_of_ties(record)]
+    told = (_of_checks, _of_chains, _of_peaks, _of_ends, _of_shapes, _of_prior, _of_ties)
+    found = [PosteriorFinding(*said) for of in told for said in of(record)]
     return tuple(sorted(found, key=lambda finding: not finding.red))
 
 
-def _of_checks(record: PosteriorRecord) -> list[PosteriorFinding]:
+def _of_checks(record: PosteriorRecord) -> Said:
     names, errors = record.training.names, record.check_errors
-    found = []
     if not record.check_keys:
-        found.append(PosteriorFinding(False, "no point of the posterior was checked by the solver"))
+        yield False, "no point of the posterior was checked by the solver"
     elif errors.max() > REFUSED:
         worst = ", ".join(
             f"{names[place]} by {errors[place]:.2g}"
             for place in np.argsort(-errors).tolist()
             if errors[place] > REFUSED
         )
-        found.append(
-            PosteriorFinding(
-                True,
-                (
-                    f"at {len(record.check_keys)} points of the posterior {_called(record)} misses "
-                    f"the solver: {worst} standard deviations of the test; do not rely on this "
-                    f"posterior, {_remedy(record)}"
-                ),
-            )
+        yield (
+            True,
+            f"at {len(record.check_keys)} points of the posterior {_called(record)} misses "
+            f"the solver: {worst} standard deviations of the test; do not rely on this "
+            f"posterior, {_remedy(record)}",
         )
     if record.by_reduced_model:
-        found.append(PosteriorFinding(False, ITSELF))
+        yield False, ITSELF
     elif record.density_error > GOOD:
         place = int(record.left_out.argmax())
-        found.append(
-            PosteriorFinding(
-                False,
-                (
-                    f"the surrogate is coarse: with a run left out it misses the log density by "
-                    f"{record.density_error:.2g}, {names[place]} by {record.left_out[place]:.2g} "
-                    "standard deviations of the test"
-                ),
-            )
+        yield (
+            False,
+            f"the surrogate is coarse: with a run left out it misses the log density by "
+            f"{record.density_error:.2g}, {names[place]} by {record.left_out[place]:.2g} "
+            "standard deviations of the test",
         )
-    return found
 
 
 def _called(record: PosteriorRecord) -> str:
@@ -96,28 +91,24 @@ def _remedy(record: PosteriorRecord) -> str:
     return own if record.reduced_model else "raise --points"
 
 
-def _of_chains(record: PosteriorRecord) -> list[PosteriorFinding]:
+def _of_chains(record: PosteriorRecord) -> Said:
     if record.enough:
-        return []
+        return
     kept = record.steps - record.burned
     place = int(record.autocorrelation_times.argmax())
     times = record.autocorrelation_times[place]
-    return [
-        PosteriorFinding(
-            True,
-            (
-                f"the chains are too short: {kept} steps are {kept / times:.0f} autocorrelation "
-                f"times of {record.names[place]} (50 are wanted), R-hat is "
-                f"{record.r_hat.max():.3f} (at most 1.05); raise --steps or --walkers"
-            ),
-        )
-    ]
+    yield (
+        True,
+        f"the chains are too short: {kept} steps are {kept / times:.0f} autocorrelation "
+        f"times of {record.names[place]} (50 are wanted), R-hat is "
+        f"{record.r_hat.max():.3f} (at most 1.05); raise --steps or --walkers",
+    )
 
 
-def _of_peaks(record: PosteriorRecord) -> list[PosteriorFinding]:
+def _of_peaks(record: PosteriorRecord) -> Said:
     seen = np.flatnonzero(record.shares >= SECOND)
     if seen.size < 2:
-        return []
+        return
     places = "; ".join(
         f"{100 * record.shares[peak]:.0f} % at "
         + ", ".join(
@@ -126,20 +117,15 @@ def _of_peaks(record: PosteriorRecord) -> list[PosteriorFinding]:
         )
         for peak in seen.tolist()
     )
-    return [
-        PosteriorFinding(
-            True,
-            (
-                f"{seen.size} sets of parameters explain the test, apart from each other: "
-                f"{places}; mean and deviation say little here, measure another mode or a shape "
-                "that tells them apart"
-            ),
-        )
-    ]
+    yield (
+        True,
+        f"{seen.size} sets of parameters explain the test, apart from each other: "
+        f"{places}; mean and deviation say little here, measure another mode or a shape "
+        "that tells them apart",
+    )
 
 
-def _of_ends(record: PosteriorRecord) -> list[PosteriorFinding]:
-    found = []
+def _of_ends(record: PosteriorRecord) -> Said:
     width = 0.25 * record.deviation
     by_test = record.deviation <= UNTOLD * prior_width(record)
     sides = (
@@ -150,29 +136,21 @@ def _of_ends(record: PosteriorRecord) -> list[PosteriorFinding]:
         for place in np.flatnonzero((cut.mean(axis=0) > CUT) & by_test).tolist():
             name, at = record.names[place], end[place]
             if at == bound[place]:
-                found.append(
-                    PosteriorFinding(
-                        False,
-                        f"{name} presses against its bound {at:.4g}; the test may want it beyond",
-                    )
+                yield (
+                    False,
+                    f"{name} presses against its bound {at:.4g}; the test may want it beyond",
                 )
             else:
-                found.append(
-                    PosteriorFinding(
-                        True,
-                        (
-                            f"{name} presses against the end of the learned range, {at:.4g}, "
-                            "which cuts its posterior; leave --record out to learn all between "
-                            "the bounds"
-                        ),
-                    )
+                yield (
+                    True,
+                    f"{name} presses against the end of the learned range, {at:.4g}, "
+                    "which cuts its posterior; leave --record out to learn all between "
+                    "the bounds",
                 )
-    return found
 
 
-def _of_shapes(record: PosteriorRecord) -> list[PosteriorFinding]:
+def _of_shapes(record: PosteriorRecord) -> Said:
     """Where mean and deviation are not those of the linear model at the most likely values."""
-    found = []
     for place, name in enumerate(record.names):
         ratio = record.deviation[place] / record.linear_deviation[place]
         shift = (record.mean[place] - record.most_likely[place]) / record.deviation[place]
@@ -185,26 +163,20 @@ def _of_shapes(record: PosteriorRecord) -> list[PosteriorFinding]:
                 f"{'above' if shift > 0 else 'below'} the most likely value"
             )
         if said:
-            found.append(
-                PosteriorFinding(
-                    False,
-                    f"{name} is not as a linear model says: "
-                    f"{' and '.join(said)}; trust the interval",
-                )
+            yield (
+                False,
+                (f"{name} is not as a linear model says: {' and '.join(said)}; trust the interval"),
             )
-    return found
 
 
-def _of_prior(record: PosteriorRecord) -> list[PosteriorFinding]:
+def _of_prior(record: PosteriorRecord) -> Said:
     share = record.deviation / prior_width(record)
-    return [
-        PosteriorFinding(
+    for place in np.flatnonzero(share > UNTOLD).tolist():
+        yield (
             False,
             f"the test says next to nothing of {record.names[place]}: its posterior is the "
             "knowledge from before",
         )
-        for place in np.flatnonzero(share > UNTOLD).tolist()
-    ]
 
 
 def prior_width(record: PosteriorRecord) -> Floats:
@@ -214,16 +186,14 @@ def prior_width(record: PosteriorRecord) -> Floats:
     return np.asarray(truncnorm.std(*ends, loc=mean, scale=deviation), dtype=np.float64)
 
 
-def _of_ties(record: PosteriorRecord) -> list[PosteriorFinding]:
+def _of_ties(record: PosteriorRecord) -> Said:
     rows, columns = np.nonzero(np.triu(np.abs(record.correlation) > TIED, 1))
-    return [
-        PosteriorFinding(
+    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+        yield (
             False,
             f"{record.names[row]} and {record.names[column]} are told together only "
             f"(correlation {record.correlation[row, column]:+.2f})",
         )
-        for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
-    ]
 
 
 @dataclass(frozen=True, slots=True)
