@@ -8,7 +8,7 @@ Each takes a campaign, or the path of its file, and gives a result with frames (
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,9 +17,8 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.updating.direct import Filling
 from modetune.core.updating.results import ModalResult
-from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.campaign import Campaign, load_campaign, load_model
 from modetune.flows.campaign.objects import write_campaign
-from modetune.flows.campaign.schema import CampaignFile, ModelFile
 from modetune.flows.campaign.sketch import looked_at
 from modetune.flows.campaign.terminal import terminal
 from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
@@ -75,7 +74,7 @@ def load(
     and dofs. It is written as a campaign file into a folder, `.modetune/campaigns/NAME` unless
     named. settings: {"update.max_iterations": 5}. Raises CampaignError with all problems.
     """
-    return _load(campaign, settings, folder, CampaignFile)
+    return _load(campaign, settings, folder, load_campaign)
 
 
 def update(
@@ -226,7 +225,7 @@ def localise(
 
 
 def pretest(campaign: StrPath | Mapping[str, Any], **asked: Any) -> Pretest:
-    """Places for sensors and exciters from the model alone; the test is not read.
+    """Places for sensors and exciters from the model alone.
 
     asked: fields of PretestSettings: modes, sensors, method, candidates, directions, triaxial,
     distance, exciters, by_mass. Raises CampaignError, ModesError, SolverError.
@@ -235,7 +234,7 @@ def pretest(campaign: StrPath | Mapping[str, Any], **asked: Any) -> Pretest:
         settings = PretestSettings(**asked)
     except TypeError as error:
         raise CampaignError(f"pretest: {error}") from None
-    return run_pretest(_load(campaign, (), None, ModelFile), settings)
+    return run_pretest(_load(campaign, (), None, load_model), settings)
 
 
 def correlate(
@@ -369,13 +368,13 @@ def _load(
     campaign: StrPath | Mapping[str, Any],
     settings: Settings,
     folder: StrPath | None,
-    form: type[CampaignFile],
+    load: Callable[[Path, list[str]], Campaign],
 ) -> Campaign:
     if isinstance(campaign, Mapping):
         path = write_campaign(campaign, None if folder is None else Path(folder))
     else:
         path = Path(campaign)
-    return load_campaign(path, _texts(settings), form)
+    return load(path, _texts(settings))
 
 
 def _texts(settings: Settings) -> list[str]:

@@ -71,6 +71,12 @@ class Pairing:
         return np.fmax(self.mac, self.subspace_mac)
 
 
+def alone(modes: Integers) -> Pairing:
+    """Modes (n_modes,), positions in a set, each its own pair, where nothing was measured."""
+    unknown = np.full(modes.size, np.nan)
+    return Pairing(np.arange(modes.size), modes, unknown, unknown, ("",) * modes.size)
+
+
 class LostMode(ModesError):
     """A measured mode has no counterpart among the computed ones: compute more of them.
 

@@ -42,6 +42,8 @@ from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.schema import (
     STORE_VARIABLE,
     CampaignFile,
+    ModelFile,
+    OpenFile,
     ReportSection,
     SensitivitySection,
     UpdateSection,
@@ -219,6 +221,17 @@ def load_campaign(
         report=file.report,
         settings=tuple(settings or ()),
     )
+
+
+def load_model(path: Path | YamlFile, settings: list[str] | None = None) -> Campaign:
+    """A campaign file for what looks at its model alone, with or without a test.
+
+    A test that can be read is, so that modes are those of updating. Raises as `load_campaign`.
+    """
+    try:
+        return load_campaign(path, settings, OpenFile)
+    except CampaignError:
+        return load_campaign(path, settings, ModelFile)
 
 
 def campaign_form(

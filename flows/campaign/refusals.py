@@ -8,8 +8,8 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile
 from modetune.flows.campaign.schema import (
     BY_NAME,
+    NO_TEST,
     CampaignFile,
-    ModelFile,
     SolverName,
     targets_of,
 )
@@ -74,7 +74,7 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
             f"{where}: update.confirm: matrices confirms modes that come from matrices, and "
             "`model.eigensolver: solver` takes the solver's own; leave one of the two out"
         ]
-    if file.model.eigensolver == "pardiso" and isinstance(file, ModelFile):
+    if file.model.eigensolver == "pardiso" and file.test.modes == NO_TEST:
         where = source.where(("model", "eigensolver"))
         return [
             f"{where}: eigensolver pardiso: before there is a test the modes are the solver's own; "

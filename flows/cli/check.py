@@ -73,7 +73,7 @@ def check(
     no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
-    """Judge campaign, test and model before updating, at the cost of its first modal run.
+    """Judge campaign, test and model before updating, at the cost of what updating begins with.
 
     Without a campaign file: a deck alone, or with the files of its test. With --against the model
     is solved at the deck's values and compared with a baseline.
@@ -144,7 +144,7 @@ def _told_facts(facts: ModelFacts) -> dict[str, Json]:
     body = facts.body
     return json_object(
         facts,
-        "size_m mass mass_kg rigid_hz elastic_hz",
+        "size_m mass mass_kg mass_by rigid_hz elastic_hz",
         mass_of_rigid_modes=body.mass if body else None,
         centre=body.centre if body else None,
         inertia=body.inertia if body else None,
@@ -199,8 +199,9 @@ def _tables(report: PreCheckReport) -> list[Table]:
 def _end(report: PreCheckReport) -> str:
     counts = {level: sum(item.level == level for item in report.findings) for level in MARKS}
     runs = report.runs
-    ran = "1 solver run" if runs.modal == 1 else f"{runs.modal} solver runs"
-    cost = ran if runs.modal else "answered by the store" if runs.reused else "no run"
+    made = runs.modal + runs.sensitivity
+    ran = "1 solver run" if made == 1 else f"{made} solver runs"
+    cost = ran if made else "no run" if report.facts is None else "answered by the store"
     return f"{report.level}: {counts['wrong']} wrong, {counts['doubtful']} doubtful; {cost}"
 
 

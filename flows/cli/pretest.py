@@ -59,7 +59,7 @@ def pretest(
     no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
-    """Choose places for sensors and exciters from the model alone; the test is not read."""
+    """Choose places for sensors and exciters from the model alone, before there is a test."""
     from modetune.flows.studies.pretest.settings import (
         PretestSettings,
         directions_named,
@@ -97,12 +97,11 @@ def _run(
     no_prefect: bool,
 ) -> Pretest:
     """Run the pretest and write its files; their names are looked at first."""
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.campaign.schema import ModelFile
+    from modetune.flows.campaign.campaign import load_model
     from modetune.flows.studies.pretest.file import check_out, write_sensor_file
     from modetune.flows.studies.pretest.running import run_pretest
 
-    campaign = load_campaign(campaign_file, settings, ModelFile)
+    campaign = load_model(campaign_file, settings)
     mesh = campaign.case.solver.deck.mesh()
     if out is not None:
         check_out(out, mesh)

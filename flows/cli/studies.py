@@ -52,10 +52,11 @@ class Study:
 
     def campaign(self, file: Path, settings: list[str]) -> Campaign:
         """The campaign, read as the study reads it. Raises CampaignError."""
-        from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.campaign.schema import CampaignFile, ModelFile
+        from modetune.flows.campaign.campaign import load_campaign, load_model
 
-        return load_campaign(file, settings, ModelFile if self.name == "pretest" else CampaignFile)
+        return (
+            load_model(file, settings) if self.name == "pretest" else load_campaign(file, settings)
+        )
 
     def arguments(self, campaign: Path, settings: list[str], runs: Path) -> list[str]:
         """The command line. Raises CampaignError where it is not one of the study's."""

@@ -22,22 +22,22 @@ def evaluator_of(
     campaign: Campaign,
     engine: JobEngine,
     execution: Execution,
-    eigensolver: bool = True,
     demand: Demand = UPDATING,
+    like: Campaign | None = None,
 ) -> Evaluator:
     """What evaluates a campaign's parameter sets.
 
-    demand: how many of them. eigensolver: whether modes come from where
-    the campaign says; else from the solver's own runs, as for cases that are only judged by.
+    demand: how many of them; like: the campaign for which whose modes are taken is chosen, of the
+    same model, parameters and cases; the same one unless told.
     """
-    states = []
+    states: list[CaseState] = []
     for case in campaign.cases:
         own = campaign.alone(case)
         at = engine_of(engine, campaign, case)
         every = range(len(campaign.parameters))
         columns = np.array(every if case.columns is None else case.columns, dtype=np.int64)
-        chosen = eigensolver and not case.aside
-        finder = finder_of(own, at, demand) if chosen else by_solver(own, at)
+        alike = own if like is None else like.alone(like.cases[len(states)])
+        finder = by_solver(own, at) if case.aside else finder_of(own, at, demand, alike)
         states.append(CaseState(case, own, columns, at, finder, campaign_analysis(own)))
     evaluator = Evaluator(campaign, states, execution, engine.ledger)
     if any(state.finder.name != state.case.solver.program.name for state in states):
@@ -49,10 +49,10 @@ def evaluator_of(
     return evaluator
 
 
-def finder_of(campaign: Campaign, engine: JobEngine, demand: Demand = UPDATING) -> ModeFinder:
-    """What finds the modes of a campaign's only case, by its `eigensolver`."""
+def finder_of(campaign: Campaign, engine: JobEngine, demand: Demand, like: Campaign) -> ModeFinder:
+    """What finds the modes of a campaign's only case, by the `eigensolver` of one like it."""
     own = by_solver(campaign, engine)
-    source = modes_source(campaign, own, demand)
+    source = modes_source(like, own if like is campaign else by_solver(like, engine), demand)
     if source is None:
         return own
     from modetune.flows.updating.by_matrices import ByMatrices

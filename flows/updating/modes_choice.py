@@ -64,9 +64,12 @@ def modes_source(
     own: the finder of the solver's modes.
     """
     solver, asked = campaign.case.solver, campaign.case.eigensolver
-    if asked == "solver":
-        return None
     auto = asked == "auto"
+    # Without a test nothing tells where the search for modes begins; without parameters there is
+    # one set.
+    alone = not campaign.case.measured.numbers or (auto and not len(campaign.parameters))
+    if asked == "solver" or alone:
+        return None
     reason = unsuitable(solver, campaign.parameters.parameters, campaign.sensitivity.method)
     if reason is None and auto and not is_available():
         reason = "MKL's PARDISO is not installed"

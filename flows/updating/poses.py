@@ -44,7 +44,7 @@ def settled(campaign: Campaign, watcher: JobWatcher | None = None) -> Campaign:
         found = case
         if may_choose(case):
             own = campaign.alone(case)
-            (outcome,) = solved(job_engine(own, watcher), [_modal_job(own)])
+            (outcome,) = solved(job_engine(own, watcher), [modal_job(own)])
             found, said = by_shapes(case, outcome.result(ModalResult))
             logger.info("%s", said)
             if found.mapping.uncertain:
@@ -70,7 +70,7 @@ def from_store(campaign: Campaign) -> tuple[Case, str] | None:
         return None
     engine = replace(job_engine(campaign), may_run=False)
     try:
-        return by_shapes(campaign.case, engine.solve(_modal_job(campaign)).result(ModalResult))
+        return by_shapes(campaign.case, engine.solve(modal_job(campaign)).result(ModalResult))
     except (NotStored, SolverError):
         return None
 
@@ -94,7 +94,8 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
     return settled_case, f"of poses that places cannot tell apart measured shapes choose: {told}"
 
 
-def _modal_job(campaign: Campaign) -> Job:
+def modal_job(campaign: Campaign) -> Job:
+    """The job whose modes have the nodes of all poses of a campaign's only test."""
     return Job(campaign.parameters.values(campaign.start), campaign_analysis(campaign))
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis, Solver
 from modetune.core.correlation.clusters import rotation_onto, with_neighbours
-from modetune.core.correlation.pairing import Pairing, pair_by_tracking
+from modetune.core.correlation.pairing import alone, pair_by_tracking
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, ParameterSet
@@ -214,9 +214,7 @@ class Sensitivities:
         paired = point.pairing.computed
         # With all members of clusters, of which the test may have one.
         members = with_neighbours(base.frequencies_hz, paired)
-        unknown = np.full(members.size, np.nan)
-        all_of_them = Pairing(members, members, unknown, unknown, ("",) * members.size)
-        again = pair_by_tracking(all_of_them, base, moved)
+        again = pair_by_tracking(alone(members), base, moved)
         before, after = base.select(members), moved.select(again.computed)
         rotation = rotation_onto(
             np.real(after.mode_shapes), np.real(before.mode_shapes), before.frequencies_hz

@@ -26,6 +26,7 @@ from modetune.flows.jobs.job import Job
 from modetune.flows.updating.by_matrices import ByMatrices
 from modetune.flows.updating.evaluators import finder_of
 from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.modes_choice import UPDATING
 
 logger = logging.getLogger(__name__)
 
@@ -103,7 +104,7 @@ def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> 
     if engine.key(Job(earlier.started, analysis)) == earlier.modal_key:
         return True
     started = np.array([earlier.started[name] for name in campaign.parameters.names])
-    finder = finder_of(campaign, engine)
+    finder = finder_of(campaign, engine, UPDATING, campaign)
     if not isinstance(finder, ByMatrices) or finder.works(started, analysis):
         return False
     return finder.stored().key(started, analysis) == earlier.modal_key

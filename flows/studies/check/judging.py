@@ -1,24 +1,28 @@
 """The pre-check of a campaign: what can be told of a campaign at the cost of one modal run.
 
 `load_campaign` has refused what cannot work at all. Here test, sensors, model and parameters are
-judged, first without a solver, then with the modal job that updating begins with: it has the same
-key, so updating finds it in the store.
+judged, first without a solver, then by the modes that updating begins with, by whoever finds them
+for it: the store keeps them, so updating goes on from there, and after it nothing is run.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.correlation.pairing import alone
 from modetune.core.errors import ModesError, SolverError
+from modetune.core.modes import Floats, Integers
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
-from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import solved
+from modetune.flows.jobs.work import ThreadExecution, solved
 from modetune.flows.studies.check.findings import Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.model import (
@@ -47,8 +51,11 @@ from modetune.flows.studies.check.parameters import (
 )
 from modetune.flows.studies.check.sensors import sensor_findings
 from modetune.flows.studies.check.suspects import suspected_sensors
+from modetune.flows.updating.evaluation import Point
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.poses import by_shapes, from_store, may_choose
+from modetune.flows.updating.poses import by_shapes, from_store, may_choose, modal_job
 from modetune.flows.updating.running import job_engine
 
 NO_RUN = RunCounts()
@@ -89,36 +96,36 @@ class PreCheckReport:
 def check_campaign(
     campaign: Campaign, run: bool = True, watcher: JobWatcher | None = None
 ) -> PreCheckReport:
-    """Judge a campaign that was read; run: with its first modal job, from the store if there.
+    """Judge a campaign that was read; run: with the modes at its start, from the store if there.
 
-    Where parameters start from nothing a second job tells whether they leave parts loose so.
+    Where parameters start from nothing a second set tells whether they leave parts loose so.
     A solver that fails is a finding. Raises StoreError.
     """
     if not run:
         return PreCheckReport(_without_run(*_posed(campaign, from_store(campaign))))
-    static = _without_run(campaign)
-    engine = job_engine(campaign, watcher)
-    analysis = campaign_analysis(campaign)
-    job = Job(campaign.parameters.values(campaign.start), analysis)
-    nothing = from_nothing(campaign)
-    jobs = [job, Job(joined_values(campaign, nothing), analysis)] if nothing else [job]
+    static, runs = _without_run(campaign), NO_RUN
+    analysis, nothing = campaign_analysis(campaign), from_nothing(campaign)
     try:
         campaign.solver_version()
-        outcomes = solved(engine, jobs)
-        result, *joined = (outcome.result(ModalResult) for outcome in outcomes)
+        engine = job_engine(campaign, watcher)
+        if may_choose(campaign.case):
+            (outcome,) = solved(engine, [modal_job(campaign)])
+            runs = RunCounts(modal=int(not outcome.reused), reused=int(outcome.reused))
+            posed = by_shapes(campaign.case, outcome.result(ModalResult))
+            campaign, said = _posed(campaign, posed)
+            static = _without_run(campaign, said)
+        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+        result = evaluator.modes(campaign.start, analysis)
+        if nothing:
+            joined = evaluator.modes(joined_values(campaign, nothing), analysis)
+            static += tuple(loose_findings(campaign, nothing, result, joined))
+        shares = partial(_shares, evaluator, analysis, campaign.start, result)
+        report = judged(campaign, result, static, analysis.n_modes, NO_RUN, shares)
     except SolverError as error:
         told = Finding("wrong", "model", f"the solver gave no modes: {error}")
         return PreCheckReport((*static, told), failure=error)
     engine.keep_text()
-    reused = sum(outcome.reused for outcome in outcomes)
-    runs = RunCounts(modal=len(outcomes) - reused, reused=reused)
-    posed = by_shapes(campaign.case, result) if may_choose(campaign.case) else None
-    campaign, said = _posed(campaign, posed)
-    static = (*_without_run(campaign, said),) if said else static
-    static += tuple(
-        item for other in joined for item in loose_findings(campaign, nothing, result, other)
-    )
-    return judged(campaign, result, static, analysis.n_modes, runs)
+    return replace(report, runs=runs.plus(evaluator.runs))
 
 
 def _posed(campaign: Campaign, found: tuple[Case, str] | None) -> tuple[Campaign, str]:
@@ -143,8 +150,10 @@ def judged(
     static: tuple[Finding, ...],
     n_asked: int,
     runs: RunCounts,
+    shares_in: Callable[[Integers], tuple[EnergyShare, ...]] | None = None,
 ) -> PreCheckReport:
-    """The report on a model that was solved; n_asked: modes that were asked for."""
+    """The report on a model that was solved; n_asked: modes that were asked for; shares_in: of
+    strain energy in elastic modes, by their positions, where the run's own are not all."""
     facts = model_facts(campaign, result)
     test = campaign.case.measured  # what is held out has its place in the order of frequencies too
     lowest_hz = float(test.modes.frequencies_hz.min(initial=np.inf))
@@ -164,13 +173,36 @@ def judged(
     except ModesError as error:
         return PreCheckReport((*found, Finding("wrong", "pairing", str(error))), facts, runs=runs)
     modes = tuple(mode for mode in every if mode.mode in campaign.test.numbers)
-    shares = energy_shares(result, np.array([mode.elastic_mode - 1 for mode in modes]))
+    paired = np.array([mode.elastic_mode - 1 for mode in modes], dtype=np.int64)
+    shares = shares_in(paired) if shares_in else energy_shares(result, paired)
     found += pairing_findings(modes, float(elastic.frequencies_hz.max()), campaign.case.rules)
     if shapes:
         found += suspected_sensors(test, campaign.case.sensors, result.elastic, every)
     found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
     found += energy_findings(campaign, result, shares)
     return PreCheckReport(tuple(found), facts, modes, shares, runs)
+
+
+def _shares(
+    evaluator: Evaluator,
+    analysis: ModalAnalysis,
+    theta: Floats,
+    result: ModalResult,
+    computed: Integers,
+) -> tuple[EnergyShare, ...]:
+    """Shares as the run tells them; of modes by matrices, which tell none, as the eigenvalues'
+    slopes do: theta / lambda times that of lambda, where the stiffness is proportional to theta.
+    The step that updating begins with takes the same slopes."""
+    if result.groups or not analysis.groups:
+        return energy_shares(result, computed)
+    seen = result.at(evaluator.only.case.nodes)
+    point = Point(theta, "", seen, alone(computed))
+    slopes = evaluator.derivatives(point, analysis).eigenvalues
+    shares = slopes * theta / result.eigenvalues[result.n_rigid :][computed, None]
+    told, names = dict(analysis.groups), evaluator.campaign.parameters.names
+    return tuple(
+        EnergyShare(name, shares[:, column]) for column, name in enumerate(names) if name in told
+    )
 
 
 def _leaves_modes_out(campaign: Campaign) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -37,14 +38,19 @@ NEAR_ZERO = 1e-3
 MASS_TOLERANCE = 1e-3
 
 
+#: What tells a model's mass; empty where nothing does.
+MassBy = Literal["solver", "rigid-body modes", "materials", ""]
+
+
 @dataclass(frozen=True, slots=True)
 class ModelFacts:
     """What the run tells of the model.
 
     size_m: diagonal of the box round all nodes, NaN without geometry. mass, mass_kg: by the
-    solver, NaN where it does not tell. body: from rigid-body modes, the deck's units, None where
-    body_missing says why. n_rigid: as updating counts them; rigid_hz: the largest of their
-    frequencies; elastic_hz: (n_elastic,).
+    solver, else by the rigid-body modes, else about, by sections and densities without point
+    masses, and NaN where nothing tells; mass_by: which of these. body: from rigid-body modes, the
+    deck's units, None where body_missing says why. n_rigid: as updating counts them; rigid_hz: the
+    largest of their frequencies; elastic_hz: (n_elastic,).
     """
 
     size_m: float
@@ -52,6 +58,7 @@ class ModelFacts:
     mass_kg: float
     body: RigidBody | None
     body_missing: str
+    mass_by: MassBy
     n_rigid: int
     rigid_hz: float
     elastic_hz: Floats
@@ -61,16 +68,26 @@ def model_facts(campaign: Campaign, result: ModalResult) -> ModelFacts:
     """Facts of the model from its mesh and its modes."""
     body, missing = _body(campaign, result)
     rigid = np.abs(result.eigenvalues[: result.n_rigid]).max(initial=0.0)
+    by: MassBy
+    mass, by = result.mass, "solver"
+    if not np.isfinite(mass):
+        mass, by = (body.mass, "rigid-body modes") if body else _mass_of_materials(campaign)
     return ModelFacts(
         size_m=model_size(campaign),
-        mass=result.mass,
-        mass_kg=result.mass * KILOGRAMS[campaign.case.units],
+        mass=mass,
+        mass_kg=mass * KILOGRAMS[campaign.case.units],
         body=body,
         body_missing=missing,
+        mass_by=by,
         n_rigid=result.n_rigid,
         rigid_hz=float(np.sqrt(rigid) / 2.0 / np.pi),
         elastic_hz=result.elastic.frequencies_hz,
     )
+
+
+def _mass_of_materials(campaign: Campaign) -> tuple[float, MassBy]:
+    mass = sum(campaign.case.solver.deck.material_masses().values())
+    return (mass, "materials") if mass > 0.0 else (np.nan, "")
 
 
 def model_size(campaign: Campaign) -> float:
@@ -135,7 +152,7 @@ def _size(campaign: Campaign, size: float) -> list[Finding]:
 
 def mass_findings(campaign: Campaign, facts: ModelFacts) -> list[Finding]:
     """Whether mass, centre and inertia are plausible."""
-    if not np.isfinite(facts.mass) and facts.body is None:
+    if not facts.mass_by:
         return [
             Finding(
                 "good",
@@ -144,10 +161,10 @@ def mass_findings(campaign: Campaign, facts: ModelFacts) -> list[Finding]:
                 f"{facts.body_missing}",
             )
         ]
-    mass_kg = facts.mass_kg
-    if not np.isfinite(mass_kg) and facts.body is not None:
-        mass_kg = facts.body.mass * KILOGRAMS[campaign.case.units]
-    found = [Finding("good", "model", f"the mass is {mass_kg:.6g} kg")]
+    mass_kg, said = facts.mass_kg, f"the mass is {facts.mass_kg:.6g} kg"
+    if facts.mass_by == "materials":
+        said = f"the mass is about {mass_kg:.2g} kg, by sections and densities; point masses add"
+    found = [Finding("good", "model", said)]
     heavy = mass_kg > DENSEST * facts.size_m**3  # the cube round the diagonal: the largest volume
     if heavy or not MASSES_KG[0] <= mass_kg <= MASSES_KG[1]:
         found = [
@@ -189,7 +206,7 @@ def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
                 "a point mass may act in some directions only",
             )
         )
-    apart = abs(body.mass / facts.mass - 1.0) if np.isfinite(facts.mass) else 0.0
+    apart = abs(body.mass / facts.mass - 1.0)
     if apart > MASS_TOLERANCE:
         found.append(
             Finding(

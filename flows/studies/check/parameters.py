@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import NOT_NEGATIVE, POWERS, Parameter, Values
+from modetune.core.parameters import NOT_NEGATIVE, POWERS, Parameter
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.self_test import not_confirmed
@@ -130,10 +130,12 @@ def from_nothing(campaign: Campaign) -> tuple[Parameter, ...]:
     )
 
 
-def joined_values(campaign: Campaign, nothing: tuple[Parameter, ...]) -> Values:
+def joined_values(campaign: Campaign, nothing: tuple[Parameter, ...]) -> Floats:
     """The start, with parameters that start from nothing halfway to their upper bounds."""
-    start = campaign.parameters.values(campaign.start)
-    return start | {item.name: 0.5 * (start[item.name] + item.upper) for item in nothing}
+    halfway = 0.5 * (campaign.start + campaign.parameters.upper)
+    return np.where(
+        [item in nothing for item in campaign.parameters.parameters], halfway, campaign.start
+    )
 
 
 def loose_findings(
@@ -143,7 +145,7 @@ def loose_findings(
     if start.n_rigid == joined.n_rigid:
         return []
     names = ", ".join(item.name for item in nothing)
-    values = joined_values(campaign, nothing)
+    values = campaign.parameters.values(joined_values(campaign, nothing))
     shown = ", ".join(f"{item.shown(values[item.name]):g}" for item in nothing)
     return [
         Finding(

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.correlation.pairing import Pairing
+from modetune.core.correlation.pairing import alone
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers
@@ -100,9 +100,8 @@ def information_of(
             f"{campaign.file}: sensors that tell the parameters need `parameters`; name them in "
             "the campaign, or choose another --method"
         )
-    nothing = np.full(modes.size, np.nan)
-    pairing = Pairing(np.arange(modes.size), modes, nothing, nothing, ("",) * modes.size)
-    found = evaluator.derivatives(Point(campaign.parameters.initial, "", modal, pairing), analysis)
+    point = Point(campaign.parameters.initial, "", modal, alone(modes))
+    found = evaluator.derivatives(point, analysis)
     deviations = campaign.parameters.standard_deviations
     shown = modal.elastic.select(modes)
     rows = candidates.rows(shown, mesh)

@@ -1,7 +1,8 @@
 """Places for sensors and exciters from the model alone: the Python API of `modetune pretest`.
 
-One modal job gives the shapes at all candidates (the store first, as ever); for the information on
-parameters the jobs of their sensitivities join it. Everything else is linear algebra on them.
+Whoever finds the modes for updating gives the shapes at all candidates (the store first, as ever;
+before there is a test, one modal job); for the information on parameters the jobs of their
+sensitivities join it. Everything else is linear algebra on them.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ from modetune.flows.studies.pretest.settings import PretestSettings, check_count
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.modes_choice import Demand
+from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.running import job_engine
 
 #: Elastic modes that are looked at where none are named.
@@ -105,10 +106,7 @@ def run_pretest(
     analysis = _analysis(campaign, settings, asked)
     own = with_shapes(campaign, analysis.nodes)
     engine = job_engine(own, watcher)
-    steps = int(settings.method == "information")
-    demand = Demand(steps, sets=1 - steps, matrices=settings.by_mass)
-    threads, tested = ThreadExecution(engine, own.parallel), bool(own.test.numbers)
-    evaluator = evaluator_of(own, engine, threads, eigensolver=tested, demand=demand)
+    evaluator = evaluator_of(own, engine, ThreadExecution(engine, own.parallel), like=campaign)
     modal = evaluator.modes(own.parameters.initial, analysis)
     numbers = _mode_numbers(settings.modes, modal.elastic.n_modes)
     modes = np.array(numbers, dtype=np.int64) - 1
@@ -172,11 +170,13 @@ def _pretest(
 def _analysis(
     campaign: Campaign, settings: PretestSettings, candidates: CandidateSensors
 ) -> ModalAnalysis:
-    """The modes that are wanted, rigid ones and some to spare, at the candidates."""
-    highest = max(settings.modes, default=FIRST_MODES)
-    nodes = tuple(np.unique(candidates.nodes).tolist())
-    n_modes = highest + EXTRA_MODES + RIGID_MODES
-    return replace(campaign_analysis(campaign), n_modes=n_modes, nodes=nodes)
+    """The modes that are wanted, rigid ones and some to spare, at the candidates; those that
+    updating begins with, where these are among them."""
+    n_modes = max(settings.modes, default=FIRST_MODES) + RIGID_MODES
+    nodes, own = np.unique(candidates.nodes).tolist(), campaign_analysis(campaign)
+    if n_modes <= own.n_modes and set(nodes) <= set(own.nodes):
+        return own
+    return replace(own, n_modes=n_modes + EXTRA_MODES, nodes=tuple(nodes))
 
 
 def _mode_numbers(asked: tuple[int, ...], there: int) -> tuple[int, ...]:
@@ -203,11 +203,16 @@ def _masses(campaign: Campaign, evaluator: Evaluator, candidates: CandidateSenso
         raise CampaignError(
             f"--mass: {solver.program.name} gives no mass matrix here; leave it out"
         )
-    job = Job(campaign.parameters.values(campaign.parameters.initial), MatrixAnalysis())
-    ((outcome,),) = evaluator.carry_out("masses", [Work("matrices", (job,))])
-    found = outcome.result(MatrixResult)
+    theta, columns = campaign.parameters.initial, range(len(campaign.parameters))
+    source = MatrixSource(evaluator.only.engine, campaign.parameters, campaign.sensitivity.step)
+    if source.everywhere and not source.jobs(theta, columns):
+        found = source.matrices(theta, columns).at(source.written(theta))
+    else:
+        work = Work("matrices", (Job(campaign.parameters.values(theta), MatrixAnalysis()),))
+        ((outcome,),) = evaluator.carry_out("masses", [work])
+        found = outcome.result(MatrixResult)
     names = zip(found.nodes.tolist(), found.components.tolist(), strict=True)
-    masses = dict(zip(names, found.mass.diagonal().tolist(), strict=True))
+    masses = dict(zip(names, found.upper_mass.diagonal().tolist(), strict=True))
     nodes = candidates.nodes.tolist()
     table = np.array([[masses.get((node, axis), np.nan) for axis in (1, 2, 3)] for node in nodes])
     weights = candidates.directions**2

@@ -257,7 +257,7 @@ def _fold(
     evaluator = whole.ranges.within(campaign, known) if whole.ranges and known else None
     if evaluator is None:
         threads = ThreadExecution(engine, campaign.parallel)
-        evaluator = evaluator_of(campaign, engine, threads, eigensolver=not whole.steps_run)
+        evaluator = evaluator_of(campaign, engine, threads, like=whole.campaign)
     updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
     try:
         with one_thread() if known else nullcontext():
