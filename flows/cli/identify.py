@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.options import AsJson, Figures, stoppable
-from modetune.flows.report.tables import Column, json_object, show, table_of
+from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
+from modetune.flows.report.tables import Column, json_object, show_table, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -38,21 +38,32 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify modes from measured response functions, and write them as a test file."""
+<<<<<<< HEAD
     from modetune.adapters.test_files.measurements import read_measurement
     from modetune.adapters.test_files.writing import check_out
     from modetune.core.errors import CampaignError
     from modetune.flows.studies.identify.files import write_modes
     from modetune.flows.studies.identify.identify import identify as identify_modes
+=======
+    names = ", ".join(str(path) for path in frfs)
+    with (
+        stoppable("stopped; the same command starts from the beginning"),
+        begun(f"reading {names}") as tell,
+    ):
+        from modetune.adapters.test_files.measurements import read_measurement
+        from modetune.core.errors import CampaignError
+        from modetune.flows.studies.identify.files import check_out, write_modes
+        from modetune.flows.studies.identify.identify import identify as identify_modes
+>>>>>>> 37a31b3 (identify, localise, pretest, report and sensors say at once what begins)
 
-    settings = _settings(band, order, pick, criteria)
-    if out is not None:
-        check_out(out)
-    with stoppable("stopped; the same command starts from the beginning"):
+        settings = _settings(band, order, pick, criteria)
+        if out is not None:
+            check_out(out)
         measurement = read_measurement(frfs)
-        names = ", ".join(str(path) for path in frfs)
         if measurement.frfs is None:
             missing = f"{names}: no frequency response functions are in there"
             raise CampaignError([missing, *measurement.notes])
+        tell("identifying modes")
         found = identify_modes(measurement.frfs, settings)
         if out is not None:
             write_modes(out, found, measurement.geometry, names)

@@ -16,6 +16,7 @@ from modetune.flows.cli.options import (
     Figures,
     NoPrefect,
     Settings,
+    begun,
     paged,
     stoppable,
 )
@@ -54,13 +55,18 @@ def localise(
 
     Looks at the start of the campaign, or with --record at the model that updating left.
     """
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.studies.localise.localise import localise as find
-    from modetune.flows.studies.localise.localise import place_of
+    with begun(f"reading {campaign_file}"):
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.studies.localise.localise import localise as find
+        from modetune.flows.studies.localise.localise import place_of
 
-    place = place_of(load_campaign(campaign_file, settings or []), record, configuration)
+        place = place_of(load_campaign(campaign_file, settings or []), record, configuration)
     campaign = place.campaign
-    with stoppable(), paged("localise", campaign.name, no_prefect) as pages:
+    with (
+        stoppable(),
+        begun("modes and sensitivities"),
+        paged("localise", campaign.name, no_prefect) as pages,
+    ):
         found = find(campaign, place.theta, pages)
         written: list[Path] = []
         if figures is not None:

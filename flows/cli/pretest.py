@@ -6,12 +6,13 @@ Heavy packages are imported where they are needed.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modetune.flows.cli.options import AsJson, NoPrefect, Settings, paged, stoppable
+from modetune.flows.cli.options import AsJson, NoPrefect, Settings, begun, paged, stoppable
 
 if TYPE_CHECKING:
     from modetune.core.planning.placement import Quality
@@ -60,25 +61,26 @@ def pretest(
     as_json: AsJson = False,
 ) -> None:
     """Choose places for sensors and exciters from the model alone, before there is a test."""
-    from modetune.flows.studies.pretest.settings import (
-        PretestSettings,
-        directions_named,
-        method_named,
-        parse_modes,
-    )
+    with begun(f"reading {campaign_file}") as tell:
+        from modetune.flows.studies.pretest.settings import (
+            PretestSettings,
+            directions_named,
+            method_named,
+            parse_modes,
+        )
 
-    asked = PretestSettings(
-        parse_modes(modes),
-        sensors,
-        method_named(method),
-        candidates,
-        directions_named(directions),
-        triaxial,
-        distance,
-        exciters,
-        mass,
-    )
-    found = _run(campaign_file, settings or [], asked, out, picture, no_prefect)
+        asked = PretestSettings(
+            parse_modes(modes),
+            sensors,
+            method_named(method),
+            candidates,
+            directions_named(directions),
+            triaxial,
+            distance,
+            exciters,
+            mass,
+        )
+        found = _run(campaign_file, settings or [], asked, out, picture, no_prefect, tell)
     if as_json:
         typer.echo(json.dumps(told_pretest(found, out, picture)))
         return
@@ -95,6 +97,7 @@ def _run(
     out: Path | None,
     picture: Path | None,
     no_prefect: bool,
+    tell: Callable[[str], None],
 ) -> Pretest:
     """Run the pretest and write its files; their names are looked at first."""
     from modetune.flows.campaign.campaign import load_model
@@ -110,6 +113,7 @@ def _run(
 
         check_picture(picture, mesh)
     with stoppable(), paged("pretest", campaign.name, no_prefect) as pages:
+        tell("modes of the model")
         found = run_pretest(campaign, asked, pages)
         if out is not None:
             write_sensor_file(out, found, campaign.case.units)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from modetune.flows.cli.options import AsJson
+from modetune.flows.cli.options import AsJson, begun
 from modetune.flows.report.tables import json_object
 
 
@@ -24,20 +24,22 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Draw a campaign's report: one HTML file that needs no network, and pictures if asked for."""
-    from modetune.core.errors import CampaignError
-    from modetune.core.storage.record_file import read_record
-    from modetune.flows.report.page import write_page
+    with begun(f"reading {record}") as tell:
+        from modetune.core.errors import CampaignError
+        from modetune.core.storage.record_file import read_record
+        from modetune.flows.report.page import write_page
 
-    if form not in ("png", "svg"):
-        raise CampaignError(f"--format {form!r}: expected png or svg")
-    known, folder = read_record(record), record if record.is_dir() else record.parent
-    page = write_page(known, out or folder / "report.html")
-    kind: Literal["png", "svg"] = "svg" if form == "svg" else "png"
-    pictures: tuple[Path, ...] = ()
-    if figures is not None:
-        from modetune.flows.report.charts import write_pictures
+        if form not in ("png", "svg"):
+            raise CampaignError(f"--format {form!r}: expected png or svg")
+        known, folder = read_record(record), record if record.is_dir() else record.parent
+        tell("drawing the report")
+        page = write_page(known, out or folder / "report.html")
+        kind: Literal["png", "svg"] = "svg" if form == "svg" else "png"
+        pictures: tuple[Path, ...] = ()
+        if figures is not None:
+            from modetune.flows.report.charts import write_pictures
 
-        pictures = write_pictures(known, figures, kind)
+            pictures = write_pictures(known, figures, kind)
     if as_json:
         told = json_object(known, "name", status="good", page=page, figures=pictures)
         typer.echo(json.dumps(told))

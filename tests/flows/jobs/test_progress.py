@@ -70,7 +70,11 @@ def test_nothing_is_told_where_nobody_looks() -> None:
     assert displayed(None) is None
 
 
-@pytest.mark.parametrize("command", ["check", "modes", "correlate", "update", "screen", "validate"])
+@pytest.mark.parametrize(
+    "command",
+    "check modes correlate update screen validate sample init identify localise pretest report "
+    "sensors".split(),
+)
 def test_words_come_before_the_heavy_imports(command: str, tmp_path: Path) -> None:
     """The first words of each command are said while numpy is not imported yet."""
     script = (

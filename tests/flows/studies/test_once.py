@@ -80,8 +80,8 @@ def cymbal() -> Case:
                 own = (inner + place, inner + 12 + place, inner + 12 + after, inner + after)
                 shells.append((len(shells) + 1, *(number + 1 for number in own)))
     deck = f"*NODE, NSET=NALL\n{rows(nodes)}"
-    for name, own in (("BELL", shells[:12]), ("BOW", shells[12:])):
-        deck += f"*ELEMENT, TYPE=S4, ELSET={name}\n{rows(own)}{NAMED.format(name)}"
+    for name, part in (("BELL", shells[:12]), ("BOW", shells[12:])):
+        deck += f"*ELEMENT, TYPE=S4, ELSET={name}\n{rows(part)}{NAMED.format(name)}"
         deck += f"*SHELL SECTION, ELSET={name}, MATERIAL={name}\n1.5\n"
     deck += "*BOUNDARY\n" + rows((number, 1, 6) for number in range(1, 13))
     return Case(deck, moduli("BELL", "BOW"), (1.08, 0.95), tuple(range(13, 49)), n_modes=6)
