@@ -4,7 +4,8 @@
 
 Each row is a ratio or a time with what it was made of (rows.py); a row that fails is told, and the
 others go on. --large takes the launcher of a million degrees of freedom and the aircraft of 1.5
-million equations, --quick the smallest models: that shows that everything runs, and no speed.
+million equations, --quick the smallest models and, where a row has no target of its own, one that
+is soon met: that shows that everything runs, and no speed.
 --profile adds where the time of modetune's campaigns went. The last line of the output is one JSON
 object. Code 1: a row has failed.
 """

@@ -33,9 +33,10 @@ from modetune.adapters.solver import Analysis, Command, ModalAnalysis, Solver
 from modetune.core.parameters import Values
 from modetune.core.storage.store import Store
 from modetune.core.updating.results import Result
-from modetune.flows.jobs.engine import JobEngine, Ledger, Policy
+from modetune.flows.jobs.engine import JobEngine, Ledger
 from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
+from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.prefect_server import use_server
 from modetune.flows.jobs.work import Execution, ThreadExecution, Work
 from modetune.flows.updating.prefect import shown

@@ -14,7 +14,6 @@ import logging
 import shutil
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from modetune.adapters.licence import licence_refusal
-from modetune.adapters.process import JOB_DISK, disk_full, run_process
+from modetune.adapters.process import disk_full, run_process
 from modetune.adapters.solver import Command, Program, Solver
 from modetune.core.algebra.factor_room import (
     MEMORY_VARIABLE,
@@ -41,7 +40,6 @@ from modetune.core.errors import (
     SolverCrashed,
     SolverError,
     SolverRejected,
-    SolverTimeout,
     StorageUnavailable,
     StoreDamaged,
 )
@@ -53,14 +51,12 @@ from modetune.flows.jobs.deck_texts import keep_text
 from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans, analysis_kind
 from modetune.flows.jobs.job_memory import JobMemory
 from modetune.flows.jobs.limits import CORES, Limit, Limits
+from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.scratch import factor_files
 from modetune.flows.jobs.watching import Derivation, JobWatcher, told
 
 logger = logging.getLogger(__name__)
 R = TypeVar("R", bound=Result)
-
-#: Pauses before asking again for a licence grow by this factor up to this length, seconds.
-PAUSE_GROWTH, LONGEST_PAUSE_S = 1.5, 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,37 +83,6 @@ class JobOutcome:
                 raise damaged_again(engine.store, self.key)
         assert isinstance(entry.result, kind)
         return engine.solver.by_hand(entry.result)
-
-
-@dataclass(frozen=True, slots=True)
-class Policy:
-    """What follows from a failed job.
-
-    stopped, timeout, no_result: how often it is tried again when it was killed or broke off, ran
-    out of time, or left what is not a result. What the solver rejected, and what was too large for
-    the machine, is never tried again. disk_bytes: what a job's files and output may take.
-    licence_messages: what says that no licence was free, besides what is known. memory_bytes: what
-    jobs side by side, or this process with its factors, may take of this machine; 0: what that
-    has.
-    """
-
-    timeout_s: float
-    stopped: int
-    timeout: int
-    no_result: int
-    licence_pause_s: float
-    licence_wait_s: float
-    disk_bytes: int = JOB_DISK
-    licence_messages: tuple[str, ...] = ()
-    memory_bytes: int = 0
-
-    def chances(self, error: SolverError) -> int:
-        """How often a job that ended so may be tried again."""
-        if isinstance(error, NoResult):
-            return self.no_result
-        if isinstance(error, SolverTimeout):
-            return self.timeout
-        return self.stopped if isinstance(error, SolverCrashed) else 0
 
 
 class Ledger:
@@ -223,7 +188,9 @@ class JobEngine:
                 return True, 0.0
             plan, note = self.plans.plan(job), self.note(job).text()
             started = time.monotonic()
-            result = self._with_retries(job, plan, note)
+            result = self.policy.tried(
+                lambda: self._run(job, plan, note), self.program.name, self.cancelled
+            )
             wall_s = time.monotonic() - started
             self.store.put(
                 Entry(key, result, self.program.name, self.program.version(), wall_s),
@@ -302,40 +269,6 @@ class JobEngine:
                 yield
             finally:
                 self.ledger.add(time.monotonic() - started, limits)
-
-    def _with_retries(self, job: Job, plan: JobPlan, note: str) -> Result:
-        failures: Counter[type[SolverError]] = Counter()
-        while True:
-            try:
-                return self._with_licence(job, plan, note)
-            except SolverError as error:
-                chances = self.policy.chances(error)
-                failures[type(error)] += 1
-                if failures[type(error)] > chances:
-                    raise
-                logger.warning("%s; trying again (%d of %d)", error, failures[type(error)], chances)
-
-    def _with_licence(self, job: Job, plan: JobPlan, note: str) -> Result:
-        """Run the job; where no licence is free wait and ask again, which is not a failure."""
-        waited, pause = 0.0, self.policy.licence_pause_s
-        while True:
-            try:
-                return self._run(job, plan, note)
-            except LicenceDenied as error:
-                if waited + pause > self.policy.licence_wait_s:
-                    raise LicenceDenied(
-                        f"{error}\nno licence was free for {waited:.3g} s "
-                        "(`run: licence_wait_s` in the campaign)"
-                    ) from error
-                logger.warning(
-                    "no %s licence is free; asking again in %.0f s", self.program.name, pause
-                )
-                if self.cancelled.wait(pause):
-                    raise SolverCancelled(
-                        "the campaign is ending while a job waits for a licence"
-                    ) from error
-                waited += pause
-                pause = min(PAUSE_GROWTH * pause, LONGEST_PAUSE_S)
 
     def _wait_for_slot(self, name: str) -> None:
         if self.cancelled.wait(0.05):

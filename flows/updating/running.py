@@ -20,9 +20,10 @@ from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.campaign.site import server_home
 from modetune.flows.campaign.units import unit_doubt
-from modetune.flows.jobs.engine import JobEngine, Ledger, Policy
+from modetune.flows.jobs.engine import JobEngine, Ledger
 from modetune.flows.jobs.job import Plans
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
+from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.scratch import remove_abandoned
 from modetune.flows.jobs.slurm import on_slurm
 from modetune.flows.jobs.store_files import in_use
