@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
-from modetune.flows.report.tables import Column, json_object, show_table, table_of
+from modetune.flows.report.tables import Column, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -38,23 +38,16 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify modes from measured response functions, and write them as a test file."""
-<<<<<<< HEAD
-    from modetune.adapters.test_files.measurements import read_measurement
-    from modetune.adapters.test_files.writing import check_out
-    from modetune.core.errors import CampaignError
-    from modetune.flows.studies.identify.files import write_modes
-    from modetune.flows.studies.identify.identify import identify as identify_modes
-=======
     names = ", ".join(str(path) for path in frfs)
     with (
         stoppable("stopped; the same command starts from the beginning"),
         begun(f"reading {names}") as tell,
     ):
         from modetune.adapters.test_files.measurements import read_measurement
+        from modetune.adapters.test_files.writing import check_out
         from modetune.core.errors import CampaignError
-        from modetune.flows.studies.identify.files import check_out, write_modes
+        from modetune.flows.studies.identify.files import write_modes
         from modetune.flows.studies.identify.identify import identify as identify_modes
->>>>>>> 37a31b3 (identify, localise, pretest, report and sensors say at once what begins)
 
         settings = _settings(band, order, pick, criteria)
         if out is not None:
