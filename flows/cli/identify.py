@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
-from modetune.flows.report.tables import Column, json_object, table_of
+from modetune.flows.report.tables import Column, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
