@@ -167,9 +167,8 @@ def test_tests_that_drift_are_worth_less_and_said_so() -> None:
 
 def test_wrong_and_missing_values_are_told_with_their_line() -> None:
     random = np.random.default_rng(1)
-    hz = HZ * (
-        1.0 + 0.002 * random.standard_normal((30, 1)) + 1e-4 * random.standard_normal((30, 3))
-    )
+    apart = 0.002 * random.standard_normal((30, 1)) + 1e-4 * random.standard_normal((30, 3))
+    hz = np.asarray(HZ * (1.0 + apart), dtype=np.float64)
     hz[4, 1] *= 1.006  # within the scatter of mode 2, but not beside modes 1 and 3 of that test
     hz[7, 2] = np.nan
     found = measurement_of(table(hz))
