@@ -252,19 +252,18 @@ class _Search:
             places, places * 0.0, held, np.ones(places.shape[:2], bool), length
         )
         cost = float(self.costs(pose, some)[0])
-        widest = 0.0
-        for motion in np.linalg.eigh(normal[0, :6, :6])[1].T:
-            for sign in (1.0, -1.0):
-                reached = 0.0
-                for part in np.geomspace(1e-5, 0.3, 24):
-                    delta = np.concatenate([sign * part * motion, [0.0]])[None]
-                    moved = nudged(pose, places, delta, np.array([length]))
-                    if self.evidence(cost, float(self.costs(moved, some)[0])) > 2.0:
-                        break
-                    apart = moved.apply(some)[0] - places[0]
-                    reached = float(np.linalg.norm(apart, axis=1).max())
-                widest = max(widest, reached)
-        return widest
+        parts = np.geomspace(1e-5, 0.3, 24)
+        motions = np.linalg.eigh(normal[0, :6, :6])[1].T
+        delta = np.einsum("s,mk,p->smpk", [1.0, -1.0], motions, parts).reshape(-1, 6)
+        many = pose.take(np.zeros(len(delta), np.int64))
+        lengths = np.full(len(delta), length)
+        moved = nudged(many, many.apply(some), np.pad(delta, ((0, 0), (0, 1))), lengths)
+        # What slides turns a little on its way: fitted again, it goes as far as it can.
+        moved = joined(moved, self.fitted(moved, some, 4))
+        alike = [self.evidence(cost, found) <= 2.0 for found in self.costs(moved, some)]
+        reached = np.logical_and.accumulate(np.reshape(alike, (-1, parts.size)), axis=1).ravel()
+        apart = np.linalg.norm(moved.apply(some) - places, axis=2).max(axis=1)
+        return float(apart[reached].max(initial=0.0))
 
     def told(self, pose: Poses, points: Floats) -> Alignment:
         """A pose with what it leaves at all points."""

@@ -24,7 +24,7 @@ from modetune.core.storage.store import Entry, Store
 logger = logging.getLogger(__name__)
 
 #: Grows whenever the search may answer otherwise.
-SEARCH = 1
+SEARCH = 2
 
 
 @dataclass(frozen=True, slots=True)
