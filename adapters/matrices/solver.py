@@ -31,7 +31,7 @@ class MatricesProgram:
     name = "matrices"
     #: Raised by hand when the same job gives other numbers.
     reader_version = 1
-    capabilities = Capabilities(strain_energies=True, matrices=True, matrix_modes=True, tell_rigid=True)
+    capabilities = Capabilities(strain_energies=True, matrices=True, tell_rigid=True)
 
     def version(self) -> str:
         """SciPy's: its solvers are what gives the numbers."""

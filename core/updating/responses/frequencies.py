@@ -36,7 +36,7 @@ class Frequencies:
         lam_m = state.test.modes.eigenvalues[measured]
         names = [f"frequency of mode {state.test.numbers[place]}" for place in measured.tolist()]
         values = (lam_m - state.seen.eigenvalues[computed]) / lam_m
-        noise = (2.0 * own.frequency_deviations) ** 2
+        noise = 4.0 * own.frequency_covariance
         return residual_of(self.kind, names, None, values, own.frequency_weights, noise)
 
     def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:

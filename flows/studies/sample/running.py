@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.sample.learning import Checks, Learned, check, learn
-from modetune.flows.studies.sample.points import PointSolver
+from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.sampling import LONGER, LONGEST, Chains, check_walkers, sample
 from modetune.flows.updating.evaluators import evaluator_of
@@ -83,8 +84,63 @@ def sample_campaign(
     Raises CampaignError (what was asked cannot be; the surrogate stays too poor), SolverError,
     ModesError, StoreError.
     """
+    started = time.monotonic()
+    with learned_posterior(campaign, request, working, earlier, watcher) as known:
+        learned, solver = known.learned, known.solver
+        working("sampling")
+        longest = LONGEST if learned.surrogate is known.reduced else LONGER
+        with one_thread():
+            chains = sample(
+                learned.posterior,
+                learned.peaks,
+                known.walkers,
+                request.steps,
+                known.at_chains,
+                longest,
+            )
+        working("sets of the posterior")
+        checks = check(solver, learned, chains, request.checks, known.at_checks)
+        runs, use = solver.evaluator.runs, solver.evaluator.range_use
+    record = _record(known.campaign, request, learned, chains, checks)
+    return replace(
+        record,
+        solver_version=known.version,
+        failures=tuple(solver.failures),
+        runs=runs,
+        reduced_model=use,
+        wall_s=time.monotonic() - started,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known of a campaign's posterior while its solver can still be asked.
+
+    reduced: a reduced model between the bounds, where there is one; walkers: of a sampler;
+    at_chains, at_checks: random numbers; version: of the solver.
+    """
+
+    campaign: Campaign
+    solver: PointSolver
+    learned: Learned
+    reduced: ReducedFeatures | None
+    walkers: int
+    at_chains: np.random.Generator
+    at_checks: np.random.Generator
+    version: str
+
+
+@contextmanager
+def learned_posterior(
+    campaign: Campaign,
+    request: SamplingRequest,
+    working: Callable[[str], None],
+    earlier: CampaignRecord | None = None,
+    watcher: JobWatcher | None = None,
+) -> Iterator[Known]:
+    """What sets over the range and near the posterior tell. Raises as `sample_campaign` does."""
     campaign = campaign.alone(campaign.case)  # several are refused before anything runs
-    started, parameters = time.monotonic(), campaign.parameters
+    parameters = campaign.parameters
     if problems := request.problems(len(parameters)):
         raise CampaignError(problems)
     campaign = settled(campaign, watcher)
@@ -92,7 +148,7 @@ def sample_campaign(
     check_walkers(walkers, len(parameters))
     centre = campaign.start if earlier is None else carried_over(campaign, earlier)
     limits = learning_range(campaign, None if earlier is None else centre)
-    at_points, at_search, at_chains, at_checks = np.random.default_rng(request.seed).spawn(4)
+    at_points, at_search, *others = np.random.default_rng(request.seed).spawn(4)
     asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
@@ -110,27 +166,10 @@ def sample_campaign(
             points = np.vstack([centre, limits[0] + unit * (limits[1] - limits[0])])
             more = request.points or NEAR_EACH * asked
             learned = learn(solver, points, limits, more, walkers, at_search, working, reduced)
-            working("sampling")
-            longest = LONGEST if learned.surrogate is reduced else LONGER
-            with one_thread():
-                chains = sample(
-                    learned.posterior, learned.peaks, walkers, request.steps, at_chains, longest
-                )
-            working("sets of the posterior")
-            checks = check(solver, learned, chains, request.checks, at_checks)
+            yield Known(campaign, solver, learned, reduced, walkers, *others, version)
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling
             raise
-        runs, use = evaluator.runs, evaluator.range_use
-    record = _record(campaign, request, learned, chains, checks)
-    return replace(
-        record,
-        solver_version=version,
-        failures=tuple(solver.failures),
-        runs=runs,
-        reduced_model=use,
-        wall_s=time.monotonic() - started,
-    )
 
 
 def carried_over(campaign: Campaign, earlier: CampaignRecord) -> Floats:
