@@ -46,6 +46,8 @@ from modetune.flows.studies.pretest.running import Pretest, run_pretest
 from modetune.flows.studies.pretest.settings import PretestSettings
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+from modetune.flows.studies.scatter.record import ScatterRecord
+from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
@@ -188,6 +190,29 @@ def sample(
     request = SamplingRequest(points=points, seed=seed)
     with _watched(progress) as watcher:
         return sample_campaign(campaign_of(campaign, settings), request, watcher.working, earlier)
+
+
+def scatter(
+    campaign: CampaignLike,
+    *,
+    of: Sequence[str] = (),
+    measurement_deviation: float | None = None,
+    points: int | None = None,
+    seed: int = 1,
+    settings: Settings = (),
+    progress: bool = False,
+) -> ScatterRecord:
+    """The scatter of a campaign's parameters behind that of its repeated tests.
+
+    of: names of those that differ from test to test, all where none is named;
+    measurement_deviation: of a frequency by the measurement alone, relative. Raises CampaignError,
+    SolverError, ModesError, StoreError.
+    """
+    request = ScatterRequest(tuple(of), measurement_deviation, points, seed)
+    with _watched(progress) as watcher:
+        return scatter_campaign(
+            campaign_of(campaign, settings), request, watcher.working, watcher=watcher
+        )
 
 
 def validate(

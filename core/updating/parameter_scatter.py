@@ -193,6 +193,14 @@ def _inverse(covariance: Floats) -> Floats:
     return np.asarray(cho_solve(cho_factor(covariance), np.eye(len(covariance))))
 
 
+def noise_outside(tests: TestScatter, found: ParameterScatter, free: Integers) -> float:
+    """The variance that the tests have where no parameter that scatters moves them: of the
+    measurement, if that is one for all values. free: as of Beforehand; fewer than values."""
+    own = found.slopes[:, free]
+    outside = np.linalg.svd(own)[0][:, free.size :]
+    return float(np.trace(outside.T @ tests.covariance @ outside) / outside.shape[1])
+
+
 def lack_of_fit(tests: TestScatter, found: ParameterScatter, n_told: int) -> float:
     """How likely the tests scatter so, or less likely, where the model's prediction is right.
 

@@ -40,6 +40,7 @@ from modetune.flows.cli.pretest import pretest
 from modetune.flows.cli.reduce import reduce
 from modetune.flows.cli.report import report
 from modetune.flows.cli.sample import sample
+from modetune.flows.cli.scatter import scatter
 from modetune.flows.cli.schema import schema
 from modetune.flows.cli.screen import screen
 from modetune.flows.cli.sensors import sensors
@@ -58,7 +59,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Model and test, before updating": (init, check, modes, correlate, screen, localise),
     "Updating": (update, view, explain),
     "Whole matrices": (expand, reduce, direct),
-    "How far to trust it": (validate, sample),
+    "How far to trust it": (validate, sample, scatter),
     "Results": (report, paraview),
     "Unattended": (deploy, serve, worker),
     "This installation": (demo, doctor, twin, schema),

@@ -23,6 +23,7 @@ from modetune.flows.cli.options import on_pages
 from modetune.flows.cli.pretest import pretest
 from modetune.flows.cli.reduce import reduce
 from modetune.flows.cli.sample import sample
+from modetune.flows.cli.scatter import scatter
 from modetune.flows.cli.screen import screen
 from modetune.flows.cli.update import update
 from modetune.flows.cli.validate import validate
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
     from modetune.flows.updating.prefect import Pages
 
 STUDIES = (
-    update, screen, sample, validate, localise, check, pretest, correlate, expand, reduce, direct,
+    update, screen, sample, scatter, validate, localise, check, pretest, correlate, expand, reduce,
+    direct,
 )  # fmt: skip
 #: What is not part of a study: `deploy` has options for it, or nobody would see it.
 NOT_THERE = ("settings", "runs", "as_json", "no_prefect", "dry_run")

@@ -17,6 +17,7 @@ from modetune.core.storage import codec, store
 from modetune.core.storage.record_file import CAMPAIGN
 from modetune.core.updating.results import Result
 from modetune.flows.studies.sample.record import POSTERIOR
+from modetune.flows.studies.scatter.record import SCATTER
 from modetune.flows.studies.screen.record import SCREENING
 
 
@@ -53,6 +54,7 @@ def digest(kind: Any) -> str:
     [
         (CAMPAIGN.kind, CAMPAIGN.format, (6, "ff02e1bbfac5")),
         (SCREENING.kind, SCREENING.format, (5, "3977d39bdf92")),
+        (SCATTER.kind, SCATTER.format, (1, "4857f5ed59a2")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),
         (store.KINDS["matrices"], store.FORMAT, (4, "2a942894df94")),

@@ -148,7 +148,7 @@ def learned_posterior(
     check_walkers(walkers, len(parameters))
     centre = campaign.start if earlier is None else carried_over(campaign, earlier)
     limits = learning_range(campaign, None if earlier is None else centre)
-    at_points, at_search, *others = np.random.default_rng(request.seed).spawn(4)
+    at_points, at_search, at_chains, at_checks = np.random.default_rng(request.seed).spawn(4)
     asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
@@ -166,7 +166,7 @@ def learned_posterior(
             points = np.vstack([centre, limits[0] + unit * (limits[1] - limits[0])])
             more = request.points or NEAR_EACH * asked
             learned = learn(solver, points, limits, more, walkers, at_search, working, reduced)
-            yield Known(campaign, solver, learned, reduced, walkers, *others, version)
+            yield Known(campaign, solver, learned, reduced, walkers, at_chains, at_checks, version)
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling
             raise

@@ -156,7 +156,7 @@ def test_tests_that_drift_are_worth_less_and_said_so() -> None:
     random, n = np.random.default_rng(7), 60
     drift = np.cumsum(random.standard_normal(n))
     drift *= 0.002 / drift.std()
-    hz = HZ * (1.0 + drift[:, None] + 1e-4 * random.standard_normal((n, 3)))
+    hz: Floats = HZ * (1.0 + drift[:, None] + 1e-4 * random.standard_normal((n, 3)))
     found, shuffled = measurement_of(table(hz)), measurement_of(table(hz[random.permutation(n)]))
     assert shuffled.notes == ()
     assert found.deviations is not None

@@ -1,0 +1,1 @@
+"""The scatter of parameters behind the scatter of repeated tests."""
