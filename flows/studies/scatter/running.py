@@ -221,20 +221,12 @@ def _tests(
 
 def _model(known: Known, n_modes: int) -> Model:
     """Frequencies (n, n_modes) at sets, relative to the measured means, by what was learned."""
-    surrogate = known.reduced or known.learned.surrogate
-    case = known.campaign.case
-    numbers = _modes(known)
-    own = case.weighting.modes([case.test.numbers.index(number) for number in numbers])
-    root = _root(4.0 * own.frequency_covariance)
+    surrogate, root = known.reduced or known.learned.surrogate, _root_of(known)
 
     def frequencies(sets: Floats) -> Floats:
         return _relative(surrogate.residuals(sets)[:, :n_modes], root)
 
     return frequencies
-
-
-def _root(covariance: Floats) -> Floats:
-    return np.linalg.cholesky(covariance if covariance.ndim == 2 else np.diag(covariance))
 
 
 def _relative(standardised: Floats, root: Floats) -> Floats:
@@ -261,6 +253,11 @@ def _answer(
     draws = normal_draws(DRAWS, before.free.size, request.seed)
     found = match_scatter(tests, model, reach, before, linear.mean, draws)
     rng = np.random.default_rng([request.seed, place])
+    sets = np.tile(found.mean, (CHECKS, 1))
+    spread = rng.multivariate_normal(np.zeros(before.free.size), found.covariance, CHECKS - 1)
+    sets[1:, before.free] += spread
+    missed = _missed(known, sets, n_modes)
+    found = _corrected(found, tests, before, missed[0])
     drawn = draw_scatter(tests, found, before, rng, SWEEPS, told)
     deviations = np.sqrt(np.diagonal(drawn.covariances, axis1=1, axis2=2))
     ends = [0.025, 0.975]
@@ -282,7 +279,7 @@ def _answer(
         lack=lack_of_fit(tests, found, n_told),
         cut=found.cut,
         rounds=found.rounds,
-        off=_off(known, found, before, tests, rng),
+        off=float(np.max(np.abs(missed) / np.sqrt(np.diag(tests.covariance)))),
     )
     return answer, found
 
@@ -292,8 +289,9 @@ def _shares(
 ) -> Floats:
     """Shares (n_answers,) of the posterior of the mean, by Laplace."""
     weights = []
-    for _, found in answers:
-        inverse = np.linalg.inv(found.predicted_covariance + tests.noise + _tiny(tests))
+    tiny = EXACT * np.diag(np.diag(tests.covariance))
+    for answer, found in answers:
+        inverse = np.linalg.inv(answer.predicted_covariance + tiny)
         off, pull = tests.mean - found.predicted, (found.mean - before.mean) / before.deviation
         precision = tests.n * found.slopes.T @ inverse @ found.slopes
         precision = precision + np.diag(before.deviation**-2)
@@ -303,27 +301,33 @@ def _shares(
     return np.asarray(shares / shares.sum())
 
 
-def _tiny(tests: TestScatter) -> Floats:
-    return EXACT * np.diag(np.diag(tests.covariance))
-
-
-def _off(
-    known: Known,
-    found: ParameterScatter,
-    before: Beforehand,
-    tests: TestScatter,
-    rng: np.random.Generator,
-) -> float:
-    """By how much of the measured scatter full solutions at drawn sets are off, at most."""
+def _missed(known: Known, sets: Floats, n_modes: int) -> Floats:
+    """What full solutions have more than what was learned, (n, n_modes), relative frequencies."""
     parameters = known.campaign.parameters
-    sets = np.tile(found.mean, (CHECKS, 1))
-    spread = rng.multivariate_normal(np.zeros(before.free.size), found.covariance, CHECKS)
-    sets[:, before.free] += spread
-    sets = np.clip(sets, parameters.lower, parameters.upper)
-    solved = known.solver.solve("checks", sets)
-    n_modes = tests.mean.size
+    inside = np.clip(sets, parameters.lower, parameters.upper)
+    solved = known.solver.solve("checks", inside)
+    if len(solved.keys) < len(sets):
+        raise CampaignError("a set of an answer cannot be solved; narrow the parameters' bounds")
     missed = known.learned.missed(solved.training)[:, :n_modes]
+    return np.asarray(-0.5 * missed @ _root_of(known).T)
+
+
+def _root_of(known: Known) -> Floats:
+    """What standardised residuals of frequencies are multiplied by."""
     case = known.campaign.case
     own = case.weighting.modes([case.test.numbers.index(number) for number in _modes(known)])
-    errors = 0.5 * missed @ _root(4.0 * own.frequency_covariance).T
-    return float(np.max(np.abs(errors) / np.sqrt(np.diag(tests.covariance))))
+    covariance = 4.0 * own.frequency_covariance
+    return np.linalg.cholesky(covariance if covariance.ndim == 2 else np.diag(covariance))
+
+
+def _corrected(
+    found: ParameterScatter, tests: TestScatter, before: Beforehand, missed: Floats
+) -> ParameterScatter:
+    """The mean after one more step, from a full solution there."""
+    weights = tests.n * np.linalg.inv(tests.covariance)
+    prior = np.diag(before.deviation**-2)
+    predicted = found.predicted + missed
+    pull = found.slopes.T @ weights @ (tests.mean - predicted)
+    pull = pull + prior @ (before.mean - found.mean)
+    step = np.linalg.solve(found.slopes.T @ weights @ found.slopes + prior, pull)
+    return replace(found, mean=found.mean + step, predicted=predicted + found.slopes @ step)

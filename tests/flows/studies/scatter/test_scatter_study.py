@@ -154,9 +154,9 @@ def bars(folder: Path, sets: Floats, n_modes: int) -> Floats:
         stiffness = base + sum(
             (value - 1.0) * (one - base) for value, (one, _) in zip(values, others, strict=True)
         )
-        hz.append(
-            np.sqrt(eigh(stiffness, mass, eigvals_only=True, subset_by_index=[0, n_modes - 1]))
-        )
+        ends = [len(mass) - n_modes, len(mass) - 1]  # unknowns inside of bricks have no mass
+        inverse = eigh(mass, stiffness, eigvals_only=True, subset_by_index=ends)
+        hz.append(1.0 / np.sqrt(inverse[::-1]))
     return np.array(hz) / (2.0 * np.pi)
 
 
@@ -174,3 +174,37 @@ def test_a_bar_of_three_materials_takes_a_handful_of_runs(tmp_path: Path) -> Non
     (answer,) = record.answers
     np.testing.assert_allclose(answer.mean, BAR.truth, rtol=0.01)
     _recovered(record, 0, sizes)
+
+
+@pytest.mark.parametrize("masses", [False, True], ids=["springs", "springs and weighed masses"])
+def test_four_storeys_have_two_answers(
+    masses: bool, shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Leibniz University Hannover's 4-DOF benchmark, EURODYN 2026: fifty tests of one frame."""
+    monkeypatch.delenv("MODETUNE_STORE", raising=False)
+    case = Path(__file__).resolve().parents[4] / "configs" / "four_storey"
+    items = [f"k{n}, quantity: spring_stiffness, deviation: 0.7" for n in range(1, 5)]
+    if masses:  # weighed to 1 %
+        items += [f"m{n}, quantity: mass, deviation: 0.01, bounds: [0.9, 1.1]" for n in range(1, 5)]
+    (tmp_path / "tests.yaml").write_text(
+        f"name: tests\nmodel: {{deck: {case / 'four_storey.yaml'}, solver: matrices, "
+        f"units: m-kg-s}}\ntest: {{modes: {shared_data / 'four_storey' / 'tests_br.csv'}}}\n"
+        "parameters:\n" + "".join(f"  - {{name: {item}, elset: {item[:2]}}}\n" for item in items)
+    )
+    request = ScatterRequest(of=("k1", "k2", "k3", "k4"))
+    record = scatter_campaign(load_campaign(tmp_path / "tests.yaml"), request, lambda text: None)
+    springs = sorted((answer.mean[:4].tolist() for answer in record.answers), key=lambda k: k[0])
+    # By Newton's method on the characteristic polynomial; a per cent of a mass is one of a spring.
+    expected = np.array([[0.8682, 1.1192, 1.0128, 1.0322], [1.8519, 0.5819, 1.4323, 0.6581]])
+    np.testing.assert_allclose(springs, expected, rtol=0.02 if masses else 0.002)
+    for answer in record.answers:
+        np.testing.assert_allclose(answer.predicted, 0.0, atol=2e-5)
+        sizes = np.sqrt(np.diag(record.covariance))
+        np.testing.assert_allclose(
+            answer.predicted_covariance / np.outer(sizes, sizes),
+            record.covariance / np.outer(sizes, sizes),
+            atol=0.02,
+        )
+        assert answer.off < 0.1
+    assert record.worth == pytest.approx(5.0, abs=1.0)
+    assert not np.isfinite(record.tests[30, 3])
