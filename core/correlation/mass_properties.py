@@ -69,14 +69,17 @@ def rigid_body_of_modes(
         raise ModesError("the modes at zero are not rigid motions of the nodes of the results")
     scale = np.array([1.0, 1.0, 1.0, size, size, size])  # back to the deck's length
     rigid_mass = np.linalg.inv(shares @ shares.T) * np.outer(scale, scale)
-    return _properties(rigid_mass, origin)
+    return rigid_body_of_mass(rigid_mass, origin)
 
 
-def _properties(rigid_mass: Floats, origin: Floats) -> RigidBody:
+def rigid_body_of_mass(rigid_mass: Floats, origin: Floats | None = None) -> RigidBody:
+    """Mass properties by the mass of rigid motion (6, 6) about an origin (3,), that of the axes
+    where left out; complex where the mass is."""
     masses = rigid_mass.diagonal()[:3]
-    mass = float(masses.mean())
+    mass = masses.mean()
     s = rigid_mass[:3, 3:] / mass  # s[i, k] = e_i . (e_k x c) = c . (e_i x e_k)
     c = 0.5 * np.array([s[1, 2] - s[2, 1], s[2, 0] - s[0, 2], s[0, 1] - s[1, 0]])
-    steiner = mass * (float(c @ c) * np.eye(3) - np.outer(c, c))
-    spread = float(masses.max() - masses.min()) / mass
-    return RigidBody(mass, origin + c, rigid_mass[3:, 3:] - steiner, spread)
+    steiner = mass * (c @ c * np.eye(3) - np.outer(c, c))
+    spread = float(np.ptp(masses.real) / mass.real)
+    centre = c if origin is None else origin + c
+    return RigidBody(mass, centre, rigid_mass[3:, 3:] - steiner, spread)

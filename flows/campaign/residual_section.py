@@ -14,6 +14,7 @@ from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.response import Response
 from modetune.flows.campaign.damping_section import DampingSection
 from modetune.flows.campaign.mac_section import MacSection
+from modetune.flows.campaign.mass_section import MassSection
 from modetune.flows.campaign.section import (
     OTHERS,
     Deviations,
@@ -31,7 +32,7 @@ SensorKey = Literal["sensor_weight", "sensor_deviation"]
 
 
 #: Keys of the kinds of responses beside frequencies and shapes, in the order of their rows.
-KINDS = ("mac", "static", "damping")
+KINDS = ("mac", "static", "damping", "mass_properties")
 
 
 class KindSection(Protocol):
@@ -84,6 +85,8 @@ class ResidualSection(Section):
     """Static displacements and strains under load cases."""
     damping: DampingSection | None = None
     """Modal damping ratios."""
+    mass_properties: MassSection | None = None
+    """Mass, centre of gravity and inertia as targets and as limits."""
 
     @property
     def kinds(self) -> dict[str, KindSection]:

@@ -25,6 +25,7 @@ from modetune.flows.updating.evaluation import (
     CaseEvaluation,
     Evaluation,
     Matrix,
+    model_state,
     part_rows,
 )
 from modetune.flows.updating.finders import REDUCED, UNFIT, Columns
@@ -145,4 +146,4 @@ class Deriving:
 
 def _model_state(case: Case, part: CaseEvaluation) -> ModelState:
     """An evaluated case as its responses see it."""
-    return ModelState(case.test, case.weighting, part.seen, part.pairing, part.modal, part.matrices)
+    return model_state(case, part.seen, part.pairing, part.modal, part.matrices)

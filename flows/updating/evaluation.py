@@ -29,6 +29,7 @@ from modetune.core.correlation.pairing import Pairing
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.updating.estimation import Step
+from modetune.core.updating.limits import breach
 from modetune.core.updating.residual import residual, responses_agree
 from modetune.core.updating.responses.response import (
     MatricesAt,
@@ -117,11 +118,15 @@ class Evaluation:
 
     def agrees(self, tolerances: Tolerances) -> bool:
         """Whether e1 holds; members of a cluster of close modes are judged by its space."""
-        return agrees(self.used_errors, self.pairing.judged_mac, tolerances) and all(
-            responses_agree(
-                [item for item in part.responses if item.kind not in BY_MODES], part.residual
+        return (
+            agrees(self.used_errors, self.pairing.judged_mac, tolerances)
+            and all(
+                responses_agree(
+                    [item for item in part.responses if item.kind not in BY_MODES], part.residual
+                )
+                for part in self.parts
             )
-            for part in self.parts
+            and not breach(self.residual.values, self.residual.limits).any()
         )
 
     @property
@@ -181,7 +186,7 @@ def compare(
             result = result.turned(rotation)
             modal = result.at(case.nodes)
             seen, pairing = _paired(case, modal, previous, drop)
-    state = ModelState(test, case.weighting, seen, pairing, modal, matrices)
+    state = model_state(case, seen, pairing, modal, matrices)
     return CaseEvaluation(
         theta=theta,
         key=key,
@@ -196,6 +201,18 @@ def compare(
         responses=case.responses,
         matrices=matrices,
     )
+
+
+def model_state(
+    case: Case,
+    seen: ModeSet,
+    pairing: Pairing,
+    modal: ModalResult,
+    matrices: MatricesAt | None,
+) -> ModelState:
+    """A case as its responses see it."""
+    mesh = None if matrices is None else case.solver.deck.mesh()
+    return ModelState(case.test, case.weighting, seen, pairing, modal, matrices, mesh)
 
 
 def _paired(

@@ -228,7 +228,7 @@ class Loop:
                 raise
             logger.info("%s; shorter step", error)
             return None
-        better = self.stepping.gain(state.current, trial.evaluation, step) > 0.0
+        better = self.stepping.better(state.current, trial.evaluation, step)
         if better and trial.evaluation.agrees(self.campaign.tolerances):
             return trial
         self._note(trial.evaluation, step, matrix, trial.slope, False, "worse: shorter step", False)
@@ -286,7 +286,7 @@ class Loop:
                 level = logging.WARNING if self.evaluator.steps_run else logging.INFO
                 logger.log(level, "%s; %s", error, ending)
             else:
-                better = self.stepping.gain(current, trial.evaluation, step) > 0.0
+                better = self.stepping.better(current, trial.evaluation, step)
                 if better or trial.evaluation.agrees(self.campaign.tolerances):
                     return trial
                 self._note(
@@ -353,7 +353,8 @@ class Loop:
         self._note(trial.evaluation, step, matrix, trial.slope, True, decision, skipped)
         share = gain / promised if promised > 0.0 else 0.0
         region = stepping.region_after(current, matrix, step, trial.region, share)
-        return State(trial.evaluation, following, skip, region), gain > STATIONARY * before
+        gained = gain > STATIONARY * before or stepping.nears_limits(current, trial.evaluation)
+        return State(trial.evaluation, following, skip, region), gained
 
     def _note(
         self,

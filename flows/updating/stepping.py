@@ -15,6 +15,7 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step, StepProblem, parameter_step
 from modetune.core.updating.identifiability import remaining_step
+from modetune.core.updating.limits import breach, step_within
 from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.trust_region import (
     HELD,
@@ -118,12 +119,15 @@ class Stepping:
             lower=room * np.minimum(low - current.theta, 0.0),
             upper=room * np.maximum(high - current.theta, 0.0),
         )
-        if settings.step == "trust_region":
-            scale = self._scale(current)
-            step = trust_region_step(problem, scale, region, settings.regularisation)
-        else:
-            step = parameter_step(problem, settings.step, settings.regularisation)
-        step = replace(step, predicted=found.of_items(step.predicted))
+
+        def solve(asked: StepProblem) -> Step:
+            if settings.step != "trust_region":
+                return parameter_step(asked, settings.step, settings.regularisation)
+            return trust_region_step(asked, self._scale(current), region, settings.regularisation)
+
+        step = step_within(solve, problem, found.values, matrix.values, found.limits)
+        own = step.predicted[: found.values.size]
+        step = replace(step, predicted=found.of_items(own))
         return self.evaluator.refined(current, step, box) or step
 
     def to_least_misfit(self, current: Evaluation, matrix: Matrix) -> Step:
@@ -137,6 +141,9 @@ class Stepping:
         )
         change = np.clip(way, self.lower - current.theta, self.upper - current.theta)
         predicted = current.residual.values - matrix.values @ change
+        if breach(predicted, current.residual.limits).any():
+            change = np.zeros_like(change)  # a limit stands before it
+            predicted = current.residual.values
         step = Step(change, predicted, factor, rank=0, condition=np.nan)
         return self.evaluator.refined(current, step, (self.lower, self.upper)) or step
 
@@ -193,6 +200,17 @@ class Stepping:
         residual = current.residual.independent(residual)
         return float(residual @ (weights * residual)) + pull
 
+    def better(self, current: Evaluation, there: Evaluation, step: Step) -> bool:
+        """Whether the end of a step is lower within the limits, or much nearer to them."""
+        if self.nears_limits(current, there):
+            return True
+        return not _breach(there).any() and self.gain(current, there, step) > 0.0
+
+    def nears_limits(self, current: Evaluation, there: Evaluation) -> bool:
+        """Whether limits that the current set breaks are broken by half of it at most."""
+        before = _breach(current)
+        return bool(before.any() and (_breach(there) <= 0.5 * before).all())
+
     def gain(self, current: Evaluation, there: Evaluation, step: Step) -> float:
         """How much lower the objective is at the end of a step than at the current set."""
         before = self.objective(current, current.residual.values, step)
@@ -227,3 +245,8 @@ class Stepping:
             np.maximum(self.lower, current.theta + scale.changes(-reach)),
             np.minimum(self.upper, current.theta + scale.changes(reach)),
         )
+
+
+def _breach(evaluation: Evaluation) -> Floats:
+    """How far each value of a set is outside of its limits, (n_residuals,)."""
+    return breach(evaluation.residual.values, evaluation.residual.limits)

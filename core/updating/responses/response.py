@@ -27,6 +27,7 @@ from scipy import linalg, sparse
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.correlation.pairing import Pairing
 from modetune.core.errors import CampaignError
+from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import ModalResult, ModeDerivatives
@@ -63,7 +64,7 @@ class ModelState:
 
     test, weighting: of the used modes; seen: the elastic modes as the test's sensors see them;
     pairing: positions in both. modal: all modes, rigid ones too, at the nodes that were asked for;
-    matrices: where a response of the case needs them, else None.
+    matrices, mesh: where a response of the case needs matrices, else None.
     """
 
     test: MeasuredModes
@@ -72,6 +73,7 @@ class ModelState:
     pairing: Pairing
     modal: ModalResult | None = None
     matrices: MatricesAt | None = None
+    mesh: Mesh | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,8 @@ class Block:
     names: of the items, for people; sizes: (n_items,), entries of each; scaled: whether scaling
     takes one of an item's entries. measured: (n,), in the response's own unit, where people want
     to see them (values are measured minus computed then), else empty. mixing: (n, n), see the
-    module's head; (0, 0) where errors are independent.
+    module's head; (0, 0) where errors are independent. limits: (n, 2), least and largest values
+    that a step may lead to; (0, 2) without.
     """
 
     kind: str
@@ -102,6 +105,7 @@ class Block:
     scaled: bool = False
     measured: Floats = field(default_factory=lambda: np.zeros(0))
     mixing: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    limits: Floats = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def size(self) -> int:
@@ -176,6 +180,15 @@ class Residual:
         """What is there of the rows of a kind that have a weight; values: (n_rows_of_kind,)."""
         return values[self.weights[self.rows(kind)] > 0.0]
 
+    @property
+    def limits(self) -> Floats:
+        """Least and largest value of each row that a step may lead to, (n_residuals, 2)."""
+        free = np.array([-np.inf, np.inf])
+        return np.concatenate(
+            [np.zeros((0, 2))]
+            + [b.limits if b.limits.size else np.tile(free, (b.size, 1)) for b in self.blocks]
+        )
+
     def independent(self, rows: Floats) -> Floats:
         """Values (n_residuals,) or derivatives (n_residuals, k) in the combinations whose errors
         are independent, which variances and weights are of."""
@@ -231,13 +244,14 @@ def residual_of(
     unknown: Floats | None = None,
     scaled: bool = False,
     measured: Floats | None = None,
+    limits: Floats | None = None,
 ) -> Residual:
     """A residual of one block.
 
     names: (n_items,); sizes: (n_items,), one entry an item where None; emphasis: (n,), 0 leaves
     out. noise: (n,), variances of the measurement, or (n, n), its covariance; unknown: (n,),
-    variances by what the linear model cannot know. Raises CampaignError for a covariance that is
-    not positive definite.
+    variances by what the linear model cannot know; limits: (n, 2), of the values. Raises
+    CampaignError for a covariance that is not positive definite.
     """
     mixing = np.zeros((0, 0))
     if noise.ndim == 2:
@@ -250,6 +264,7 @@ def residual_of(
         scaled,
         np.zeros(0) if measured is None else measured,
         mixing,
+        np.zeros((0, 2)) if limits is None else limits,
     )
     return Residual(values, emphasis / variances, variances, noise, (block,))
 

@@ -1,0 +1,175 @@
+"""Mass, centre of gravity and inertia of the model, as targets and as limits.
+
+With R the unit translations and rotations of the whole model at its equations, the mass of rigid
+motion M_r = R^T M R holds all of them (`core/correlation/mass_properties`), whether the structure
+is free or on springs, and R^T (dM/dtheta) R its derivatives; those of the ten quantities follow by
+a complex step, exact to rounding:
+
+    dq = Im q(M_r + i h dM_r) / h.
+
+Equations that a support holds are in no stored matrix, so what the model's mass has there is not
+counted. Values are in the deck's units; inertia is the tensor about the centre of gravity in global
+axes, so inertia_xy is minus the integral of x y dm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+
+from modetune.core.algebra.matrices import MatrixResult, projected
+from modetune.core.correlation.correlation import rigid_body_shapes
+from modetune.core.correlation.mass_properties import rigid_body_of_mass
+from modetune.core.errors import ModesError
+from modetune.core.mesh import Mesh
+from modetune.core.modes import Floats
+from modetune.core.updating.responses.response import (
+    MatricesAt,
+    ModelState,
+    Need,
+    Residual,
+    StateDerivatives,
+    residual_of,
+)
+
+MassQuantity = Literal[
+    "mass", "centre_x", "centre_y", "centre_z", "inertia_xx", "inertia_yy", "inertia_zz",
+    "inertia_xy", "inertia_yz", "inertia_zx",
+]  # fmt: skip
+MASS_QUANTITIES: tuple[MassQuantity, ...] = get_args(MassQuantity)
+#: Masses of three directions that differ more are those of a structure that is partly held.
+ONE_MASS = 1e-6
+#: A printed mass has at least four digits.
+PRINTED = 1e-3
+HELD = (
+    "supports hold the rest, and what they hold is in no stored matrix; free the structure (on "
+    "soft springs, as the test was), or leave mass_properties out"
+)
+#: Share of M_r in a complex step: its square is nothing beside one.
+COMPLEX_STEP = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class MassTarget:
+    """A quantity that was weighed: value, deviation, emphasis; and what no step leaves."""
+
+    value: float
+    deviation: float
+    weight: float = 1.0
+    limits: tuple[float, float] = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class MassProperties:
+    """Mass properties beside their targets; within: deviations that e1 allows."""
+
+    targets: Mapping[MassQuantity, MassTarget]
+    within: float = 2.0
+    kind: ClassVar[str] = "mass_properties"
+    needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
+
+    def residual(self, state: ModelState) -> Residual:
+        matrices, rigid = self._rigid(state)
+        rigid_mass = projected(matrices.model.mass_at(matrices.theta), rigid)
+        here = self._of(rigid_mass)
+        printed = np.nan if state.modal is None else state.modal.mass
+        if abs(printed / rigid_mass.diagonal()[:3].max() - 1.0) > PRINTED:
+            raise ModesError(
+                f"mass_properties: the solver prints a mass of {printed:.6g}, its matrices have "
+                f"{rigid_mass.diagonal()[:3].max():.6g}: {HELD}"
+            )
+        asked = self.targets.values()
+        measured = np.array([item.value for item in asked])
+        limits = measured[:, None] - np.array([item.limits[::-1] for item in asked])
+        return residual_of(
+            self.kind,
+            [name.replace("_", " ") for name in self.targets],
+            None,
+            measured - here,
+            np.array([item.weight for item in asked]),
+            np.array([item.deviation**2 for item in asked]),
+            measured=measured,
+            limits=limits,
+        )
+
+    def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
+        matrices, rigid = self._rigid(state)
+        here = projected(matrices.model.mass_at(matrices.theta), rigid)
+        slopes = np.zeros((len(self.targets), len(derivatives.columns)))
+        for place, column in enumerate(derivatives.columns):
+            change = projected(matrices.change(column)[1], rigid)
+            stepped = self._of(here + 1j * COMPLEX_STEP * change)
+            slopes[:, place] = stepped.imag / COMPLEX_STEP
+        return slopes
+
+    def agrees(self, part: Residual) -> bool:
+        z = part.of_used(self.kind, part.values)
+        deviations = np.sqrt(part.of_used(self.kind, part.noise))
+        return bool((np.abs(z) <= self.within * deviations).all())
+
+    def _rigid(self, state: ModelState) -> tuple[MatricesAt, Floats]:
+        assert state.matrices is not None
+        assert state.mesh is not None
+        alone = set(self.targets) == {"mass"}
+        return state.matrices, rigid_motions(state.matrices.model.base, state.mesh, alone)
+
+    def _of(self, rigid_mass: Floats) -> Floats:
+        """The asked quantities, (n,), complex where the mass is. Raises ModesError."""
+        masses = rigid_mass.diagonal()[:3]
+        there = np.abs(masses) > 0.0
+        if not there.any():
+            raise ModesError("mass_properties: the model has no mass that translations move")
+        mass = masses[there].mean()
+        if np.ptp(masses[there].real) > ONE_MASS * mass.real:
+            said = ", ".join(f"{item:.6g}" for item in masses.real)
+            raise ModesError(
+                f"mass_properties: the model's mass is {said} along x, y and z: {HELD}"
+            )
+        if set(self.targets) == {"mass"}:
+            return np.array([mass])
+        body = rigid_body_of_mass(rigid_mass)
+        j = body.inertia
+        found = dict(
+            zip(
+                MASS_QUANTITIES,
+                (mass, *body.centre, j[0, 0], j[1, 1], j[2, 2], j[0, 1], j[1, 2], j[2, 0]),
+                strict=True,
+            )
+        )
+        return np.array([found[name] for name in self.targets])
+
+
+def rigid_motions(matrices: MatrixResult, mesh: Mesh, translations: bool = False) -> Floats:
+    """Unit translations and rotations about the origin at the equations of matrices, (n, 6).
+
+    translations: those alone are right; rotations need the nodes' places. Unknowns that are inside
+    of elements move with no motion of their own. Raises ModesError where an equation is at no node
+    of the mesh.
+    """
+    nodes, components = matrices.nodes, matrices.components
+    _, first = np.unique(np.stack([nodes, components]), axis=1, return_index=True)
+    named = np.zeros(nodes.size, dtype=bool)
+    named[first] = True  # a name stands once more where elements have unknowns of their own
+    places = np.zeros((nodes.size, 3))
+    if translations and not mesh.coordinates.any():
+        pass  # matrices alone have no places
+    elif not np.isin(nodes[named], mesh.nodes).all():
+        raise ModesError(
+            "mass_properties: equations of the stored matrices are at no node of the model (shells "
+            "and beams that the solver expands), so its rigid motions are not known there; this "
+            "response requires solids, or a solver whose equations are those of nodes"
+        )
+    else:
+        places[named] = mesh.coordinates[mesh.rows(nodes[named])]
+    rigid = np.zeros((nodes.size, 6))
+    rigid[named] = rigid_body_shapes(places[named], components[named])
+    for node, axes in mesh.frames.items():
+        for row in np.flatnonzero((nodes == node) & named).tolist():
+            turns = int(components[row]) > 3
+            own = np.arange(4, 7) if turns else np.arange(1, 4)
+            whole = rigid_body_shapes(np.repeat(places[[row]], 3, axis=0), own)
+            rigid[row] = axes[(components[row] - 1) % 3] @ whole
+    return rigid

@@ -1,0 +1,147 @@
+"""Mass properties of matrices: closed forms of bodies, derivatives, what is held."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.correlation.pairing import pair_by_order
+from modetune.core.errors import ModesError
+from modetune.core.mesh import Mesh
+from modetune.core.modes import Floats, mode_set
+from modetune.core.updating.parameter_matrices import Powers, parameter_matrices
+from modetune.core.updating.responses.mass_properties import (
+    MASS_QUANTITIES,
+    MassProperties,
+    MassTarget,
+)
+from modetune.core.updating.responses.response import MatricesAt, ModelState, StateDerivatives
+from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.weighting import even_weighting
+from tests.core.updating.compared import state_of
+
+NOISE = np.random.default_rng(3)
+#: Points that no symmetry lines up, those of the second half on a body that a parameter scales.
+PLACES = NOISE.uniform(-2.0, 3.0, (8, 3))
+MASSES = NOISE.uniform(0.5, 4.0, 8)
+SECOND = np.arange(8) >= 4
+ALL = {name: MassTarget(0.0, 1.0) for name in MASS_QUANTITIES}
+THETA = np.array([1.3])
+
+
+def points(power: int = 1) -> MatricesAt:
+    """Point masses, three unknowns each; those of the second half go with theta^power."""
+    diagonal = np.repeat(MASSES, 3)
+    base = MatrixResult.of_full(
+        sparse.csr_array(np.eye(24)),
+        sparse.csr_array(np.diag(diagonal)),
+        np.repeat(np.arange(1, 9), 3),
+        np.tile([1, 2, 3], 8),
+    )
+    upper = sparse.csr_array(np.diag(np.where(np.repeat(SECOND, 3), diagonal, 0.0)))
+    part = Powers(0, (power,), (upper,))
+    return MatricesAt(parameter_matrices(base, np.ones(1), (), (part,)), THETA)
+
+
+def closed_form(masses: Floats) -> Floats:
+    mass = masses.sum()
+    centre = masses @ PLACES / mass
+    x = PLACES - centre
+    inertia = sum(
+        (m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, x, strict=True)),
+        np.zeros((3, 3)),
+    )
+    return np.array([mass, *centre, *inertia[[0, 1, 2, 0, 1, 2], [0, 1, 2, 1, 2, 0]]])
+
+
+def beside(matrices: MatricesAt, frames: dict[int, Floats] | None = None) -> ModelState:
+    nothing = mode_set([5.0], np.ones((1, 1)), [1], [1])
+    state = state_of(
+        nothing, nothing, pair_by_order(nothing, nothing), even_weighting(1, 1, 0.01, 0.1)
+    )
+    mesh = Mesh(np.arange(1, 9), PLACES, (), frames or {})
+    return replace(state, matrices=matrices, mesh=mesh)
+
+
+def test_points_have_the_mass_properties_of_their_sums() -> None:
+    masses = np.where(SECOND, 1.3, 1.0) * MASSES
+    found = MassProperties(ALL).residual(beside(points()))
+    np.testing.assert_allclose(-found.values, closed_form(masses), rtol=1e-12)
+    assert found.labels[:2] == ("mass", "centre x")
+
+
+@pytest.mark.parametrize("power", [1, 3])
+def test_derivatives_are_those_of_the_closed_form(power: int) -> None:
+    state = beside(points(power))
+    derivatives = StateDerivatives(ModeDerivatives(np.zeros((1, 1)), np.zeros((0, 1, 1))), (0,))
+    found = MassProperties(ALL).sensitivity(state, derivatives)[:, 0]
+
+    def at(theta: float) -> Floats:
+        return closed_form(np.where(SECOND, theta**power, 1.0) * MASSES)
+
+    h = 1e-5
+    central = (at(1.3 + h) - at(1.3 - h)) / (2.0 * h)
+    np.testing.assert_allclose(found, central, rtol=1e-7, atol=1e-8)
+
+
+def test_axes_of_nodes_change_nothing() -> None:
+    turned, _ = np.linalg.qr(NOISE.normal(size=(3, 3)))
+    # Point masses are alike in all axes, so the matrix stays what it is.
+    one, other = (
+        MassProperties(ALL).residual(beside(points(), frames)).values
+        for frames in ({}, {2: turned, 7: turned.T})
+    )
+    np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
+def test_unknowns_inside_of_elements_move_with_no_rigid_motion() -> None:
+    whole = points()
+    base = whole.model.base
+    more = MatrixResult(
+        sparse.csr_array(sparse.block_diag([base.upper_stiffness, np.eye(1)])),
+        sparse.csr_array(sparse.block_diag([base.upper_mass, 7.0 * np.eye(1)])),
+        np.append(base.nodes, 3),
+        np.append(base.components, 2),
+    )
+    model = parameter_matrices(more, np.ones(1), (), ())
+    found = MassProperties({"mass": MassTarget(0.0, 1.0)}).residual(
+        beside(MatricesAt(model, np.ones(1)))
+    )
+    assert -found.values[0] == pytest.approx(MASSES.sum())
+
+
+def test_a_structure_that_is_held_in_a_direction_is_refused() -> None:
+    model = points().model
+    kept = np.delete(np.arange(24), [0, 3])  # two points held along x
+    base = model.base
+    held = MatrixResult(
+        base.upper_stiffness[kept][:, kept],
+        base.upper_mass[kept][:, kept],
+        base.nodes[kept],
+        base.components[kept],
+    )
+    state = beside(MatricesAt(parameter_matrices(held, np.ones(1), (), ()), np.ones(1)))
+    with pytest.raises(ModesError, match=r"along x, y and z.*supports hold the rest"):
+        MassProperties(ALL).residual(state)
+
+
+def test_a_chain_of_one_direction_has_a_mass_but_no_places() -> None:
+    chain = MatrixResult.of_full(
+        sparse.csr_array(np.eye(3)),
+        sparse.csr_array(np.diag([1.0, 2.0, 3.5])),
+        np.arange(1, 4),
+        np.ones(3, dtype=np.int64),
+    )
+    model = parameter_matrices(chain, np.ones(1), (), ())
+    nowhere = Mesh(np.zeros(0, np.int64), np.zeros((0, 3)), ())
+    state = replace(beside(MatricesAt(model, np.ones(1))), mesh=nowhere)
+    found = MassProperties({"mass": MassTarget(6.0, 0.1)}, within=6.0).residual(state)
+    assert found.values == pytest.approx([-0.5])
+    assert MassProperties({}, within=6.0).agrees(found)
+    assert not MassProperties({}, within=4.0).agrees(found)
+    with pytest.raises(ModesError, match="at no node of the model"):
+        MassProperties(ALL).residual(state)
