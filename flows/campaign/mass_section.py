@@ -10,7 +10,7 @@ from pydantic import model_validator
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.mass_properties import (
     MASS_QUANTITIES,
-    MassProperties,
+    MassResponse,
     MassTarget,
 )
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section
@@ -115,7 +115,7 @@ class MassSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return {}
 
-    def response(self, e1: Tolerances, numbers: Sequence[int]) -> MassProperties:
+    def response(self, e1: Tolerances, numbers: Sequence[int]) -> MassResponse:
         """As any test has it."""
         targets = {name: self.targets[name] for name in MASS_QUANTITIES if name in self.targets}
-        return MassProperties(targets, self.within)
+        return MassResponse(targets, self.within)

@@ -38,6 +38,7 @@ from modetune.flows.report.parameter_tables import (
     start_table,
     trust_table,
 )
+from modetune.flows.report.response_tables import response_table
 from modetune.flows.report.scene import Scene, scene, told_scene
 from modetune.flows.report.tables import signed
 
@@ -93,6 +94,7 @@ def page(record: CampaignRecord) -> str:
             trust=_trust(record),
             tables={
                 "modes": mode_table(record),
+                "responses": response_table(record),
                 "held_out": held_out_table(record.held_out),
                 "parameters": parameter_table(record, LONG_PARAMETERS),
                 "trust": record.trust and trust_table(record.trust),

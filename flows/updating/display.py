@@ -22,6 +22,7 @@ from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row
 from modetune.flows.report.mode_tables import mode_label, mode_table, unmatched_sentence
 from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_table
+from modetune.flows.report.response_tables import response_table
 from modetune.flows.report.tables import OUTSIDE, Table, columns_of, show
 from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text
 from modetune.flows.updating.run import CampaignRun
@@ -131,6 +132,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
     parts = [
         mode_table(record),
         *filter(None, (*pairing_lines(record), unmatched_sentence(record))),
+        response_table(record),
         *held_out_parts(record.held_out),
         parameter_table(record, BRIEF_PARAMETERS),
         *record.splits,

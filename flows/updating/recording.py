@@ -21,6 +21,7 @@ from modetune.flows.report.form_verdict import verdict_summary
 from modetune.flows.report.held_out_tables import held_out_rows
 from modetune.flows.report.mode_tables import mode_rows, unmatched_modes
 from modetune.flows.report.parameter_tables import parameter_rows
+from modetune.flows.report.response_tables import response_rows
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
 from modetune.flows.updating.judging import campaign_trust, trust_summary
@@ -136,6 +137,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         unmatched=[record.test.numbers[place] for place in unmatched_modes(record)],
         mean_error_initial=np.abs(record.iterations[0].frequency_errors).mean(),
         mean_error_updated=np.abs(record.best.frequency_errors).mean(),
+        responses=response_rows(record),
         held_out=held_out_rows(record.held_out),
         splits=record.splits,
         sensitivity_skipped=sum(item.sensitivity_skipped for item in record.iterations),

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
+from scipy import sparse
 
 from modetune.core.algebra.matrices import MatrixResult, projected
 from modetune.core.correlation.correlation import rigid_body_shapes
@@ -46,8 +47,10 @@ ONE_MASS = 1e-6
 PRINTED = 1e-3
 HELD = (
     "supports hold the rest, and what they hold is in no stored matrix; free the structure (on "
-    "soft springs, as the test was), or leave mass_properties out"
+    "soft springs, as the test was), or leave mass properties out"
 )
+#: Forces on unknowns inside of elements, over the sum of their parts: fourteen digits cancel.
+NO_FORCE = 1e-8
 #: Share of M_r in a complex step: its square is nothing beside one.
 COMPLEX_STEP = 1e-30
 
@@ -63,7 +66,7 @@ class MassTarget:
 
 
 @dataclass(frozen=True, slots=True)
-class MassProperties:
+class MassResponse:
     """Mass properties beside their targets; within: deviations that e1 allows."""
 
     targets: Mapping[MassQuantity, MassTarget]
@@ -78,7 +81,7 @@ class MassProperties:
         printed = np.nan if state.modal is None else state.modal.mass
         if abs(printed / rigid_mass.diagonal()[:3].max() - 1.0) > PRINTED:
             raise ModesError(
-                f"mass_properties: the solver prints a mass of {printed:.6g}, its matrices have "
+                f"mass properties: the solver prints a mass of {printed:.6g}, its matrices have "
                 f"{rigid_mass.diagonal()[:3].max():.6g}: {HELD}"
             )
         asked = self.targets.values()
@@ -121,12 +124,12 @@ class MassProperties:
         masses = rigid_mass.diagonal()[:3]
         there = np.abs(masses) > 0.0
         if not there.any():
-            raise ModesError("mass_properties: the model has no mass that translations move")
+            raise ModesError("mass properties: the model has no mass that translations move")
         mass = masses[there].mean()
         if np.ptp(masses[there].real) > ONE_MASS * mass.real:
             said = ", ".join(f"{item:.6g}" for item in masses.real)
             raise ModesError(
-                f"mass_properties: the model's mass is {said} along x, y and z: {HELD}"
+                f"mass properties: the model's mass is {said} along x, y and z: {HELD}"
             )
         if set(self.targets) == {"mass"}:
             return np.array([mass])
@@ -154,15 +157,11 @@ def rigid_motions(matrices: MatrixResult, mesh: Mesh, translations: bool = False
     named = np.zeros(nodes.size, dtype=bool)
     named[first] = True  # a name stands once more where elements have unknowns of their own
     places = np.zeros((nodes.size, 3))
-    if translations and not mesh.coordinates.any():
-        pass  # matrices alone have no places
-    elif not np.isin(nodes[named], mesh.nodes).all():
-        raise ModesError(
-            "mass_properties: equations of the stored matrices are at no node of the model (shells "
-            "and beams that the solver expands), so its rigid motions are not known there; this "
-            "response requires solids, or a solver whose equations are those of nodes"
-        )
-    else:
+    elsewhere = ~np.isin(nodes, mesh.nodes)
+    placeless = translations and mesh.nodes.size == 0
+    if not placeless:  # matrices alone have no places
+        named &= ~elsewhere
+    if not placeless and named.any():
         places[named] = mesh.coordinates[mesh.rows(nodes[named])]
     rigid = np.zeros((nodes.size, 6))
     rigid[named] = rigid_body_shapes(places[named], components[named])
@@ -172,4 +171,20 @@ def rigid_motions(matrices: MatrixResult, mesh: Mesh, translations: bool = False
             own = np.arange(4, 7) if turns else np.arange(1, 4)
             whole = rigid_body_shapes(np.repeat(places[[row]], 3, axis=0), own)
             rigid[row] = axes[(components[row] - 1) % 3] @ whole
+    if elsewhere.any() and not placeless and not _inside(matrices.stiffness[elsewhere], rigid):
+        raise ModesError(
+            "mass properties: equations of the stored matrices are at no node of the model "
+            "(shells and beams that the solver expands), so its rigid motions are not known "
+            "there; they require solids, or a solver whose equations are at nodes"
+        )
     return rigid
+
+
+def _inside(stiffness: sparse.csr_array, rigid: Floats) -> bool:
+    """Whether unknowns at no node (their rows of the stiffness) are inside of elements: each is
+    joined to equations at nodes, whose translations put no force on it."""
+    forces = np.abs(stiffness @ rigid[:, :3])
+    joined = abs(stiffness) @ np.abs(rigid[:, :3])
+    return bool(
+        joined.any(axis=1).all() and (forces <= NO_FORCE * joined.max(axis=1)[:, None]).all()
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step, StepProblem, parameter_step
 from modetune.core.updating.limits import INSIDE, breach, step_within
 
@@ -45,16 +46,17 @@ def test_a_step_is_the_least_within_limits_and_box(seed: int) -> None:
     there = given.residual - given.sensitivity @ step.change
     assert not breach(there, limits).any()
 
-    def objective(d: Floats) -> float:
+    def objective(d: Any) -> float:
         z = given.residual - given.sensitivity @ d
         return float(z @ (weights * z) + 0.3 * d @ d)
 
     rows = given.sensitivity[:2]
-    sides = [
+    sides: Any = [
         {"type": "ineq", "fun": lambda d: 0.1 - rows @ d},
         {"type": "ineq", "fun": lambda d: 0.05 + rows @ d},
     ]
-    other = minimize(
+    solve: Any = minimize
+    other = solve(
         objective, np.zeros(4), bounds=[(-0.6, 0.6)] * 4, constraints=sides, method="SLSQP",
         options={"ftol": 1e-14, "maxiter": 500},
     )  # fmt: skip

@@ -140,15 +140,15 @@ def test_what_cannot_be_is_told_with_file_and_line(tmp_path: Path, mass: str, sa
 def test_a_density_and_a_conm2_are_told_apart_by_the_mass_that_mystran_prints(
     tmp_path: Path, watcher: Any, eigensolver: str
 ) -> None:
-    truth = {
+    truth: dict[str, Any] = {
         "rho_2": ("density", "material: 2", 1.08),
         "m_unit": ("mass", "element: 301", 0.9),
     }
     nodes = SENSORS[:4]
     file = campaign_file(tmp_path / "frame", frame(), truth, nodes, 5)
-    known = tuple(
-        Parameter(name, quantity, by.split(": ")[0], (by.split(": ")[1],), 0.6, 1.6, 0.1)
-        for name, (quantity, by, _) in truth.items()
+    known = (
+        Parameter("rho_2", "density", "material", ("2",), 0.6, 1.6, 0.1),
+        Parameter("m_unit", "mass", "element", ("301",), 0.6, 1.6, 0.1),
     )
     solver = mystran_solver(file.parent / "part.bdf", known)
     values = {name: value for name, (_, _, value) in truth.items()}

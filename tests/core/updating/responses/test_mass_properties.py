@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +17,13 @@ from modetune.core.modes import Floats, mode_set
 from modetune.core.updating.parameter_matrices import Powers, parameter_matrices
 from modetune.core.updating.responses.mass_properties import (
     MASS_QUANTITIES,
-    MassProperties,
+    MassResponse,
     MassTarget,
 )
 from modetune.core.updating.responses.response import MatricesAt, ModelState, StateDerivatives
 from modetune.core.updating.results import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
+from tests.core.matrix_decks import DENSITY, bar, matrices_of
 from tests.core.updating.compared import state_of
 
 NOISE = np.random.default_rng(3)
@@ -69,7 +71,7 @@ def beside(matrices: MatricesAt, frames: dict[int, Floats] | None = None) -> Mod
 
 def test_points_have_the_mass_properties_of_their_sums() -> None:
     masses = np.where(SECOND, 1.3, 1.0) * MASSES
-    found = MassProperties(ALL).residual(beside(points()))
+    found = MassResponse(ALL).residual(beside(points()))
     np.testing.assert_allclose(-found.values, closed_form(masses), rtol=1e-12)
     assert found.labels[:2] == ("mass", "centre x")
 
@@ -78,7 +80,7 @@ def test_points_have_the_mass_properties_of_their_sums() -> None:
 def test_derivatives_are_those_of_the_closed_form(power: int) -> None:
     state = beside(points(power))
     derivatives = StateDerivatives(ModeDerivatives(np.zeros((1, 1)), np.zeros((0, 1, 1))), (0,))
-    found = MassProperties(ALL).sensitivity(state, derivatives)[:, 0]
+    found = MassResponse(ALL).sensitivity(state, derivatives)[:, 0]
 
     def at(theta: float) -> Floats:
         return closed_form(np.where(SECOND, theta**power, 1.0) * MASSES)
@@ -92,7 +94,7 @@ def test_axes_of_nodes_change_nothing() -> None:
     turned, _ = np.linalg.qr(NOISE.normal(size=(3, 3)))
     # Point masses are alike in all axes, so the matrix stays what it is.
     one, other = (
-        MassProperties(ALL).residual(beside(points(), frames)).values
+        MassResponse(ALL).residual(beside(points(), frames)).values
         for frames in ({}, {2: turned, 7: turned.T})
     )
     np.testing.assert_allclose(one, other, rtol=1e-12)
@@ -108,7 +110,7 @@ def test_unknowns_inside_of_elements_move_with_no_rigid_motion() -> None:
         np.append(base.components, 2),
     )
     model = parameter_matrices(more, np.ones(1), (), ())
-    found = MassProperties({"mass": MassTarget(0.0, 1.0)}).residual(
+    found = MassResponse({"mass": MassTarget(0.0, 1.0)}).residual(
         beside(MatricesAt(model, np.ones(1)))
     )
     assert -found.values[0] == pytest.approx(MASSES.sum())
@@ -126,7 +128,7 @@ def test_a_structure_that_is_held_in_a_direction_is_refused() -> None:
     )
     state = beside(MatricesAt(parameter_matrices(held, np.ones(1), (), ()), np.ones(1)))
     with pytest.raises(ModesError, match=r"along x, y and z.*supports hold the rest"):
-        MassProperties(ALL).residual(state)
+        MassResponse(ALL).residual(state)
 
 
 def test_a_chain_of_one_direction_has_a_mass_but_no_places() -> None:
@@ -139,9 +141,36 @@ def test_a_chain_of_one_direction_has_a_mass_but_no_places() -> None:
     model = parameter_matrices(chain, np.ones(1), (), ())
     nowhere = Mesh(np.zeros(0, np.int64), np.zeros((0, 3)), ())
     state = replace(beside(MatricesAt(model, np.ones(1))), mesh=nowhere)
-    found = MassProperties({"mass": MassTarget(6.0, 0.1)}, within=6.0).residual(state)
+    found = MassResponse({"mass": MassTarget(6.0, 0.1)}, within=6.0).residual(state)
     assert found.values == pytest.approx([-0.5])
-    assert MassProperties({}, within=6.0).agrees(found)
-    assert not MassProperties({}, within=4.0).agrees(found)
+    assert MassResponse({}, within=6.0).agrees(found)
+    assert not MassResponse({}, within=4.0).agrees(found)
     with pytest.raises(ModesError, match="at no node of the model"):
-        MassProperties(ALL).residual(state)
+        MassResponse(ALL).residual(state)
+
+
+def test_a_bar_of_two_densities_by_calculix_has_the_properties_of_two_bricks(
+    tmp_path: Path,
+) -> None:
+    deck, _ = bar([1.0, 1.0], [1.0, 2.0], held=False)
+    stored = matrices_of(deck, tmp_path)
+    lines = [line.split(",") for line in deck.splitlines()[1:46]]
+    numbers = np.array([int(line[0]) for line in lines])
+    places = np.array([[float(item) for item in line[1:]] for line in lines])
+    order = np.argsort(numbers)
+    state = replace(
+        beside(MatricesAt(parameter_matrices(stored, np.ones(1), (), ()), np.ones(1))),
+        mesh=Mesh(numbers[order], places[order], ()),
+    )
+    found = -MassResponse(ALL).residual(state).values
+    a, b, c = 20.0, 10.0, 8.0  # of each brick
+    m = DENSITY * a * b * c * np.array([1.0, 2.0])
+    x = m @ np.array([10.0, 30.0]) / m.sum()
+    along = m.sum() * a**2 / 12.0 + m @ (np.array([10.0, 30.0]) - x) ** 2
+    expected = [
+        m.sum(), x, b / 2, c / 2,
+        m.sum() * (b**2 + c**2) / 12.0, along + m.sum() * c**2 / 12.0,
+        along + m.sum() * b**2 / 12.0, 0.0, 0.0, 0.0,
+    ]  # fmt: skip
+    # Stored matrices have fourteen digits; entries of zero are differences of the others.
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * found[4])

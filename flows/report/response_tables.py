@@ -1,0 +1,63 @@
+"""The table of what was compared beside frequencies and shapes, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from modetune.core.storage.record import CampaignRecord
+from modetune.core.updating.limits import breach
+from modetune.core.updating.responses.response import block_parts
+from modetune.flows.report.tables import Column, Table, table_of
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseRow:
+    """A measured value beside the model's, in its own unit; NaN where it is a limit alone."""
+
+    kind: str
+    item: Annotated[str, Column("response")]
+    measured: Annotated[float, Column("test", form=".6g")]
+    initial: Annotated[float, Column("before", form=".6g")]
+    updated: Annotated[float, Column("after", form=".6g")]
+    deviation: Annotated[float, Column("deviation", form=".3g")]
+    least: Annotated[float, Column("at least", form=".6g")]
+    most: Annotated[float, Column("at most", form=".6g")]
+    breaks: bool
+
+
+def response_rows(record: CampaignRecord) -> tuple[ResponseRow, ...]:
+    """Every value that people want to see as it was measured; none where there is none."""
+    return tuple(_rows(record))
+
+
+def _rows(record: CampaignRecord) -> Iterator[ResponseRow]:
+    first = block_parts(record.iterations[0].residual)
+    for before, after in zip(first, block_parts(record.best.residual), strict=True):
+        block = after.blocks[0]
+        limits = after.limits
+        outside = breach(after.values, limits) > 0.0
+        for row, label in enumerate(after.labels if block.measured.size else ()):
+            target, used = float(block.measured[row]), bool(after.weights[row] > 0.0)
+            ends = np.where(np.isfinite(limits[row]), target - limits[row], np.nan)
+            yield ResponseRow(
+                kind=block.kind,
+                item=label,
+                measured=target if used else np.nan,
+                initial=target - float(before.values[row]),
+                updated=target - float(after.values[row]),
+                deviation=float(np.sqrt(after.noise[row])) if used else np.nan,
+                least=float(ends[1]),
+                most=float(ends[0]),
+                breaks=bool(outside[row]),
+            )
+
+
+def response_table(record: CampaignRecord) -> Table:
+    """The same as a table; what a limit does not allow is outside."""
+    rows = response_rows(record)
+    broken = [(place, "updated") for place, row in enumerate(rows) if row.breaks]
+    return table_of("Other responses", rows, ResponseRow, outside=broken)
