@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from pydantic import model_validator
 
+from modetune.adapters.solver import Deck
+from modetune.adapters.yaml_file import Place
+from modetune.core.modes import MeasuredModes
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.mass_properties import (
     MASS_QUANTITIES,
@@ -115,7 +118,17 @@ class MassSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return {}
 
-    def response(self, e1: Tolerances, numbers: Sequence[int]) -> MassResponse:
+    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+        """Why some of it cannot be compared, each with its place below the section."""
+        if deck.mesh().nodes.size:
+            return []
+        return [
+            ((name,), "the model has no places, and so a mass alone: leave this out")
+            for name in self.targets
+            if name != "mass"
+        ]
+
+    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> MassResponse:
         """As any test has it."""
         targets = {name: self.targets[name] for name in MASS_QUANTITIES if name in self.targets}
         return MassResponse(targets, self.within)

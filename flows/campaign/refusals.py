@@ -6,7 +6,6 @@ from typing import get_args
 
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile
-from modetune.core.updating.criteria import Tolerances
 from modetune.flows.campaign.schema import (
     BY_NAME,
     NO_TEST,
@@ -56,14 +55,7 @@ def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
 
 
 def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
-    """Why the campaign's sensitivity method is unavailable, or what it compares."""
-    for kind, section in file.residuals.kinds.items():
-        asked = section.response(Tolerances(), ()).needs
-        if "matrices" in asked and not solver.offers.matrices:
-            why = not_confirmed(solver) if solver.program.capabilities.matrices else ""
-            where = source.where(("residuals", kind))
-            said = f"{solver.program.name} does not offer its matrices here, which it requires"
-            return [f"{where}: residuals.{kind}: {why or said}"]
+    """Why the campaign's sensitivity method is unavailable."""
     method, has = file.sensitivity.method, solver.program.capabilities
     shapes = file.residuals.with_shapes
     place = source.where(("sensitivity", "method"))

@@ -164,7 +164,8 @@ def rigid_motions(matrices: MatrixResult, mesh: Mesh, translations: bool = False
     if not placeless and named.any():
         places[named] = mesh.coordinates[mesh.rows(nodes[named])]
     rigid = np.zeros((nodes.size, 6))
-    rigid[named] = rigid_body_shapes(places[named], components[named])
+    if named.any():
+        rigid[named] = rigid_body_shapes(places[named], components[named])
     for node, axes in mesh.frames.items():
         for row in np.flatnonzero((nodes == node) & named).tolist():
             turns = int(components[row]) > 3

@@ -132,6 +132,12 @@ def test_what_cannot_be_is_told_with_file_and_line(tmp_path: Path, mass: str, sa
     assert "chain.yaml, line" in str(told.value)
 
 
+def test_a_centre_of_matrices_is_refused_with_its_line(tmp_path: Path) -> None:
+    file = chain_file(tmp_path, "{limits: [4.3, 4.7]}\n    centre_x: {limits: [0, 1]}")
+    with pytest.raises(CampaignError, match=r"chain.yaml, line 10.*no places, and so a mass alone"):
+        load_campaign(file)
+
+
 @pytest.mark.skipif(
     shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
     reason="MYSTRAN is not here (tools/mystran.sh)",
