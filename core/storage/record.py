@@ -52,7 +52,8 @@ front of the HDF5 content (`core/storage/seal`).
         residual/          values, weights, variances, noise (n_residuals,)
         residual/blocks/0000/...   what rows are of, in their order, a group a kind of response and
                            configuration: attributes kind, scaled; names, sizes (n_items,), measured
-                           (n_rows,), mixing (n_rows, n_rows): `core/updating/responses/response`
+                           (n_rows,), mixing (n_rows, n_rows), limits (n_rows, 2):
+                           `core/updating/responses/response`
         field/             shapes of the paired modes at the nodes of /surface/, as /test/modes/;
                            of the first and of the best accepted iteration only, else empty
 
