@@ -97,7 +97,7 @@ def test_displacements_are_those_of_ccx_itself(name: str, tmp_path: Path) -> Non
         found = displacements(solver, tmp_path, case, dofs)
         # ccx prints seven digits. At a corner of a quadratic shell it spreads a force over the
         # three expanded nodes as (-1/2, 2, -1/2), which strains the thickness otherwise.
-        allowed = 3e-4 if name == "shells" else 2e-6
+        allowed = 5e-4 if name == "shells" else 2e-6
         np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=allowed * np.abs(wanted).max())
 
 
