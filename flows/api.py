@@ -38,6 +38,8 @@ from modetune.flows.studies.correlate.correlate import Correlation
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
 from modetune.flows.studies.identify.identify import identify as identify_modes
+from modetune.flows.studies.identify.operational import OperationalModes, operational_modes
+from modetune.flows.studies.identify.reading import SpectraSettings, read_functions
 from modetune.flows.studies.init.draft import Draft
 from modetune.flows.studies.init.written import init_campaign
 from modetune.flows.studies.localise.localise import Localisation, place_of
@@ -340,14 +342,26 @@ def identify(
     band: tuple[float, float] | None = None,
     order: int = 60,
     pick: Sequence[float] = (),
-) -> Identification:
-    """Modes from response functions; band in Hz; pick: take the poles nearest to these, Hz."""
+    *,
+    estimator: Literal["h1", "h2"] | None = None,
+    segment: float | None = None,
+    window: Literal["hann", "boxcar"] | None = None,
+) -> Identification | OperationalModes:
+    """Modes from response functions or time histories; of responses alone from these.
+
+    band in Hz; pick: take the poles nearest to these, Hz. estimator, segment (s), window: of
+    response functions from time histories.
+    """
+    settings = IdentificationSettings(band, order, tuple(pick))
     if not isinstance(test, Measurement | MeasuredFrfs):
-        test = read_test(test)
+        spectra = SpectraSettings(estimator, segment, window)
+        test, outputs = read_functions(_paths(test), spectra)
+        if outputs is not None:
+            return operational_modes(outputs, settings)
     frfs = test.frfs if isinstance(test, Measurement) else test
     if frfs is None:
         raise CampaignError("the test has no frequency response functions to identify modes from")
-    return identify_modes(frfs, IdentificationSettings(band, order, tuple(pick)))
+    return identify_modes(frfs, settings)
 
 
 def read_test(paths: StrPath | Sequence[StrPath]) -> Measurement:

@@ -14,15 +14,20 @@ from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
 from modetune.flows.report.tables import Column, json_object, show, table_of
 
 if TYPE_CHECKING:
+    from modetune.core.measurement.measurement import Measurement
+    from modetune.core.measurement.time_histories import TimeHistories
     from modetune.core.storage.keys import Json
     from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
+    from modetune.flows.studies.identify.operational import OperationalModes
 
 #: Functions that are named as the worst.
 WORST = 5
 
 
 def identify(
-    frfs: Annotated[list[Path], typer.Argument(help="Files with the response functions.")],
+    frfs: Annotated[
+        list[Path], typer.Argument(help="Files with response functions or time histories.")
+    ],
     band: Annotated[
         tuple[float, float] | None, typer.Option(help="Lowest and highest frequency, Hz.")
     ] = None,
@@ -33,30 +38,51 @@ def identify(
     criteria: Annotated[
         str, typer.Option(help="A stable pole agrees in frequency,damping,shape to this share.")
     ] = "0.01,0.05,0.02",
+    estimator: Annotated[
+        str | None,
+        typer.Option(
+            help="Response functions from time histories: h1 (default: noise of responses), or h2 "
+            "(noise of the force)."
+        ),
+    ] = None,
+    segment: Annotated[
+        float | None,
+        typer.Option(help="Length of their segments, s; default: an eighth of a recording."),
+    ] = None,
+    window: Annotated[
+        str | None, typer.Option(help="Of segments: hann (default), or boxcar for blows.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Test file to write: .csv, .h5 or .unv.")] = None,
     figures: Figures = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify modes from measured response functions, and write them as a test file."""
+    """Identify modes from response functions or time histories, and write them as a test file.
+
+    Time histories with a force become response functions first; of responses alone the modes come
+    from their covariances, without a scale of shapes.
+    """
     names = ", ".join(str(path) for path in frfs)
     with (
         stoppable("stopped; the same command starts from the beginning"),
         begun(f"reading {names}") as tell,
     ):
-        from modetune.adapters.test_files.measurements import read_measurement
         from modetune.adapters.test_files.writing import check_out
         from modetune.core.errors import CampaignError
         from modetune.flows.studies.identify.files import write_modes
         from modetune.flows.studies.identify.identify import identify as identify_modes
+        from modetune.flows.studies.identify.reading import read_functions, spectra_settings
 
         settings = _settings(band, order, pick, criteria)
         if out is not None:
             check_out(out)
-        measurement = read_measurement(frfs)
-        if measurement.frfs is None:
-            missing = f"{names}: no frequency response functions are in there"
-            raise CampaignError([missing, *measurement.notes])
+        measurement, outputs = read_functions(frfs, spectra_settings(estimator, segment, window))
         tell("identifying modes")
+        if measurement.frfs is None:
+            assert outputs is not None
+            if figures is not None:
+                raise CampaignError("--figures shows response functions, and none were measured")
+            _operational(outputs, settings, measurement, names, out, as_json)
+            return
         found = identify_modes(measurement.frfs, settings)
         if out is not None:
             write_modes(out, found, measurement.geometry, names)
@@ -73,6 +99,34 @@ def identify(
     show(
         [table_of("Identified modes", _modes(found), IdentifiedMode), *_lines(found, notes), *files]
     )
+
+
+def _operational(
+    outputs: TimeHistories,
+    settings: IdentificationSettings,
+    measurement: Measurement,
+    names: str,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Modes of responses alone: identified, written and told."""
+    from modetune.adapters.test_files.writing import write_test
+    from modetune.flows.studies.identify.operational import operational_modes
+
+    found = operational_modes(outputs, settings)
+    notes = (*measurement.notes, *found.notes)
+    if out is not None:
+        source = f"identified by modetune from {' '.join(names.split())}"
+        write_test(out, found.modes, measurement.geometry, (source, *notes))
+    if as_json:
+        modes = _modes(found)
+        said = json_object(
+            found, "auto_mac", status="identified", modes=modes, notes=notes, out=out
+        )
+        typer.echo(json.dumps({**said, "normalisation": "max", "output_only": True}))
+        return
+    lines = [f"note: {note}" for note in notes] + ([f"written: {out}"] if out else [])
+    show([table_of("Identified modes", _modes(found), IdentifiedMode), *lines])
 
 
 def _settings(
@@ -101,7 +155,7 @@ class IdentifiedMode:
     largest_mac: Annotated[float, Column("largest MAC with another", form=".3f")]
 
 
-def _modes(found: Identification) -> list[IdentifiedMode]:
+def _modes(found: Identification | OperationalModes) -> list[IdentifiedMode]:
     modes, others = found.modes.modes, found.auto_mac.copy()
     others.flat[:: others.shape[0] + 1] = 0.0
     return [
@@ -110,7 +164,7 @@ def _modes(found: Identification) -> list[IdentifiedMode]:
             float(modes.frequencies_hz[place]),
             float(modes.damping_ratios[place]),
             float(found.phase_collinearity[place]),
-            found.tracks[found.chosen[place]].n_stable,
+            found.stable_orders[place],
             float(others[place].max()),
         )
         for place, number in enumerate(found.modes.numbers)

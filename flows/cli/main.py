@@ -69,6 +69,7 @@ EXTRAS = {
     **dict.fromkeys(("polars", "pypardiso"), "calculix"),
     **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
     **dict.fromkeys(("SALib", "emcee", "pandas"), "studies"),
+    "pyoma2": "oma",
 }
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 for heading, commands in COMMANDS.items():

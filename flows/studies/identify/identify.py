@@ -92,6 +92,11 @@ class Identification:
     __repr__ = brief
 
     @property
+    def stable_orders(self) -> tuple[int, ...]:
+        """Of each mode, (n_modes,)."""
+        return tuple(self.tracks[place].n_stable for place in self.chosen)
+
+    @property
     def worst_functions(self) -> Integers:
         """Places of the functions, least FRAC first."""
         return np.argsort(self.frac)

@@ -398,4 +398,5 @@ def test_a_file_of_sound_pressure_over_time_is_refused_with_what_it_holds(
 
 def test_a_file_of_modes_has_nothing_to_identify_from(tmp_path: Path) -> None:
     (tmp_path / "modes.csv").write_text("mode,1\nfrequency_hz,5\n1.z,1\n")
-    assert "no frequency response functions are in there" in sentence(run(tmp_path, "modes.csv"))
+    said = sentence(run(tmp_path, "modes.csv"))
+    assert "no response functions and no time histories are in there" in said
