@@ -80,7 +80,7 @@ def response_functions(
     length = shortest // SEGMENTS if segment_s is None else round(segment_s / first.step_s)
     if not 16 <= length <= shortest:
         raise CampaignError(
-            f"--segment: {length} samples are not between 16 and {shortest}, the shortest "
+            f"segments of {length} samples: the length is not between 16 and {shortest}, the shortest "
             f"recording ({first.where})"
         )
     sets: dict[tuple[bytes, ...], list[TimeHistories]] = {}
@@ -131,11 +131,11 @@ def _functions(
     run, force = runs[0], np.flatnonzero(runs[0].forces)
     motion = np.flatnonzero(~run.forces)
     if estimator == "h2" and force.size > 1:
-        raise CampaignError(f"--estimator h2 is for one force; {run.where} has {force.size}")
+        raise CampaignError(f"H2 is for one force; {run.where} has {force.size}")
     if n_segments <= force.size:
         raise CampaignError(
             f"{run.where}: {n_segments} segments cannot tell {force.size} forces apart from noise: "
-            "a shorter --segment, or more recordings"
+            "shorter segments, or more recordings"
         )
     s_ff, s_fx = whole[:, force[:, None], force], whole[:, force[:, None], motion]
     s_xx = whole[:, motion, motion].real

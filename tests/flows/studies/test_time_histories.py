@@ -164,7 +164,7 @@ def test_two_forces_at_once_are_told_apart() -> None:
     assert found.reference_nodes.tolist() == [1, 2]
     np.testing.assert_allclose(found.values[3:-3].mean(axis=0), [2.0, -5.0], atol=1e-6)
     np.testing.assert_allclose(found.coherences, 1.0, atol=1e-9)
-    with pytest.raises(CampaignError, match="h2 is for one force"):
+    with pytest.raises(CampaignError, match="H2 is for one force"):
         response_functions([run], "h2", 1.0)
 
 
@@ -230,7 +230,11 @@ ROWS = "".join(f"{0.01 * k:.2f},{k % 3},{k % 5}\n" for k in range(400))
         (HEAD + ROWS.replace("0.07,1,2\n", ""), (), "times are not evenly spaced"),
         (HEAD.replace("2.z", "1.x").replace("N", "m") + ROWS, (), "must be of one quantity"),
         (HEAD.replace("2.z [m/s^2]", "1.z [kN]") + ROWS, (), "must be of one quantity"),
-        (HEAD + ROWS, ("--segment", "9"), "--segment: 900 samples are not between 16 and 400"),
+        (
+            HEAD + ROWS,
+            ("--segment", "9"),
+            "segments of 900 samples: the length is not between 16 and 400",
+        ),
         (HEAD + ROWS, ("--estimator", "h3"), "expected h1 or h2"),
         (HEAD + ROWS, ("--window", "hamming"), "expected hann or boxcar"),
         (HEAD + ROWS, ("--segment", "4"), "1 segments cannot tell 1 forces apart from noise"),
