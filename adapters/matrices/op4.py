@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyNastran.op4.op4 import OP4
 
 from modetune.adapters.regular_file import largest, open_regular
 from modetune.core.modes import Floats
@@ -28,6 +27,8 @@ def read_op4(path: Path, name: str) -> Any:
     Raises OSError, ValueError where it is not there, and what pyNastran raises of files that are
     damaged or something else.
     """
+    from pyNastran.op4.op4 import OP4  # takes a moment, and most models have none
+
     with open_regular(path) as stream:
         size = stream.seek(0, 2)
     if size > largest(0.25):
