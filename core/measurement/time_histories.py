@@ -80,8 +80,8 @@ def response_functions(
     length = shortest // SEGMENTS if segment_s is None else round(segment_s / first.step_s)
     if not 16 <= length <= shortest:
         raise CampaignError(
-            f"segments of {length} samples: the length is not between 16 and {shortest}, the shortest "
-            f"recording ({first.where})"
+            f"segments of {length} samples: the length is not between 16 and {shortest}, the "
+            f"shortest recording ({first.where})"
         )
     sets: dict[tuple[bytes, ...], list[TimeHistories]] = {}
     for run in runs:
