@@ -76,6 +76,10 @@ class YamlFile:
         return text
 
 
+#: What decks are called, which are no YAML.
+DECK_SUFFIXES = (".inp", ".bdf", ".nas", ".fem")
+
+
 class _Loader(yaml.SafeLoader):
     """Plain YAML data only: no tags that build objects."""
 
@@ -85,6 +89,11 @@ def read_yaml(path: Path, kind: str) -> YamlFile:
 
     Raises CampaignError with file and line.
     """
+    if path.suffix.lower() in DECK_SUFFIXES:
+        raise CampaignError(
+            f"{path} is a deck by its name, not {kind}; `modetune init {path.name}` writes a "
+            "campaign for it"
+        )
     try:
         text = read_regular(path, MOST_BYTES).decode(
             "utf-8"

@@ -63,7 +63,7 @@ class RecordFile(Generic[R]):
                 f"versions of modetune and other programs write it; run the {self.noun} again"
             )
         if not title.startswith(self._title):
-            raise CampaignError(f"{path} is not {what}, or its first line is damaged")
+            raise CampaignError(f"{path} is not {what}, or its beginning is damaged")
         if title != f"{self._title}{self.format}":
             raise CampaignError(
                 f"{path} is a {title.removeprefix('modetune ')}, and this version of modetune "

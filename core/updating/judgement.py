@@ -238,7 +238,10 @@ def _verdict_sentence(trust: Trust) -> str:
         reasons.append("see below")
     why = "; ".join(reasons) or "none in doubt"
     count = f"{told:.1f} of {n} parameters" if n > 1 else f"{100 * told:.0f} % of the parameter"
-    count = f"{count}, the prior the rest" if n - told >= ALL else f"all {n}" if n > 1 else "it all"
+    if n - told >= ALL:
+        count = f"{count}, the prior the rest"
+    elif n > 1:
+        count = f"all {n} parameters"
     return f"The parameters are {trust.verdict}: {why}. The test tells {count}."
 
 

@@ -241,6 +241,11 @@ def campaign_form(
 
     Raises CampaignError with all problems.
     """
+    if source.at(("masses",)) is not None and source.at(("model",)) is None:
+        raise CampaignError(
+            f"{source.path} is a model of masses and springs, not a campaign, which names it as "
+            "`model.deck` with `solver: matrices`"
+        )
     try:
         file = form.model_validate(override(source, settings or []))
         file.run.on_site()

@@ -79,14 +79,14 @@ def section_problems(
     return found
 
 
-def _keys(section: type[Section], place: tuple[str | int, ...]) -> set[str]:
+def _keys(section: type[Section], place: tuple[str | int, ...]) -> list[str]:
     """The keys that what stands at a place of a section may have."""
     inside = [section]
     for key in place:
         named = [item.model_fields[str(key)] for item in inside if str(key) in item.model_fields]
         # A position in a list, or the kind of a section among several, leads no deeper.
         inside = [kind for field in named for kind in _sections(field.annotation)] or inside
-    return {key for kind in inside for key in kind.model_fields}
+    return list(dict.fromkeys(key for kind in inside for key in kind.model_fields))
 
 
 def _sections(annotation: Any) -> Iterator[type[Section]]:

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Solver
-from modetune.adapters.yaml_file import YamlFile
+from modetune.adapters.yaml_file import DECK_SUFFIXES, YamlFile
 from modetune.core.errors import CampaignError, ModelError, SolverMissing
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.schema import ModelSection, OpenFile, Units
@@ -29,8 +29,6 @@ from modetune.flows.campaign.units import guessed_units
 
 logger = logging.getLogger(__name__)
 
-#: What decks are called; other files are decks by what stands in them.
-SUFFIXES = (".inp", ".bdf", ".nas", ".fem")
 #: Files of campaigns, and of models that are matrices.
 YAML = (".yaml", ".yml")
 #: Results and listings of solvers, which may repeat the deck.
@@ -68,7 +66,7 @@ def is_deck(path: Path) -> bool:
     suffix = path.suffix.lower()
     if suffix in (*YAML, *RESULTS) or not path.is_file():
         return False
-    if suffix in SUFFIXES:
+    if suffix in DECK_SUFFIXES:
         return True
     try:
         with open_regular(path) as file:

@@ -201,7 +201,8 @@ def _end(report: PreCheckReport) -> str:
     runs = report.runs
     made = runs.modal + runs.sensitivity
     ran = "1 solver run" if made == 1 else f"{made} solver runs"
-    cost = ran if made else "no run" if report.facts is None else "answered by the store"
+    without = "no solver run" + (", answered by the store" if report.facts is not None else "")
+    cost = ran if made else without
     return f"{report.level}: {counts['wrong']} wrong, {counts['doubtful']} doubtful; {cost}"
 
 

@@ -149,9 +149,9 @@ class ComparedPair:
     first_hz: Annotated[float, Column("first", "Hz")]
     second: Annotated[int, Column("second mode")]
     second_hz: Annotated[float, Column("second", "Hz")]
-    difference: Annotated[float, Column("differs", "%", "+.2f")]
+    difference: Annotated[float, Column("difference", "%", "+.2f")]
     mac: Annotated[float, Column("MAC", form=".3f")]
-    scale: Annotated[float, Column("scale", form=".3g")]
+    scale: Annotated[float, Column("modal scale factor", form=".3g")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,12 +228,12 @@ def _write_csv(path: Path, rows: Sequence[ComparedPair | ComparedSensor], kind: 
 def _tables(found: Correlation) -> list[Table]:
     from modetune.core.modes import dof_name
 
-    title = f"{found.second.label} beside {found.first.label}"
+    title = f"Pairs of modes: first {found.first.label}, second {found.second.label}"
     tables = [table_of(title, _pairs(found), ComparedPair)]
     if found.mac.size and max(found.mac.shape) <= SHOWN:
         tables.append(_matrix_table(found))
     worst = [ComparedSensor(dof_name(dof), *values) for dof, *values in found.worst(WORST)]
-    return [*tables, table_of("Least agreement", worst, ComparedSensor)]
+    return [*tables, table_of("Sensors that agree least", worst, ComparedSensor)]
 
 
 def _lines(found: Correlation) -> list[str]:
@@ -241,7 +241,7 @@ def _lines(found: Correlation) -> list[str]:
     from modetune.flows.studies.check.findings import listed
 
     lines = (
-        [f"{len(found.dofs)} common degrees of freedom"]
+        [f"{len(found.dofs)} common degree{'' if len(found.dofs) == 1 else 's'} of freedom"]
         if found.dofs
         else ["no shapes on one side: pairs follow the order of frequency"]
     )
@@ -254,7 +254,8 @@ def _lines(found: Correlation) -> list[str]:
         if only and found.dofs:
             lines.append(f"of {side.label} only: {listed(map(dof_name, only))}")
         if alone:
-            lines.append(f"of {side.label} without a pair: mode {listed(alone, 12)}")
+            s = "" if len(alone) == 1 else "s"
+            lines.append(f"{side.label}, mode{s} without a pair: {listed(alone, 12)}")
         if auto.shape[0] > 1:
             off = auto.copy()
             off.flat[:: off.shape[1] + 1] = -1.0
@@ -280,5 +281,8 @@ def _matrix_table(found: Correlation) -> Table:
         (number, *("." if value < 0.005 else value for value in row.tolist()))
         for number, row in zip(found.first.numbers, found.mac, strict=True)
     )
-    title = f"MAC: modes of {found.first.label} below each other, of {found.second.label} beside"
+    title = (
+        f"MAC: a row a mode of {found.first.label}, a column a mode of {found.second.label}; "
+        ". is below 0.005"
+    )
     return Table(title, columns, rows)

@@ -94,10 +94,10 @@ def _lines(draft: Draft) -> list[str]:
     if test is not None:
         modes, left = test.measurement.modes, len(test.mapping.left_out)
         assert modes is not None
-        of = f"identified into {test.identified}, " if test.identified else ""
+        at = f"identified into {test.identified}, at" if test.identified else "at"
         out = f", {left} left out" if left else ""
         said += [
-            f"test     {len(modes.numbers)} modes {of}{len(test.mapping.table)} sensors{out}",
+            f"test     {len(modes.numbers)} modes {at} {len(test.mapping.table)} sensors{out}",
             f"sensors  {test.about}",
         ]
     free = [item.parameter.name for item in draft.free]

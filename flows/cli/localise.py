@@ -108,8 +108,8 @@ class RemovalRow:
     """What parameters together can remove of the weighted residual; 1 is all."""
 
     parameters: Annotated[tuple[str, ...], Column("parameters", words=True)]
-    changes: Annotated[tuple[float, ...], Column("by change", "%", "+.1f")]
-    removed: Annotated[float, Column("removes of the residual", "%", ".1f")]
+    changes: Annotated[tuple[float, ...], Column("by a change of", "%", "+.1f")]
+    removed: Annotated[float, Column("residual removed", "%", ".1f")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +117,11 @@ class GroupRow:
     """Where the model is wrong, by a group of elements; docs/localisation.md explains each."""
 
     name: Annotated[str, Column("group")]
-    force_share: Annotated[float, Column("explains of the force residual", "%", ".1f")]
-    change: Annotated[float, Column("by change", "%", "+.1f")]
-    error_share: Annotated[float, Column("holds of the error's energy", "%", ".1f")]
-    concentration: Annotated[float, Column("times the usual", form=".2f")]
-    energy_difference: Annotated[float, Column("energy differs", "%", ".2f")]
+    force_share: Annotated[float, Column("force residual explained", "%", ".1f")]
+    change: Annotated[float, Column("by a change of", "%", "+.1f")]
+    error_share: Annotated[float, Column("error's energy in it", "%", ".1f")]
+    concentration: Annotated[float, Column("times its share of all energy", form=".2f")]
+    energy_difference: Annotated[float, Column("energy difference", "%", ".2f")]
     strain_energy_difference: tuple[float, ...]
     kinetic_energy_difference: tuple[float, ...]
 
@@ -196,10 +196,10 @@ def _lines(found: Localisation) -> list[str]:
     if found.maps is not None and found.maps.errors.pair:
         errors = found.maps.errors
         pair = " and ".join(found.maps.groups[place] for place in errors.pair)
-        changes = ", ".join(f"{100 * change:+.1f}" for change in errors.pair_changes.tolist())
+        changes = " and ".join(f"{100 * change:+.1f} %" for change in errors.pair_changes.tolist())
         lines.append(
             f"best pair: {pair} explain {100 * errors.pair_share:.1f} % of the force "
-            f"residual, by {changes} %"
+            f"residual, by changes of {changes}"
         )
         best = float(errors.force_shares.max())
         if best < TELLING:
@@ -213,6 +213,6 @@ def _lines(found: Localisation) -> list[str]:
     runs = found.runs
     lines.append(
         f"solver runs: {runs.modal} modal, {runs.sensitivity} for sensitivities and "
-        f"matrices; {runs.reused} results from the store"
+        f"matrices, {runs.reused} answered by the store"
     )
     return lines

@@ -16,6 +16,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable
+from inspect import cleandoc
 from typing import Annotated
 
 import typer
@@ -74,7 +75,10 @@ EXTRAS = {
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 for heading, commands in COMMANDS.items():
     for command in commands:
-        app.command(rich_help_panel=heading)(command)
+        paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
+        # Typer keeps line ends: a paragraph is broken anew at the terminal's width.
+        told = "\n\n".join(" ".join(part.split()) for part in paragraphs)
+        app.command(rich_help_panel=heading, help=told)(command)
 app.add_typer(server_app, name="server", rich_help_panel="Unattended")
 app.add_typer(store_app, name="store", rich_help_panel="This installation")
 

@@ -52,4 +52,5 @@ def modes(
         typer.echo(f"{place:4d} {frequency:14.6f} Hz{rigid}")
     mass = f"mass {found.mass:.6g} (the deck's unit)" if isfinite(found.mass) else "mass not known"
     mass = f"mass {found.mass_kg:.6g} kg" if isfinite(found.mass_kg) else mass
-    typer.echo(f"{mass}; {found.solver} {found.solver_version}")
+    version = found.solver_version.removeprefix(f"{found.solver} ")
+    typer.echo(f"{mass}; {found.solver} {version}")

@@ -209,9 +209,9 @@ def quality_lines(found: Pretest) -> list[str]:
             f"{second}); {whole.largest:.3f} with all {found.n_candidates} candidates"
         )
     lines.append(
-        f"condition of the shapes: {quality.condition:.3g} (all: {whole.condition:.3g}); "
-        f"determinant {quality.determinant:.2e} of that of all, {quality.efficiency:.2f} times "
-        "the mean candidate a sensor and mode"
+        f"condition of the shapes: {quality.condition:.3g} ({whole.condition:.3g} with all "
+        f"candidates); determinant of the information {quality.determinant:.2e} of that of all "
+        f"candidates, per sensor and mode {quality.efficiency:.2f} times that of a mean candidate"
     )
     return [*lines, found.runs.sentence]
 
@@ -224,14 +224,17 @@ def _sensor_table(found: Pretest) -> Table:
         Column("node"),
         Column("direction"),
         *(Column(axis, form=".5g") for axis in "xyz"),
-        Column("worth", form=".3g"),
+        Column("contribution", form=".3g"),
         Column("why", words=True),
     )
     rows = tuple(
         (number, item.node, item.label, *item.place, item.contribution, item.reason)
         for number, item in enumerate(found.sensors, start=1)
     )
-    title = f"{len(found.sensors)} sensors of {found.n_candidates} candidates by {_words(found)}"
+    title = (
+        f"{len(found.sensors)} sensors of {found.n_candidates} candidates by {_words(found)}; "
+        "x, y, z in the deck's length"
+    )
     return Table(title, columns, rows)
 
 
@@ -242,14 +245,16 @@ def _words(found: Pretest) -> str:
 def _exciter_table(found: Pretest) -> Table:
     from modetune.flows.report.tables import Column, Table
 
+    known = any(item.rigid_kg is not None for item in found.exciters)
     columns = (
         Column("node"),
         Column("direction"),
         *(Column(f"mode {number}", form=".0f") for number in found.mode_numbers),
-        Column("rigid mass", "kg", ".3g"),
+        *([Column("rigid mass", "kg", ".3g")] if known else []),
     )
     rows = tuple(
-        (item.node, item.label, *(100.0 * share for share in item.shares), item.rigid_kg)
+        (item.node, item.label, *(100.0 * share for share in item.shares),
+         *([item.rigid_kg] if known else []))
         for item in found.exciters
-    )
+    )  # fmt: skip
     return Table("Exciters: % of each mode's largest motion", columns, rows)

@@ -111,13 +111,13 @@ def _show(found: PosteriorRecord, written: list[Path]) -> None:
     left_out = "" if by_model else f"{found.left_out.max():.2g} with a set left out, "
     density = "" if by_model else f"; log density within {found.density_error:.2g}"
     lines = [
-        f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}, left out: "
-        f"{len(found.failures)}; {found.near.size} learned from, {int(found.near.sum())} of them "
-        "near the posterior",
+        f"solver runs: {found.runs.modal}, {found.runs.reused} answered by the store; the {called} "
+        f"rests on {found.near.size} sets, {int(found.near.sum())} of them near the posterior; "
+        f"sets left out: {len(found.failures)}",
         f"{called}, in standard deviations of the test: worst response {left_out}"
         f"{found.check_errors.max():.2g} at {len(found.check_keys)} checks{density}",
         f"samples: {found.walkers} walkers, {found.steps - found.burned} steps kept, effective "
-        f"{found.effective_sizes.min():.0f}, R-hat {found.r_hat.max():.3f}",
+        f"sample size {found.effective_sizes.min():.0f}, R-hat {found.r_hat.max():.3f}",
     ]
     if found.points_by:
         lines.insert(0, found.points_by)

@@ -96,7 +96,10 @@ def sensor_lines(mapping: Mapping) -> list[str]:
     return [
         *([more] if counts[0] > SHOWN else []),
         f"{counts[0]} sensors: {counts[0] - counts[1] - counts[2]} good, {counts[1]} doubtful, "
-        f"{counts[2]} left out; tolerance {mapping.tolerance:.4g} {mapping.unit}".rstrip(),
+        f"{counts[2]} left out"
+        + (
+            f"; tolerance {mapping.tolerance:.4g} {mapping.unit}".rstrip() * (mapping.tolerance > 0)
+        ),
         alignment_line(mapping),
         *(f"note: {note}" for note in mapping.notes),
         *(f"not certain: {what}. {remedy}" for what, remedy in mapping.uncertain),

@@ -173,7 +173,9 @@ def show(parts: Iterable[Table | Text | str], console: Console | None = None) ->
             # A line stays a line where the output is not a terminal.
             console.print(Text(part) if isinstance(part, str) else part, soft_wrap=True)
         elif part.rows:
-            console.print(terminal_table(part))
+            if part.title:  # Rich's own title is as narrow as the table
+                console.print(Text(part.title, style="italic"), soft_wrap=True)
+            console.print(terminal_table(dataclasses.replace(part, title="")))
 
 
 def artifact_rows(table: Table) -> list[Json]:

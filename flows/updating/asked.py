@@ -85,7 +85,7 @@ class AskedModes:
         self.widened += 1
         n_modes = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
         self.analysis = replace(self.analysis, n_modes=n_modes)
-        logger.warning("%s; widening the range to %d modes", error, n_modes)
+        logger.info("%s; widening the range to %d modes", error, n_modes)
         return True
 
     def answered(

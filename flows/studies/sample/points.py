@@ -120,9 +120,10 @@ class PointSolver:
         )
 
     def _tell(self, failed: Sequence[ModetuneError], asked: int) -> None:
-        for error in failed:
-            logger.warning("a solver run is left out: %s", error)
-            self.failures.append(str(error))
+        self.failures += map(str, failed)
+        if failed:
+            said = "1 set is" if len(failed) == 1 else f"{len(failed)} sets are"
+            logger.warning("%s left out of %d, the first because: %s", said, asked, failed[0])
         if len(failed) == asked:
             raise failed[0]
         if len(failed) > MOST_FAILED * asked:

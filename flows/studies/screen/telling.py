@@ -17,6 +17,8 @@ from modetune.flows.studies.screen.record import Screening
 
 #: Modes of which a terminal shows the columns.
 SHOWN = 12
+#: Title of the table of all candidates.
+CANDIDATES = "Candidates; importance in standard deviations of the test"
 
 
 def told(screening: Screening) -> dict[str, Json]:
@@ -155,7 +157,7 @@ def tables(screening: Screening) -> list[Table]:
                 )
             )
     candidates = [_parameter(screening, place) for place in screening.choice.ranking]
-    return [*made, table_of("Candidates", candidates, CandidateRow)]
+    return [*made, table_of(CANDIDATES, candidates, CandidateRow)]
 
 
 def _local_table(screening: Screening, what: str, rows: Floats) -> Table:

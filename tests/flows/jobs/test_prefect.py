@@ -61,7 +61,7 @@ def test_sheets_show_rounded_numbers_bounds_and_standard_errors(
     }
     assert all(re.fullmatch(r"[a-z0-9-]+", key) for key in sheets)
     first = json.loads(str(sheets["chain-parameters"].data))[0]
-    assert (first["parameter"], first["updated value"]) == ("k1", "1.2")
+    assert (first["parameter"], first["parameter now"]) == ("k1", "1.2")
     assert first["bounds"] == "0.3, 3"
     assert float(first["standard error, of deck, %"]) > 0.0
     modes = json.loads(str(sheets["chain-frequencies"].data))

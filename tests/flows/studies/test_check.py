@@ -804,7 +804,7 @@ def test_long_findings_go_on_under_their_own_beginning(
 def test_the_command_without_a_run_says_so(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     ended = command(monkeypatch, bench.campaign(TRUTH, shapes=True), "--no-run")
     assert ended.exit_code == 0
-    assert ended.stdout.splitlines()[-1].endswith("no run")
+    assert ended.stdout.splitlines()[-1].endswith("; no solver run")
     assert bench.runs() == 0
 
 

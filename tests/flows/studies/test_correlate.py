@@ -434,7 +434,7 @@ def test_the_command_tells_tables_and_writes_files(places: Path) -> None:
         str(figures),
     )
     assert ended.exit_code == 0
-    assert "six-mass beside all_measured.csv" in ended.stdout
+    assert "first all_measured.csv, second six-mass" in ended.stdout
     assert "6 common degrees of freedom" in ended.stdout
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
