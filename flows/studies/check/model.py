@@ -294,7 +294,7 @@ def _near_zero(result: ModalResult, elastic: Floats) -> Finding:
 def _body(campaign: Campaign, result: ModalResult) -> tuple[RigidBody | None, str]:
     """Mass properties from the rigid-body modes, or why there are none."""
     if result.n_rigid != RIGID_MODES:
-        return None, "six rigid-body modes tell it, which a free model alone has"
+        return None, "that takes six rigid-body modes, which a free model alone has"
     modes = in_global_axes(result.modes, campaign)
     if modes is None:
         return None, "the model has no geometry"
