@@ -238,6 +238,7 @@ def _placed(
     uppers = [item for part in parts for item in part.uppers]
     if any(item.shape != upper.shape for item in uppers):
         raise ModelError(f"a part's matrix does not have the base's {upper.shape[0]} equations")
+    upper.prune()  # a solver's zeros that were dropped leave room behind the entries
     if not all(places_in(upper, item).size == item.nnz for item in uppers):
         pattern = union([upper, *uppers])
         data = np.zeros(pattern.nnz)

@@ -251,3 +251,14 @@ def test_parts_of_another_model_are_refused() -> None:
     base = MatrixResult(random_upper(0), random_upper(1), *names)
     with pytest.raises(ModelError, match="does not have the base's 30 equations"):
         parameter_matrices(base, np.ones(1), [Powers(0, (1,), (random_upper(0, 29),))], [])
+
+
+def test_room_that_dropped_zeros_leave_behind_the_entries_changes_nothing() -> None:
+    """As CSR may have it: arrays longer than the last pointer."""
+    whole = sparse.csr_array(np.triu(np.array([[4.0, -1.0], [-1.0, 3.0]])))
+    roomy = whole.copy()
+    roomy.data, roomy.indices = np.append(whole.data, 7.0), np.append(whole.indices, 1)
+    base = MatrixResult(roomy, whole, np.array([1, 2]), np.array([3, 3]))
+    found = parameter_matrices(base, np.ones(1), [Powers(0, (1,), (whole,))], [])
+    np.testing.assert_array_equal(found.base.upper_stiffness.toarray(), whole.toarray())
+    assert found.stiffness[0].places.tolist() == [0, 1, 2]

@@ -59,7 +59,7 @@ def campaign(folder: Path, thick: float) -> None:
     write_test(folder, found.frequencies_hz[:4], shapes, PLACES[SENSORS - 1] @ TURN / 1000.0)
     (folder / "plate.yaml").write_text(
         "name: plate\n"
-        "model: {deck: plate.inp, solver: calculix, units: mm-t-s}\n"
+        "model: {deck: plate.inp, solver: calculix, units: mm-t-s, eigensolver: solver}\n"
         "test: {modes: [modes.csv, points.csv], length: m, sensors: {align: fit}}\n"
         "parameters:\n"
         "  - {name: E, quantity: youngs_modulus, material: AL, bounds: [0.8, 1.2]}\n"
