@@ -77,7 +77,8 @@ def remainder(
     taken: factors and matrices; factor times matrix is what a parameter has of the triangle, found
     as its change where the parameter is twice as large.
     """
-    left, diagonal = upper, upper.diagonal()
+    # A copy: entries are taken out in place below, and with nothing taken it is the triangle itself.
+    left, diagonal = upper.copy(), upper.diagonal()
     sizes = np.abs(diagonal)
     for factor, matrix in taken:
         part = factor * matrix

@@ -131,3 +131,10 @@ def test_changes_that_belong_to_no_parameter_or_to_two_are_refused() -> None:
         separate(found, chain().nodes, [one, other])
     with pytest.raises(ModelError, match="parameters 0 and 1 of one matrix job share node 2"):
         separate(found, chain().nodes, [one, frozenset({2})])
+
+
+def test_what_is_left_without_any_part_does_not_touch_the_triangle() -> None:
+    upper = sparse.csr_array(np.array([[2.0, 1e-30], [0.0, 2.0]]))
+    left = remainder(upper, [])
+    assert left.nnz == 2  # rounding beside the diagonal has gone
+    assert (upper.nnz, upper.indices.size, upper.data.size) == (3, 3, 3)
