@@ -77,7 +77,7 @@ def remainder(
     taken: factors and matrices; factor times matrix is what a parameter has of the triangle, found
     as its change where the parameter is twice as large.
     """
-    # A copy: entries are taken out in place below, and with nothing taken it is the triangle itself.
+    # A copy: entries are taken out in place below, of the triangle itself where nothing is taken.
     left, diagonal = upper.copy(), upper.diagonal()
     sizes = np.abs(diagonal)
     for factor, matrix in taken:
