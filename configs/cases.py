@@ -2,7 +2,7 @@
 
     python -m modetune.configs.cases garteur FOLDER
 
-and so bracket, fixture, four_storey, frame, launcher, six_mass. Decks are written, not kept: for
+and so bracket, fixture, four_storey, frame, launcher, mast, six_mass. Decks are written, not kept: for
 campaigns of this repository to run in place, FOLDER is the case's own (configs/garteur).
 """
 
@@ -17,6 +17,7 @@ from modetune.configs.bracket import bracket, lab
 from modetune.configs.fixture import fixture
 from modetune.configs.garteur import aircraft, shell
 from modetune.configs.launcher import launcher
+from modetune.configs.mast import mast
 
 #: What writes the decks of each case into a folder, and the bracket's test.
 DECKS: dict[str, tuple[Callable[[Path], None], ...]] = {
@@ -24,6 +25,7 @@ DECKS: dict[str, tuple[Callable[[Path], None], ...]] = {
     "bracket": (bracket.write_decks, lab.write_lab),
     "fixture": (fixture.write_decks,),
     "launcher": (launcher.write_decks,),
+    "mast": (mast.write_decks,),
     # Models that are campaign data stand beside the campaign.
     "four_storey": (),
     "frame": (),

@@ -1,0 +1,75 @@
+"""A mast on soft mounts by three tests at once: modes, a pull at its head and a weighing."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modetune.configs.cases import write_case
+from modetune.configs.mast import twin
+from modetune.core.storage.record import CampaignRecord
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.updating import Unwatched
+
+pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+TRUTH = [twin.TRUTH[name] for name in ("E_MAST", "rho_HEAD", "MOUNT_SIDE", "MOUNT_UP")]
+#: Of the names of items in the record.
+MODES, PULL, BALANCE = "frequency", "displacement", "mass"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mast")
+    write_case("mast", path)
+    return path
+
+
+def updated(folder: Path, *settings: str) -> CampaignRecord:
+    campaign = load_campaign(folder / "mast.yaml", list(settings))
+    return update_campaign(campaign, folder / "runs", Unwatched()).record
+
+
+def test_three_tests_at_once_tell_stiffness_and_mass(folder: Path) -> None:
+    record = updated(folder)
+    assert record.status == "converged"
+    labels = record.best.residual.labels
+    for kind in (MODES, PULL, BALANCE):
+        assert any(label.startswith(kind) for label in labels), kind
+    # Noise is as the campaign states it, so the truth lies within three standard errors: less
+    # than 0.3 % of tests miss that for a parameter.
+    assert (np.abs(record.updated - TRUTH) < 3.0 * record.standard_errors).all()
+    assert (record.standard_errors < 0.01).all()
+    assert record.trust is not None
+    assert record.trust.verdict == "trusted"
+
+
+def test_modes_alone_tell_the_head_and_the_moduli_worse(folder: Path) -> None:
+    whole = updated(folder)
+    modes = updated(folder, "residuals.static=null", "residuals.mass_properties=null")
+    assert (modes.standard_errors > whole.standard_errors).all()
+
+
+def test_the_campaigns_numbers_are_what_ccx_finds_for_the_true_mast(folder: Path) -> None:
+    campaign = load_campaign(folder / "mast.yaml")
+    test, modes = campaign.case.test.modes, twin.truth_modes()
+    np.testing.assert_allclose(
+        test.frequencies_hz, modes.frequencies_hz, rtol=4.0 * twin.FREQUENCY_NOISE
+    )
+    static = campaign.residuals.static
+    assert static is not None
+    moved = twin.truth_displacements()
+    read = static.cases[0].displacements
+    assert {int(name.partition(".")[0]) for name in read} == set(twin.GAUGES)
+    largest = max(map(abs, read.values()))
+    for name, value in read.items():
+        node, _, component = name.partition(".")
+        true = moved[int(node)]["xyz".index(component)]
+        assert abs(value - true) < 4.0 * twin.GAUGE_NOISE * largest
+    weighed = campaign.residuals.mass_properties
+    assert weighed is not None
+    mass = weighed.targets["mass"].value
+    assert mass == pytest.approx(twin.truth_mass(), rel=4.0 * twin.WEIGHING_NOISE)
