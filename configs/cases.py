@@ -2,8 +2,8 @@
 
     python -m modetune.configs.cases garteur FOLDER
 
-and so bracket, fixture, four_storey, frame, launcher, mast, six_mass. Decks are written, not kept: for
-campaigns of this repository to run in place, FOLDER is the case's own (configs/garteur).
+and so bracket, fixture, four_storey, frame, launcher, mast, six_mass. Decks are written, not kept:
+for campaigns of this repository to run in place, FOLDER is the case's own (configs/garteur).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     python -m modetune.configs.mast.mast FOLDER
 
-writes mast.inp: bricks (C3D8I) on four corners of springs, mm-t-s. A *STATIC step pulls at the head,
+writes mast.inp: bricks (C3D8I) on springs at four corners, mm-t-s. A *STATIC step pulls at the head
 as the rope of the static test does.
 """
 
