@@ -97,6 +97,21 @@ class MeasuredFrfs:
         if not np.isfinite(self.values).all():
             raise ModesError("a response function holds values that are not finite numbers")
 
+    def of(self, which: NDArray[np.bool_]) -> MeasuredFrfs:
+        """Some of the functions; which: (n_functions,)."""
+        return MeasuredFrfs(
+            self.kind,
+            self.frequencies_hz,
+            self.values[:, which],
+            self.nodes[which],
+            self.components[which],
+            self.signs[which],
+            self.reference_nodes[which],
+            self.reference_components[which],
+            self.reference_signs[which],
+            self.coherences[:, which] if self.coherences.size else self.coherences,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class MeasuredDeviations:

@@ -26,6 +26,7 @@ from modetune.core.updating.weighting import Weighting, weighting_side_by_side
 from modetune.flows.campaign.case import Case, whole_test
 from modetune.flows.campaign.configurations import configuration_files
 from modetune.flows.campaign.measured import (
+    frfs_on_model,
     held_out_modes,
     map_test,
     pairing_nodes,
@@ -52,6 +53,8 @@ from modetune.flows.campaign.section import section_problems
 from modetune.flows.campaign.settings import override
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.campaign.solvers import bind_solver
+from modetune.flows.campaign.tested_model import TestedModel
+from modetune.flows.campaign.units import KILOGRAMS, METRES
 from modetune.flows.campaign.weights import weighting_of
 
 
@@ -286,20 +289,29 @@ def _read_case(
     """One model and one test; nothing where there are problems."""
     measurement = read_test(source, file, problems)
     solver = solver or _read_model(source, file, problems)
-    mapping = None
+    mapping, store = None, Store(_store_folder(source, file))
     if measurement is not None and solver is not None:
-        store = Store(_store_folder(source, file))
         mapping = map_test(source, file, measurement, solver, problems, store)
         problems += method_problems(source, file, solver)
     if problems or measurement is None or solver is None or mapping is None:
         return None
     used, held = used_modes(file, measurement), held_out_modes(file, measurement)
     test = replace(used, modes=used.modes.rows(mapping.rows))
-    problems += file.residuals.problems(source, test, solver)
+    tolerances = Tolerances(file.update.e1.frequency, file.update.e1.mac)
+    given = TestedModel(
+        test,
+        solver.deck,
+        tolerances,
+        KILOGRAMS[file.model.units],
+        METRES[file.model.units],
+        *frfs_on_model(source, file, measurement, solver, problems, store),
+        measurement.notes,
+    )
+    if not problems:
+        problems += file.residuals.problems(source, given, solver)
     if problems:
         return None
     parameters = file.parameter_set()
-    tolerances = Tolerances(file.update.e1.frequency, file.update.e1.mac)
     return Case(
         solver=solver,
         units=file.model.units,
@@ -322,7 +334,7 @@ def _read_case(
             drop=file.test.unmatched == "drop",
             reach=frequency_reach(parameters, parameters.initial),
         ),
-        compared=file.residuals.responses(tolerances, test, solver.deck),
+        compared=file.residuals.responses(given),
         tolerances=tolerances,
     )
 

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 
 from pydantic import Field
 
-from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
-from modetune.core.modes import MeasuredModes
-from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.section import OTHERS, Positive, Section, Weights
+from modetune.flows.campaign.tested_model import TestedModel
 
 
 class DampingSection(Section):
@@ -32,23 +30,23 @@ class DampingSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return {}
 
-    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> DampingRatios:
+    def response(self, given: TestedModel) -> DampingRatios:
         """As a test and a model have it, without what `problems` tells of."""
-        weights = {number: self._weight(number) for number in test.numbers}
-        return DampingRatios(weights, self.deviation, self.tolerance, deck.damping)
+        weights = {number: self._weight(number) for number in given.test.numbers}
+        return DampingRatios(weights, self.deviation, self.tolerance, given.deck.damping)
 
-    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""
-        ratios = test.modes.damping_ratios
+        ratios = given.test.modes.damping_ratios
         if not ratios.size:
             return [((), "the test has no damping ratios: leave this out")]
         found: list[tuple[Place, str]] = [
             (("weight",), f"mode {number} has the damping ratio {ratio:g}, which must be above "
              "zero: give it weight 0")
-            for number, ratio in zip(test.numbers, ratios.tolist(), strict=True)
+            for number, ratio in zip(given.test.numbers, ratios.tolist(), strict=True)
             if ratio <= 0.0 and self._weight(number)
         ]  # fmt: skip
-        said = deck.undamped()
+        said = given.deck.undamped()
         return [*found, *([((), said)] if said else [])]
 
     def _weight(self, number: int) -> float:

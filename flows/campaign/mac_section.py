@@ -6,12 +6,10 @@ from collections.abc import Mapping
 
 from pydantic import Field
 
-from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
-from modetune.core.modes import MeasuredModes
-from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.mac import Mac, MacQuantity
 from modetune.flows.campaign.section import OTHERS, Deviations, Section, Weights
+from modetune.flows.campaign.tested_model import TestedModel
 
 
 class MacSection(Section):
@@ -33,9 +31,9 @@ class MacSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return self.weight
 
-    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Mac:
+    def response(self, given: TestedModel) -> Mac:
         """As a test has it."""
-        numbers = test.numbers
+        numbers = given.test.numbers
         return Mac(
             {n: self.weight.get(str(n), self.weight.get(OTHERS, 1.0)) for n in numbers},
             {
@@ -44,8 +42,8 @@ class MacSection(Section):
                 if (value := self.deviation.get(str(n), self.deviation.get(OTHERS))) is not None
             },
             self.quantity,
-            e1.mac,
+            given.e1.mac,
         )
 
-    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         return []

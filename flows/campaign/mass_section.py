@@ -7,16 +7,14 @@ from collections.abc import Mapping
 
 from pydantic import model_validator
 
-from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
-from modetune.core.modes import MeasuredModes
-from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.mass_properties import (
     MASS_QUANTITIES,
     MassResponse,
     MassTarget,
 )
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section
+from modetune.flows.campaign.tested_model import TestedModel
 
 
 class MassQuantitySection(Section):
@@ -118,9 +116,9 @@ class MassSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return {}
 
-    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""
-        if deck.mesh().nodes.size:
+        if given.deck.mesh().nodes.size:
             return []
         return [
             ((name,), "the model has no places, and so a mass alone: leave this out")
@@ -128,7 +126,7 @@ class MassSection(Section):
             if name != "mass"
         ]
 
-    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> MassResponse:
+    def response(self, given: TestedModel) -> MassResponse:
         """As any test has it."""
         targets = {name: self.targets[name] for name in MASS_QUANTITIES if name in self.targets}
         return MassResponse(targets, self.within)

@@ -10,11 +10,11 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.repeated import check_alike, mean_of_tests
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.mesh import Mesh
-from modetune.core.modes import MeasuredModes, mode_set
+from modetune.core.modes import MeasuredModes, ModeSet, mode_set
 from modetune.core.storage.store import Store
 from modetune.flows.campaign.mapping import Mapping, map_sensors
 from modetune.flows.campaign.schema import NO_TEST, CampaignFile, OpenFile
@@ -171,15 +171,19 @@ def map_test(
     solver: Solver,
     problems: list[str],
     store: Store,
+    modes: ModeSet | None = None,
 ) -> Mapping | None:
-    """Where the test's sensors are on the model; store: keeps a pose that was found."""
+    """Where the test's sensors are on the model; store: keeps a pose that was found.
+
+    modes: others at whose degrees of freedom sensors are, as those of response functions.
+    """
     mesh, geometry = solver.deck.mesh(), measurement.geometry
     if mesh.nodes.size == 0:  # matrices alone have no places
         nodes = np.array(sorted(solver.deck.summary.node_ids), dtype=np.int64)
         mesh, geometry = Mesh(nodes, np.zeros((nodes.size, 3)), ()), None
     try:
         return map_sensors(
-            used_modes(file, measurement).modes,
+            modes or used_modes(file, measurement).modes,
             geometry,
             mesh,
             file.test.sensors,
@@ -191,6 +195,31 @@ def map_test(
         where = source.where(("test",))
         problems += [f"{problem} (named in {where})" for problem in error.problems]
         return None
+
+
+def frfs_on_model(
+    source: YamlFile,
+    file: CampaignFile,
+    measurement: Measurement,
+    solver: Solver,
+    problems: list[str],
+    store: Store,
+) -> tuple[MeasuredFrfs | None, SensorMap | None]:
+    """Response functions of used sensors, and where these and the forces are on the model."""
+    frfs = measurement.frfs
+    if file.residuals.frf is None or frfs is None:
+        return None, None
+    ends = np.hstack(
+        [[frfs.nodes, frfs.components], [frfs.reference_nodes, frfs.reference_components]]
+    )
+    nodes, components = np.unique(ends, axis=1)
+    modes = mode_set([1.0], np.ones((nodes.size, 1)), nodes, components)
+    mapping = map_test(source, file, measurement, solver, problems, store, modes)
+    used = kept_sensors(file.residuals, MeasuredModes((1,), modes)).modes
+    names = set(zip(used.nodes.tolist(), used.components.tolist(), strict=True))
+    outputs = zip(frfs.nodes.tolist(), frfs.components.tolist(), strict=True)
+    seen = np.array([dof in names for dof in outputs])
+    return frfs.of(seen), None if mapping is None else mapping.sensors
 
 
 def pairing_nodes(test: MeasuredModes, sensors: SensorMap, solver: Solver) -> tuple[int, ...]:

@@ -7,12 +7,11 @@ from typing import Annotated, Literal, Protocol, get_args
 
 from pydantic import BeforeValidator, Field
 
-from modetune.adapters.solver import Deck, Solver
+from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import Place, YamlFile
-from modetune.core.modes import MeasuredModes
-from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.responses.response import Response
 from modetune.flows.campaign.damping_section import DampingSection
+from modetune.flows.campaign.frf_section import FrfSection
 from modetune.flows.campaign.mac_section import MacSection
 from modetune.flows.campaign.mass_section import MassSection
 from modetune.flows.campaign.section import (
@@ -25,6 +24,7 @@ from modetune.flows.campaign.section import (
     by_name,
 )
 from modetune.flows.campaign.static_section import StaticSection
+from modetune.flows.campaign.tested_model import TestedModel
 
 #: What a key of modes stands for.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]
@@ -32,7 +32,7 @@ SensorKey = Literal["sensor_weight", "sensor_deviation"]
 
 
 #: Keys of the kinds of responses beside frequencies and shapes, in the order of their rows.
-KINDS = ("mac", "static", "damping", "mass_properties")
+KINDS = ("mac", "static", "damping", "mass_properties", "frf")
 
 
 class KindSection(Protocol):
@@ -48,11 +48,11 @@ class KindSection(Protocol):
         """Its weights by mode, where it compares shapes."""
         ...
 
-    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Response:
+    def response(self, given: TestedModel) -> Response:
         """The kind as a test and a model have it, without what `problems` tells of."""
         ...
 
-    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why it does not fit them, each with its place below the section."""
         ...
 
@@ -87,6 +87,8 @@ class ResidualSection(Section):
     """Modal damping ratios."""
     mass_properties: MassSection | None = None
     """Mass, centre of gravity and inertia as targets and as limits."""
+    frf: FrfSection | None = None
+    """Response functions of the test's files."""
 
     @property
     def kinds(self) -> dict[str, KindSection]:
@@ -94,16 +96,16 @@ class ResidualSection(Section):
         found = ((key, getattr(self, key)) for key in KINDS)
         return {key: section for key, section in found if section is not None}
 
-    def responses(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> tuple[Response, ...]:
+    def responses(self, given: TestedModel) -> tuple[Response, ...]:
         """These kinds as a test and a model have them."""
-        return tuple(section.response(e1, test, deck) for section in self.kinds.values())
+        return tuple(section.response(given) for section in self.kinds.values())
 
-    def problems(self, source: YamlFile, test: MeasuredModes, solver: Solver) -> list[str]:
+    def problems(self, source: YamlFile, given: TestedModel, solver: Solver) -> list[str]:
         """Why these kinds do not fit a test and a model, each with file and line."""
         found = []
         for kind, section in self.kinds.items():
-            said = section.problems(test, solver.deck)
-            if "matrices" in section.response(Tolerances(), test, solver.deck).needs:
+            said = section.problems(given)
+            if "matrices" in section.response(given).needs:
                 if not solver.program.capabilities.matrices:
                     said.append(((), f"{solver.program.name} gives no matrices, which it requires"))
                 elif solver.deck.preload():

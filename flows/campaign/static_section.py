@@ -11,11 +11,11 @@ from pydantic import BeforeValidator, Field, model_validator
 from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.errors import ModelError
-from modetune.core.modes import COMPONENTS, Floats, Integers, MeasuredModes
-from modetune.core.updating.criteria import Tolerances
+from modetune.core.modes import COMPONENTS, Floats, Integers
 from modetune.core.updating.responses.static import Static
 from modetune.core.updating.static import LoadCase, Reading
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
+from modetune.flows.campaign.tested_model import TestedModel
 
 ByName = Annotated[dict[str, Finite], BeforeValidator(by_name)]
 
@@ -67,14 +67,14 @@ class StaticSection(Section):
     def shape_weights(self) -> Mapping[str, float]:
         return {}
 
-    def response(self, e1: Tolerances, test: MeasuredModes, deck: Deck) -> Static:
+    def response(self, given: TestedModel) -> Static:
         """As a model has it, without what `problems` tells of."""
-        loads, readings, _ = self._made(deck)
-        return Static(tuple(readings), tuple(loads), deck.observation)
+        loads, readings, _ = self._made(given.deck)
+        return Static(tuple(readings), tuple(loads), given.deck.observation)
 
-    def problems(self, test: MeasuredModes, deck: Deck) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""
-        return self._made(deck)[2]
+        return self._made(given.deck)[2]
 
     def _made(self, deck: Deck) -> tuple[list[LoadCase], list[Reading], list[tuple[Place, str]]]:
         readings: list[Reading] = []

@@ -1,0 +1,174 @@
+"""Response functions as responses: the campaign's `residuals.frf`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from scipy import sparse
+
+from modetune.adapters.solver import Deck
+from modetune.adapters.yaml_file import Place
+from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.errors import ModelError
+from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.frf_lines import chosen_lines, log_variances
+from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.sensors import SensorMap
+from modetune.core.modes import dof_name
+from modetune.core.updating.responses.frf import Frf, FrfCurve
+from modetune.flows.campaign.section import NotNegative, Positive, Section, Share
+from modetune.flows.campaign.tested_model import TestedModel
+
+#: Of the lowest and the highest frequency of the used modes: where the band ends by itself.
+BELOW, ABOVE = 0.7, 1.1
+#: What readers' notes on functions without reference, or units, have in them.
+OF_FUNCTIONS = "response function"
+
+
+class FrfSection(Section):
+    """Response functions of the test's files, as logarithms at chosen frequencies."""
+
+    band: tuple[NotNegative, Positive] | None = None
+    """Lowest and highest frequency [Hz]; without it from 0.7 of the lowest to 1.1 of the highest
+    used mode"""
+    points: Annotated[int, Field(ge=1)] = 16
+    """Largest number of frequencies of each function."""
+    deviation: Positive = 0.1
+    """Standard deviation of log H beside what noise tells, as by damping: of the amplitude's
+    logarithm, and of the phase [rad]"""
+    averages: Annotated[int, Field(ge=1)] = 1
+    """Averages behind the coherence, by which it tells the noise."""
+    coherence: Share = 0.8
+    """Least coherence of a frequency that is used."""
+    damping: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    """Damping ratio of all modes; without it those of the test's modes, and their median of modes
+    without a partner [of the critical]"""
+    frac: Share = 0.9
+    """Least FRAC of each function, at its frequencies, that e1 allows."""
+    weight: NotNegative = 1.0
+    """Emphasis; 0 leaves them out."""
+
+    @property
+    def mode_keys(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def shape_weights(self) -> Mapping[str, float]:
+        return {}
+
+    def response(self, given: TestedModel) -> Frf:
+        """As a test and a model have it, without what `problems` tells of."""
+        curves = self._curves(given)
+        observe = _observer(given.seen, given.deck) if given.seen is not None else _nothing
+        ratio = np.nan if self.damping is None else self.damping
+        return Frf(curves, observe, ratio, self.deviation, self.weight, self.frac)
+
+    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
+        """Why they cannot be compared, each with its place below the section."""
+        frfs = given.frfs
+        if frfs is None or given.seen is None:
+            said = [note for note in given.notes if OF_FUNCTIONS in note]
+            why = f" ({'; '.join(said)})" if said else "; name their files in test.modes as well"
+            return [((), f"the test has no response functions that can be used{why}")]
+        found: list[tuple[Place, str]] = []
+        told = frfs.coherences
+        if told.size and not ((told >= 0.0) & (told <= 1.0 + 1e-6)).all():
+            line, column = np.argwhere((told < 0.0) | (told > 1.0 + 1e-6) | np.isnan(told))[0]
+            found.append(
+                ((), f"the coherence of {_name(frfs, column)} is {told[line, column]:.3g} at "
+                 f"{frfs.frequencies_hz[line]:g} Hz; it must be from 0 to 1")
+            )  # fmt: skip
+        for key in ("averages", "coherence"):
+            if not told.size and key in self.model_fields_set:
+                found.append(((key,), "the test has no coherences: leave this out"))
+        ratios = given.test.modes.damping_ratios
+        if self.damping is None and not (ratios.size and (ratios > 0.0).all()):
+            found.append(((), "not all modes of the test have damping ratios: give `damping`"))
+        low, high = self._band(given)
+        if low >= high:
+            found.append((("band",), f"{low:g} to {high:g} Hz is not a band"))
+        elif not found and not self._curves(given):
+            found.append(
+                ((), f"no line of a response function from {low:g} to {high:g} Hz stands out of "
+                 "its noise at sensors of the model")
+            )  # fmt: skip
+        return found
+
+    def _band(self, given: TestedModel) -> tuple[float, float]:
+        if self.band is not None:
+            return self.band
+        hz = given.test.modes.frequencies_hz
+        return BELOW * float(hz.min()), ABOVE * float(hz.max())
+
+    def _curves(self, given: TestedModel) -> tuple[FrfCurve, ...]:
+        """Functions whose two ends the model has, at their chosen lines."""
+        frfs, seen = given.frfs, given.seen
+        if frfs is None or seen is None:
+            return ()
+        places = zip(seen.nodes.tolist(), seen.components.tolist(), strict=True)
+        rows = {dof: row for row, dof in enumerate(places)}
+        curves = []
+        low, high = self._band(given)
+        hz = frfs.frequencies_hz
+        for column in range(frfs.nodes.size):
+            output, force = _ends(frfs, column)
+            if output not in rows or force not in rows:
+                continue
+            unit = given.kilograms * given.metres ** ((output[1] > 3) + (force[1] > 3))
+            values = unit * _receptance(frfs, column)
+            coherence = frfs.coherences[:, column] if frfs.coherences.size else np.zeros(0)
+            usable = (hz > 0.0) & (hz >= low) & (hz <= high) & (np.abs(values) > 0.0)
+            if coherence.size:
+                usable &= coherence >= self.coherence
+            variances = log_variances(values, coherence, self.averages)
+            lines = chosen_lines(hz, values, variances, np.flatnonzero(usable), self.points)
+            if lines.size:
+                ends, chosen = (rows[output], rows[force]), values[lines]
+                curve = FrfCurve(_name(frfs, column), *ends, hz[lines], chosen, variances[lines])
+                curves.append(curve)
+        return tuple(curves)
+
+
+def _ends(frfs: MeasuredFrfs, column: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    output = int(frfs.nodes[column]), int(frfs.components[column])
+    return output, (int(frfs.reference_nodes[column]), int(frfs.reference_components[column]))
+
+
+def _name(frfs: MeasuredFrfs, column: int) -> str:
+    output, force = _ends(frfs, column)
+    return f"response function {dof_name(output)} by {dof_name(force)}"
+
+
+def _receptance(frfs: MeasuredFrfs, column: int) -> Complexes:
+    """In SI and along the positive directions, (n_lines,); 0 at 0 Hz of motions by time."""
+    order = ("receptance", "mobility", "accelerance").index(frfs.kind)
+    rate = (2j * np.pi * frfs.frequencies_hz) ** order
+    sign = frfs.signs[column] * frfs.reference_signs[column]
+    whole = np.zeros(rate.size, dtype=np.complex128)
+    return np.asarray(np.divide(sign * frfs.values[:, column], rate, out=whole, where=rate != 0.0))
+
+
+def _observer(seen: SensorMap, deck: Deck) -> Callable[[MatrixResult], sparse.csr_array]:
+    axes = np.arange(1, 4) + 3 * seen.turns[:, None]
+    nodes = np.repeat(seen.model_nodes, 3)
+    dofs = np.unique(np.stack([nodes, axes.ravel()]), axis=1)
+    dofs = dofs[:, np.isin(dofs[1], list(deck.summary.components))]
+    turn = seen.matrix(dofs[0], dofs[1])
+
+    def observe(here: MatrixResult) -> sparse.csr_array:
+        observed = deck.observation(here, dofs[0], dofs[1]).turned(turn)
+        for row in np.flatnonzero(observed.unknown)[:1].tolist():
+            dof = dof_name((int(seen.nodes[row]), int(seen.components[row])))
+            raise ModelError(
+                f"response functions: {dof} does not follow from the matrices' unknowns"
+            )
+        return observed.matrix
+
+    return observe
+
+
+def _nothing(here: MatrixResult) -> sparse.csr_array:
+    return sparse.csr_array((0, here.nodes.size))
