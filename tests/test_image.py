@@ -41,7 +41,7 @@ def test_the_image_has_every_package_that_can_be_asked_for() -> None:
     named = set(everything.removeprefix("modetune[").removesuffix("]").split(","))
     assert named == set(extras) - {"all", "bench", "dev"}
     asked = [*project["dependencies"], *(one for name in named for one in extras[name])]
-    names = {re.split(r"[^\w-]", one)[0].lower() for one in asked}
+    names = {re.split(r"[^\w-]", one)[0].lower().replace("_", "-") for one in asked}
     locked = re.findall(r"^([\w.-]+)==", (ROOT / "tools" / "requirements.txt").read_text(), re.M)
     assert names <= set(locked)
 

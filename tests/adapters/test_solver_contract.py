@@ -218,6 +218,7 @@ class Harness:
     solver: Callable[[Path, tuple[Parameter, ...]], Solver]
     deck: Callable[[Case], str]
     comment: str
+    suffix: str = ".inp"
 
 
 HARNESSES = (Harness("calculix", "ccx", calculix_solver, calculix_deck, "** "),)
@@ -238,7 +239,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 def solver_of(harness: Harness, case: Case, folder: Path, text: str = "") -> Solver:
-    path = folder / "model.inp"
+    path = folder / f"model{harness.suffix}"
     path.write_text(text or harness.deck(case))
     return harness.solver(path, case.parameters)
 
@@ -633,7 +634,7 @@ def matrices_chain(case: Case) -> str:
     return "\n".join(lines) + "\n"
 
 
-MATRICES = Harness("matrices", sys.executable, matrices_solver, matrices_chain, "# ")
+MATRICES = Harness("matrices", sys.executable, matrices_solver, matrices_chain, "# ", ".yaml")
 
 
 def test_the_embedded_solver_has_no_mesh(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_page_and_pictures_go_where_they_are_wanted(folder: Path, tmp_path: Path
     ]
     ended = CliRunner().invoke(app, command)
     assert ended.exit_code == 0, ended.output
-    told = json.loads(ended.output)
+    told = json.loads(ended.stdout)
     assert told["page"] == str(tmp_path / "a.html")
     assert sorted(Path(name).name for name in told["figures"]) == [f"{n}.svg" for n in FIGURES]
     assert "<svg" in (tmp_path / "figures" / "mac.svg").read_text()[:800]
