@@ -65,7 +65,10 @@ def spring_problem(folder: Path) -> Problem:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_published_method_finds_the_truth_and_stops_there(method: str, tmp_path: Path) -> None:
+def test_a_published_method_finds_the_truth_and_stops_there(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # Dakota leaves a file where it is started
     problem, calls = spring_problem(tmp_path), []
 
     def compare(theta: Floats) -> Agreement:
@@ -86,7 +89,10 @@ def test_a_published_method_finds_the_truth_and_stops_there(method: str, tmp_pat
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_published_method_gives_up_on_a_target_out_of_reach(method: str, tmp_path: Path) -> None:
+def test_a_published_method_gives_up_on_a_target_out_of_reach(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     problem = spring_problem(tmp_path)
 
     def never(theta: Floats) -> Agreement:
