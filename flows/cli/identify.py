@@ -91,7 +91,16 @@ def identify(
             from modetune.flows.studies.identify.figures import write_figures
 
             written = write_figures(figures, ", ".join(path.name for path in frfs), found)
-    notes = (*measurement.notes, *found.notes)
+    _say(found, (*measurement.notes, *found.notes), out, written, as_json)
+
+
+def _say(
+    found: Identification,
+    notes: tuple[str, ...],
+    out: Path | None,
+    written: tuple[Path, ...],
+    as_json: bool,
+) -> None:
     if as_json:
         typer.echo(json.dumps(told(found, notes, out, written)))
         return

@@ -21,11 +21,13 @@ from scipy.sparse.linalg import spsolve
 from modetune.adapters.matrices.exchange import WrittenMatrices
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.brief import brief
+from modetune.core.condensation.measured_unknowns import MeasuredModel
 from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, Integers, ModeSet, Normalisation, mode_set
 from modetune.core.parameters import Values
 from modetune.core.updating.direct import (
+    DirectUpdate,
     Filling,
     LowRankChange,
     ReferenceModes,
@@ -205,12 +207,7 @@ def correct_directly(
     reference = ReferenceModes(
         given.frequencies_hz, given.mode_shapes.real, seen.rows, scale, filling
     )
-    if method == "error_matrix":
-        pairs = own.elastic_hz[partners], basis
-        found = error_matrix_update(seen.stiffness, seen.mass, reference, *pairs)
-    else:
-        keep = method == "baruch"
-        found = direct_matrix_update(seen.stiffness, seen.mass, reference, basis, keep)
+    found = _update(method, seen, reference, own.elastic_hz[partners], basis)
     stiffness, mass = (
         LowRankChange(spsolve(back.T.tocsc(), item.basis).reshape(n, -1), item.core).dense()
         for item in (found.stiffness_change, found.mass_change)
@@ -240,6 +237,20 @@ def correct_directly(
             k, m, model.matrices.nodes, model.matrices.components, comments=(said,)
         ),
     )
+
+
+def _update(
+    method: DirectMethod,
+    seen: MeasuredModel,
+    reference: ReferenceModes,
+    partners_hz: Floats,
+    basis: Floats,
+) -> DirectUpdate:
+    """The correction on the unknowns that are seen; partners_hz, basis: the model's own modes."""
+    if method == "error_matrix":
+        return error_matrix_update(seen.stiffness, seen.mass, reference, partners_hz, basis)
+    keep = method == "baruch"
+    return direct_matrix_update(seen.stiffness, seen.mass, reference, basis, keep)
 
 
 @dataclass(frozen=True, slots=True)
