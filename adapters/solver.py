@@ -332,8 +332,11 @@ class Deck(Protocol):
         """What damps the model, in the equations of these matrices."""
         return DampingModel(())
 
-    def load_case(self, number: int) -> LoadCase:
-        """The forces of a load case. Raises ModelError for one that the deck has not."""
+    def load_case(self, number: int, values: Values | None = None) -> LoadCase:
+        """The forces of a load case at relative values, the deck's own where left out.
+
+        Raises ModelError for one that the deck has not.
+        """
         raise ModelError(
             f"{self.summary.name}: load cases are read from CalculiX and Nastran decks, not from "
             "this model: give the forces by node instead"

@@ -192,8 +192,14 @@ class CalculixDeck(Deck):
             self.model, self._incidence, matrices.nodes, matrices.components, nodes, components
         )
 
-    def load_case(self, number: int) -> LoadCase:
-        return load_case(self.model, number)
+    def load_case(self, number: int, values: Values | None = None) -> LoadCase:
+        model, changed = self.model, self._changed(values or {})
+        if changed:
+            lines = list(model.deck.lines)
+            for place, text in changed.items():
+                lines[place] = lines[place]._replace(text=text)
+            model = replace(model, deck=replace(model.deck, lines=lines))
+        return load_case(model, self.mesh(), number)
 
     def edited(self, values: Values) -> EditedCalculix:
         return EditedCalculix(self.model, self._changed(values))

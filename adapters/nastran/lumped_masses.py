@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.element_geometry import SHAPES, nodal_measures
+from modetune.core.element_geometry import SHAPES, nodal_measures
 from modetune.core.modes import Floats
 
 #: Corners of elements that may have midside nodes, and of solids their shape by four corners up.

@@ -331,8 +331,8 @@ class NastranModel(Deck):
     ) -> Observation:
         return observe(matrices, nodes, components)
 
-    def load_case(self, number: int) -> LoadCase:
-        return load_case(self.structure, number)
+    def load_case(self, number: int, values: Values | None = None) -> LoadCase:
+        return load_case(self.structure, self.mesh(), number)
 
     def _without_shear(self, card: NastranCard) -> bool:
         """Whether a bar bends without shear, so that its stiffness is linear in A and I.

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.adapters.calculix.deck import KeywordDeck
-from modetune.adapters.nastran.element_geometry import SHAPES, Points, integration_points
 from modetune.adapters.translation.calculix_text import CalculixText
+from modetune.core.element_geometry import SHAPES, Points, integration_points
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 

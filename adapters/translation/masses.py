@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.nastran.bodies import PointMass, point_mass
-from modetune.adapters.nastran.element_geometry import SHAPES, nodal_measures
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.nastran.lumped_masses import Lump, mass_of
 from modetune.adapters.translation.assembly import Assembly
@@ -33,6 +32,7 @@ from modetune.adapters.translation.freedoms import (
 )
 from modetune.adapters.translation.mass_properties import POINT, SCALAR_MASS
 from modetune.adapters.translation.springs import scalar_form
+from modetune.core.element_geometry import SHAPES, nodal_measures
 from modetune.core.modes import Floats
 
 #: Sources of densities, and volume or area of each.

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.nastran.bodies import PointMass
-from modetune.adapters.nastran.element_geometry import SHAPES, Points, integration_points
 from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.beams import KINDS as BARS
 from modetune.adapters.translation.beams import beam_of
@@ -26,6 +25,7 @@ from modetune.adapters.translation.mass_properties import (
 from modetune.adapters.translation.shells import Shell
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.adapters.translation.solids import PYRAMIDS
+from modetune.core.element_geometry import SHAPES, Points, integration_points
 from modetune.core.modes import Floats
 
 

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.element_geometry import SHAPES, integration_points
 from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.freedoms import Freedoms, total
 from modetune.adapters.translation.springs import Deformations, add_springs
+from modetune.core.element_geometry import SHAPES, integration_points
 from modetune.core.modes import Floats
 
 #: Above it F1 and F2 are areas of rods in squares of the thickness, as Nastran has it.

@@ -166,8 +166,14 @@ class TranslatedDeck(Deck):
         turn.eliminate_zeros()
         return basic.turned(turn)
 
-    def load_case(self, number: int) -> LoadCase:
-        return self.model.load_case(number)
+    def load_case(self, number: int, values: Values | None = None) -> LoadCase:
+        found = self.model.load_case(number)
+        if found.acceleration.any():
+            raise ModelError(
+                f"{self.model.structure.deck.file}: load set {number} has GRAV, whose forces on "
+                "supported elements are in no matrix of CalculiX: use `solver: mystran`"
+            )
+        return found
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         return self.model.write_updated(values, folder)

@@ -7,13 +7,16 @@ gauge of two nodes, the difference along its direction over its length) and f th
 
 so one factorisation serves all values and all parameters. A force at a degree of freedom that is
 itself a sum over equations (shells expanded to solids, dependent nodes) does its work on them in
-the same shares: f = W^T F.
+the same shares: f = W^T F. Where masses are at nodes, an acceleration g of the whole model loads it
+by f = M R g, with R its unit translations; where they are spread over elements, what supports hold
+of M is in no stored matrix, and such forces are the deck's own. Either way f follows parameters of
+the mass, and df/dtheta_c is added to the right side of the derivative.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +25,15 @@ from scipy import sparse
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import MatrixResult, upper_product
 from modetune.core.errors import ModelError
+from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, dof_name
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.rigid_motions import rigid_motions
+
+Observe = Callable[[MatrixResult, Integers, Integers], Observation]
+#: Node, component, value, and file and line.
+Force = tuple[int, int, float, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,19 +41,47 @@ class LoadCase:
     """Forces and moments at nodes, each in its node's own axes, those of shapes there.
 
     nodes, components (1 to 6), values: (n_forces,), in the deck's units. places: file and line of
-    each.
+    each. n_spread: how many of them, the last ones, are parts of a load that is spread, of which
+    supports carry theirs; by_mass: whether these follow the mass. acceleration: (3,), of all the
+    model's mass, along basic axes.
     """
 
     nodes: Integers
     components: Integers
     values: Floats
     places: tuple[str, ...]
+    n_spread: int = 0
+    by_mass: bool = False
+    acceleration: Floats = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
-    def of_forces(cls, forces: list[tuple[int, int, float, str]]) -> LoadCase:
+    def of_forces(
+        cls,
+        forces: Sequence[Force],
+        spread: Sequence[Force] = (),
+        by_mass: bool = False,
+        acceleration: Floats | None = None,
+    ) -> LoadCase:
         """Of node, component, value and place each."""
-        nodes, components, values, places = zip(*forces, strict=True)
-        return cls(np.array(nodes), np.array(components), np.array(values, dtype=float), places)
+        whole = [*forces, *spread]
+        return cls(
+            np.array([item[0] for item in whole], dtype=np.int64),
+            np.array([item[1] for item in whole], dtype=np.int64),
+            np.array([item[2] for item in whole], dtype=np.float64),
+            tuple(item[3] for item in whole),
+            len(spread),
+            by_mass,
+            np.zeros(3) if acceleration is None else acceleration,
+        )
+
+    def on_equations(self, base: MatrixResult, observe: Observe) -> Floats:
+        """(n_equations,) without those of an acceleration. Raises ModelError for a force at what
+        is held in place, or is not a sum over equations."""
+        seen = observe(base, self.nodes, self.components)
+        held = seen.held.copy()
+        held[held.size - self.n_spread :] = False
+        _check(seen, self.nodes, self.components, self.places, held)
+        return np.asarray(seen.matrix.T @ self.values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +107,12 @@ class Reading:
 class StaticModel:
     """What is loaded and what is measured, in terms of the equations of a model's matrices.
 
-    forces: (n_equations, n_loads); rows: (n_readings, n_equations), CSR; loads: (n_readings,), the
-    load case of each reading.
+    forces, accelerations: (n_equations, n_loads); rows: (n_readings, n_equations), CSR; loads:
+    (n_readings,), the load case of each reading.
     """
 
     forces: Floats
+    accelerations: Floats
     rows: sparse.csr_array
     loads: Integers
 
@@ -82,46 +120,58 @@ class StaticModel:
     def of(
         cls,
         base: MatrixResult,
-        observe: Callable[[MatrixResult, Integers, Integers], Observation],
+        observe: Observe,
         loads: Sequence[LoadCase],
         readings: Sequence[Reading],
+        mesh: Mesh | None = None,
     ) -> StaticModel:
-        """Of matrices with these equations. observe: degrees of freedom in terms of them.
+        """Of matrices with these equations. observe: degrees of freedom in terms of them; mesh:
+        needed by accelerations.
 
         Raises ModelError for what is held in place, or is not a sum over equations.
         """
-        forces, sums = [], []
-        for load in loads:
-            seen = observe(base, load.nodes, load.components)
-            _check(seen, load.nodes, load.components, load.places, seen.held)
-            forces.append(seen.matrix.T @ load.values)
+        forces, sums = [load.on_equations(base, observe) for load in loads], []
         for item in readings:
             seen = observe(base, item.nodes, item.components)
             said = [item.name] * item.nodes.size
             _check(seen, item.nodes, item.components, said, seen.held & bool(seen.held.all()))
             sums.append(item.factors @ seen.matrix)
+        given = np.column_stack([load.acceleration for load in loads])
+        accelerations = np.zeros((base.nodes.size, len(loads)))
+        if given.any() and mesh is not None:
+            accelerations = rigid_motions(base, mesh, translations=True)[:, :3] @ given
         return cls(
             np.column_stack(forces),
+            accelerations,
             sparse.csr_array(np.vstack(sums)),
             np.array([item.load for item in readings]),
         )
 
-    def values(self, matrices: ParameterMatrices, theta: Floats) -> tuple[Floats, Floats]:
+    def values(
+        self,
+        matrices: ParameterMatrices,
+        theta: Floats,
+        changes: Mapping[int, Floats] | None = None,
+    ) -> tuple[Floats, Floats]:
         """The readings (n_readings,) at a set and their derivatives (n_readings, n_parameters).
 
-        Raises ModelError where the stiffness is singular, as a free structure's is.
+        changes: derivatives of `forces` by column. Raises ModelError where the stiffness is
+        singular, as a free structure's is.
         """
+        here = matrices.at(theta)
         try:
-            factors = factorise(matrices.at(theta).stiffness)
+            factors = factorise(here.stiffness)
         except ModelError as error:
             raise ModelError(f"static displacements: {error}") from error
-        moved = factors.solve(self.forces)
+        moved = factors.solve(self.forces + upper_product(here.upper_mass, self.accelerations))
         adjoint = factors.solve(self.rows.T.toarray())
         slopes = np.zeros((self.loads.size, theta.size))
         for column in range(theta.size):
-            upper, _ = matrices.change(theta, column)
-            changed = upper_product(upper, moved)[:, self.loads]
-            slopes[:, column] = -np.sum(adjoint * changed, axis=0)
+            stiffness, mass = matrices.change(theta, column)
+            change = upper_product(mass, self.accelerations) - upper_product(stiffness, moved)
+            if changes and column in changes:
+                change = change + changes[column]
+            slopes[:, column] = np.sum(adjoint * change[:, self.loads], axis=0)
         return (self.rows @ moved)[np.arange(self.loads.size), self.loads], slopes
 
 

@@ -302,6 +302,7 @@ def _read_case(
         test,
         solver.deck,
         tolerances,
+        file.parameter_set(),
         KILOGRAMS[file.model.units],
         METRES[file.model.units],
         *frfs_on_model(source, file, measurement, solver, problems, store),
@@ -311,7 +312,7 @@ def _read_case(
         problems += file.residuals.problems(source, given, solver)
     if problems:
         return None
-    parameters = file.parameter_set()
+    parameters = given.parameters
     return Case(
         solver=solver,
         units=file.model.units,

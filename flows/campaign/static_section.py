@@ -12,6 +12,7 @@ from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.errors import ModelError
 from modetune.core.modes import COMPONENTS, Floats, Integers
+from modetune.core.parameters import Values
 from modetune.core.updating.responses.static import Static
 from modetune.core.updating.static import LoadCase, Reading
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
@@ -25,7 +26,7 @@ class StaticCase(Section):
 
     load: Annotated[int, Field(ge=1)] | None = None
     """Number of the deck's load case: of a CalculiX deck's *STATIC steps in turn, or of a Nastran
-    load set (FORCE, MOMENT, LOAD)."""
+    load set (FORCE, MOMENT, PLOAD, PLOAD2, PLOAD4, GRAV, LOAD)."""
     forces: ByName = Field(default={})
     """Forces and moments by `node.component`, in place of a load case of the deck, in its units and
     in the axes that shapes have at the node."""
@@ -69,8 +70,13 @@ class StaticSection(Section):
 
     def response(self, given: TestedModel) -> Static:
         """As a model has it, without what `problems` tells of."""
-        loads, readings, _ = self._made(given.deck)
-        return Static(tuple(readings), tuple(loads), given.deck.observation)
+        _, readings, _ = self._made(given.deck)
+
+        def loads(theta: Floats) -> list[LoadCase]:
+            values = given.parameters.values(theta)
+            return [_load(case, given.deck, values) for case in self.cases]
+
+        return Static(tuple(readings), loads, given.deck.observation)
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""
@@ -104,9 +110,9 @@ class StaticSection(Section):
         return loads, readings, problems
 
 
-def _load(section: StaticCase, deck: Deck) -> LoadCase:
+def _load(section: StaticCase, deck: Deck, values: Values | None = None) -> LoadCase:
     if section.load is not None:
-        return deck.load_case(section.load)
+        return deck.load_case(section.load, values)
     forces = ((*_dof(name, deck), value) for name, value in section.forces.items())
     return LoadCase.of_forces([(node, c, value, "forces") for node, c, value in forces])
 

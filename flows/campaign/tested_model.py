@@ -8,6 +8,7 @@ from modetune.adapters.solver import Deck
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import MeasuredModes
+from modetune.core.parameters import ParameterSet
 from modetune.core.updating.criteria import Tolerances
 
 
@@ -25,6 +26,7 @@ class TestedModel:
     test: MeasuredModes
     deck: Deck
     e1: Tolerances
+    parameters: ParameterSet
     kilograms: float
     metres: float
     frfs: MeasuredFrfs | None = None

@@ -1,21 +1,21 @@
 """Static displacements and strains under load cases: z = y_m - y_c, by K(theta) u = f.
 
-Values and exact derivatives are those of `core/updating/static`. Stiffness alone decides them, so
-beside frequencies they tell stiffness from mass.
+Values and exact derivatives are those of `core/updating/static`. Under forces and pressure
+stiffness alone decides them, so beside frequencies they tell stiffness from mass. Forces of a deck
+that follow its masses are read from it at each set; they are sums of products of few of its numbers
+(density, thickness), of which central differences are exact up to squares.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, Integers
-from modetune.core.updating.observation import Observation
+from modetune.core.modes import Floats
 from modetune.core.updating.responses.response import (
     MatricesAt,
     ModelState,
@@ -24,19 +24,23 @@ from modetune.core.updating.responses.response import (
     StateDerivatives,
     residual_of,
 )
-from modetune.core.updating.static import LoadCase, Reading, StaticModel
+from modetune.core.updating.static import LoadCase, Observe, Reading, StaticModel
+
+#: Relative step of the differences: of a cubic they err by its square, by rounding 1e-12.
+STEP = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Static:
     """What was measured under the load cases of a test.
 
-    observe: degrees of freedom in terms of the matrices' equations.
+    loads: the load cases at a set of the case's parameters; observe: degrees of freedom in terms
+    of the matrices' equations.
     """
 
     readings: tuple[Reading, ...]
-    loads: tuple[LoadCase, ...]
-    observe: Callable[[MatrixResult, Integers, Integers], Observation]
+    loads: Callable[[Floats], Sequence[LoadCase]]
+    observe: Observe
     kind: ClassVar[str] = "static"
     needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
     #: Of the newest set, as values and derivatives are asked for one after the other.
@@ -69,6 +73,25 @@ class Static:
         for known, values, slopes in self._newest:
             if known.model is given.model and np.array_equal(known.theta, given.theta):
                 return values, slopes
-        model = StaticModel.of(given.model.base, self.observe, self.loads, self.readings)
-        self._newest[:] = [(given, *model.values(given.model, given.theta))]
+        base, loads = given.model.base, self.loads(given.theta)
+        model = StaticModel.of(base, self.observe, loads, self.readings, state.mesh)
+        changes = self._changes(given) if any(load.by_mass for load in loads) else {}
+        self._newest[:] = [(given, *model.values(given.model, given.theta, changes))]
         return self._newest[0][1:]
+
+    def _changes(self, given: MatricesAt) -> dict[int, Floats]:
+        """Derivatives of the forces (n_equations, n_loads) by each parameter that moves masses."""
+        found = {}
+        for column in range(given.theta.size):
+            if given.change(column)[1].nnz:
+                ends = []
+                for sign in (1.0, -1.0):
+                    theta = given.theta.copy()
+                    theta[column] += sign * STEP * theta[column]
+                    loads = self.loads(theta)
+                    ends.append(
+                        [load.on_equations(given.model.base, self.observe) for load in loads]
+                    )
+                forces = (np.column_stack(end) for end in ends)
+                found[column] = (next(forces) - next(forces)) / (2.0 * STEP * given.theta[column])
+        return found

@@ -30,6 +30,15 @@ STEPS = """*STEP
 U
 *END STEP
 *STEP
+*STATIC
+*CLOAD, OP=NEW
+*DLOAD
+V, GRAV, 9810., 0., 0., -1.
+5, P2, 0.1
+*NODE PRINT, NSET=SEEN
+U
+*END STEP
+*STEP
 *FREQUENCY
 6
 *END STEP
@@ -53,6 +62,10 @@ STATIC = """  static:
         deviation: 0.002
         tolerance: 0.001
 """
+WEIGHT = """      - load: 2
+        displacements: {21.z: %.7g, 13.z: %.7g}
+        tolerance: 0.0001
+"""
 
 
 def deck(modulus: float = 1.0, density: float = 1.0) -> str:
@@ -67,23 +80,28 @@ def deck(modulus: float = 1.0, density: float = 1.0) -> str:
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
-    """Frequencies and static readings of the truth, by ccx itself: a test file, and a section."""
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, str]:
+    """Frequencies and static readings of the truth, by ccx itself: a test file, and sections of a
+    case of forces and of one of weight and pressure."""
     folder = tmp_path_factory.mktemp("truth")
     (folder / "own.inp").write_text(deck(*TRUTH))
     subprocess.run(["ccx", "own"], cwd=folder, check=True, capture_output=True)
     printed = (folder / "own.dat").read_text()
-    table = printed.split("displacements (vx,vy,vz)")[1].split("E I G")[0]
-    moved = {
-        int(row[0]): [float(word) for word in row[1:]]
-        for row in map(str.split, table.splitlines())
-        if len(row) == 4 and row[0].isdecimal()
-    }
+    first, second = printed.split("E I G")[0].split("displacements (vx,vy,vz)")[1:3]
+    moved, sunk = (
+        {
+            int(row[0]): [float(word) for word in row[1:]]
+            for row in map(str.split, table.splitlines())
+            if len(row) == 4 and row[0].isdecimal()
+        }
+        for table in (first, second)
+    )
     rows = [line.split() for line in printed.split("E I G E N V A L U E")[1].splitlines()]
     hz = [row[3] for row in rows if len(row) == 5 and row[0].isdecimal()][:3]
     test = f"mode, {', '.join(str(n + 1) for n in range(3))}\nfrequency_hz, {', '.join(hz)}\n"
     strain = (moved[6][0] - moved[2][0]) / 10.0  # nodes 10 mm apart along x
-    return test, STATIC % (moved[21][2], moved[13][2], strain)
+    weight = WEIGHT % (sunk[21][2], sunk[13][2])
+    return test, STATIC % (moved[21][2], moved[13][2], strain), weight
 
 
 def campaign(folder: Path, test: str, residuals: str) -> Path:
@@ -95,8 +113,10 @@ def campaign(folder: Path, test: str, residuals: str) -> Path:
     return path
 
 
-def test_both_kinds_tell_modulus_and_density(tmp_path: Path, measured: tuple[str, str]) -> None:
-    path = campaign(tmp_path, *measured)
+def test_both_kinds_tell_modulus_and_density(
+    tmp_path: Path, measured: tuple[str, str, str]
+) -> None:
+    path = campaign(tmp_path, *measured[:2])
     ended = run_command(tmp_path, "update", str(path), "--json", "--set", "report.page=false")
     told = json.loads(ended.stdout)
     assert ended.returncode == 0, ended.stderr
@@ -108,8 +128,20 @@ def test_both_kinds_tell_modulus_and_density(tmp_path: Path, measured: tuple[str
     assert max(errors) < 0.02
 
 
+def test_its_own_weight_tells_the_density_where_frequencies_do_not_count(
+    tmp_path: Path, measured: tuple[str, str, str]
+) -> None:
+    path = campaign(tmp_path, measured[0], measured[1] + measured[2])
+    off = ("--set", "residuals.frequency_weight=0", "--set", "report.page=false")
+    ended = run_command(tmp_path, "update", str(path), "--json", *off)
+    assert ended.returncode == 0, ended.stderr
+    updated = [item["updated"] for item in json.loads(ended.stdout)["parameters"]]
+    # e1 of 1e-3 and 1e-4 of the largest deflections.
+    assert updated == pytest.approx(TRUTH, rel=1e-3)
+
+
 def test_loads_that_the_deck_has_not_are_told_with_file_and_line(
-    tmp_path: Path, measured: tuple[str, str]
+    tmp_path: Path, measured: tuple[str, str, str]
 ) -> None:
     wrong = STATIC.replace("load: 1", "load: 4").replace("13.z", "999.z").replace("2-6", "2-2") % (
         -0.1,
@@ -121,7 +153,7 @@ def test_loads_that_the_deck_has_not_are_told_with_file_and_line(
     assert ended.returncode == 2
     lines = path.read_text().splitlines()
     for text, word in (
-        ("no load case 4; it has 1 *STATIC step", "load: 4"),
+        ("no load case 4; it has 2 *STATIC steps", "load: 4"),
         ("the model has no node 999", "999.z"),
         ("'2-2' is not two nodes", "2-2"),
     ):

@@ -1,4 +1,4 @@
-"""Volumes, areas and their first and second moments of finite elements, by Gauss integration.
+"""Volumes, areas, their moments, and forces at nodes of finite elements, by Gauss integration.
 
 An element is known by the natural coordinates of its nodes and the monomials that span its shape
 functions: with V the monomials at the nodes, N(x) = monomials(x) inv(V). So the same few lines hold
@@ -7,13 +7,14 @@ for every element and every order of nodes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from scipy import special
 
+from modetune.core.mesh import CellKind
 from modetune.core.modes import Floats
 
 #: Exact for the moments of quadratic elements with straight sides.
@@ -84,6 +85,8 @@ SHAPES = {
     "S4": _shape(SQUARE, _BILINEAR, 0),
     "S3": _shape(TRIANGLE, _LINEAR2, 2),
     "S6": _shape(_with_middles(TRIANGLE, _RING3), _QUADRATIC2, 2),
+    "B31": _shape([(-1.0,), (1.0,)], [(0,), (1,)], 0),
+    "B32": _shape([(-1.0,), (1.0,), (0.0,)], [(0,), (1,), (2,)], 0),
     "CHEXA8": _shape(CUBE, _TRILINEAR, 0),
     "CHEXA20": _shape(_with_middles(CUBE, [*_RING4, *_CUBE_UP, *_CUBE_TOP]), _CUBE20, 0),
     "CPENTA6": _shape(WEDGE, _WEDGE6, 2),
@@ -91,13 +94,26 @@ SHAPES = {
     "CTETRA4": _shape(TETRAHEDRON, _TETRA4, 3),
     "CTETRA10": _shape(_with_middles(TETRAHEDRON, _TETRA), _TETRA10, 3),
 }
+#: Of cells, whose nodes stand as VTK has them.
+OF_CELLS: dict[CellKind, str] = {
+    "line": "B31", "line3": "B32", "triangle": "S3", "triangle6": "S6", "quad": "S4",
+    "quad8": "S8R", "tetra": "C3D4", "tetra10": "C3D10", "wedge": "C3D6", "wedge15": "C3D15",
+    "hexahedron": "C3D8", "hexahedron20": "C3D20",
+}  # fmt: skip
+#: Corners of the faces of solids by their corners' number, in ccx's order of faces.
+FACES: dict[int, tuple[tuple[int, ...], ...]] = {
+    4: ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
+    6: ((0, 1, 2), (3, 5, 4), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)),
+    8: ((0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """places: (n_elements, n_points, 3); measures: (n_elements, n_points), volume or area of each.
+    """places: (n_elements, n_points, 3); measures: (n_elements, n_points), volume, area or length
+    of each.
 
-    normals: (n_elements, n_points, 3), unit normals of surfaces, zeros of volumes.
+    normals: (n_elements, n_points, 3), unit normals of surfaces, zeros of volumes and lines.
     """
 
     places: Floats
@@ -115,6 +131,9 @@ def integration_points(shape: ElementShape, corners: Floats) -> Points:
         np.einsum("pn,enk->epk", _slopes(shape.exponents, at, axis) @ inverse, corners)
         for axis in range(shape.nodes.shape[1])
     ]
+    if len(slopes) == 1:
+        length = np.linalg.norm(slopes[0], axis=2)
+        return Points(places, length * weights, np.zeros_like(places))
     cross = np.cross(slopes[0], slopes[1])
     if len(slopes) == 3:
         return Points(
@@ -125,12 +144,36 @@ def integration_points(shape: ElementShape, corners: Floats) -> Points:
 
 
 def nodal_measures(shape: ElementShape, corners: Floats) -> Floats:
-    """(n_elements, n_nodes), integrals of the shape functions over volume or area."""
+    """(n_elements, n_nodes), integrals of the shape functions over volume, area or length."""
+    return nodal_forces(shape, corners, lambda points: np.ones((*points.measures.shape, 1)))[..., 0]
+
+
+def nodal_forces(shape: ElementShape, corners: Floats, field: Callable[[Points], Floats]) -> Floats:
+    """Integrals of the shape functions times a field, (n_elements, n_nodes, k).
+
+    field: of points its values there, (n_elements, n_points, k), per volume, area or length.
+    """
     at, _ = _rule(shape)
     values = _monomials(shape.exponents, at) @ np.linalg.inv(
         _monomials(shape.exponents, shape.nodes)
     )
-    return np.asarray(integration_points(shape, corners).measures @ values)
+    points = integration_points(shape, corners)
+    weighted = field(points) * points.measures[..., None]
+    return np.asarray(np.tensordot(weighted, values, axes=(1, 0)).transpose(0, 2, 1))
+
+
+def face_nodes(kind: CellKind, corners: Sequence[int]) -> tuple[tuple[int, ...], ElementShape]:
+    """Positions of the nodes of a solid's face in its cell, and the face's shape.
+
+    corners: positions of its corners, round it.
+    """
+    shape, found = SHAPES[OF_CELLS[kind]], list(corners)
+    if shape.nodes.shape[0] > 8:  # the middle of each side
+        for one, other in zip(corners, [*corners[1:], corners[0]], strict=True):
+            middle = shape.nodes[[one, other]].mean(axis=0)
+            found.append(int(np.flatnonzero((shape.nodes == middle).all(axis=1))[0]))
+    names = {3: "S3", 4: "S4", 6: "S6", 8: "S8R"}
+    return tuple(found), SHAPES[names[len(found)]]
 
 
 def _monomials(exponents: Floats, at: Floats) -> Floats:
