@@ -326,10 +326,20 @@ class Deck(Protocol):
 
     def undamped(self) -> str:
         """Why damping cannot be computed of the model; empty where `damping` tells of it."""
-        return "damping is computed of models that are matrices alone (`solver: matrices`)"
+        return f"{self.summary.name}: no damping is known of this model"
+
+    def losses(self) -> tuple[Parameter, ...]:
+        """Factors on the stiffness of groups of elements that have a loss factor.
+
+        They are no campaign's: `edited` takes them beside its parameters, as factors on these.
+        """
+        return ()
 
     def damping(self, base: MatrixResult) -> DampingModel:
-        """What damps the model, in the equations of these matrices."""
+        """What damps the model, in the equations of these matrices; its losses are of `losses`.
+
+        Raises ModelError for what cannot be followed.
+        """
         return DampingModel(())
 
     def load_case(self, number: int, values: Values | None = None) -> LoadCase:

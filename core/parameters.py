@@ -105,6 +105,8 @@ NOT_NEGATIVE: frozenset[Quantity] = frozenset({
     "density", "torsion_constant", "spring_stiffness", "mass", "nonstructural_mass",
     "bending_inertia_ratio", "shear_thickness_ratio", "structural_damping", "viscous_damping",
 })  # fmt: skip
+#: Quantities of damping, which undamped modes know nothing of.
+DAMPING: frozenset[Quantity] = frozenset({"structural_damping", "viscous_damping"})
 #: Parameters of an expression whose bounds are all looked at together.
 CORNERS = 8
 #: A deviation of an absolute or additive value is at most this share of its scale, as that of a

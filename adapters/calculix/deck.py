@@ -214,12 +214,16 @@ def format_number(value: float) -> str:
 
 
 def replace_field(text: str, place: int, value: str) -> str:
-    """A data line with one of its comma-separated fields replaced, blanks round it kept."""
+    """A line with one of its comma-separated fields, or the value of an option, replaced.
+
+    Blanks round it are kept.
+    """
     fields = text.split(",")
     old = fields[place]
     lead = old[: len(old) - len(old.lstrip())]
     tail = old[len(old.rstrip()) :] if old.strip() else ""
-    fields[place] = f"{lead}{value}{tail}"
+    option, is_option, _ = old.strip().partition("=")
+    fields[place] = f"{lead}{option + '=' if is_option else ''}{value}{tail}"
     return ",".join(fields)
 
 

@@ -24,7 +24,7 @@ NOT_FOLLOWED = (*DEPENDENT[2:], "*CYCLIC SYMMETRY MODEL", "*PRE-TENSION SECTION"
 #: Elements whose printed strain energy is zero (SPRINGA, users' own) or lacks the hourglass part.
 WITHOUT_ENERGY = re.compile(r"SPRINGA|U.*|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
 #: Elements that leave the unknowns of the stored matrices at the nodes of the deck.
-UNEXPANDED = re.compile(r"C3D.*|SPRING[12A]|MASS")
+UNEXPANDED = re.compile(r"C3D.*|SPRING[12A]|MASS|DASHPOTA")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

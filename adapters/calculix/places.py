@@ -13,7 +13,7 @@ from modetune.adapters.calculix.deck import (
     format_number,
     replace_field,
 )
-from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel
+from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel, read_number
 from modetune.adapters.numbers import Number, check_moved, check_one, moved_numbers
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
@@ -92,10 +92,13 @@ def edited_lines(
     A number that stays what it is changes nothing. Raises ModelError.
     """
     changed: dict[int, str] = {}
+    factors: dict[tuple[int, int], float] = {}
     for parameter, value in parameters:
         for number, there in moved_numbers(parameter, find_numbers(model, parameter), value):
             if there != number.value:
                 line, place = number.place
+                there *= factors.get(number.place, 1.0)  # of a group's stiffness beside others
+                factors[number.place] = there / number.value if number.value else 1.0
                 text = changed.get(line, model.deck.lines[line].text)
                 changed[line] = replace_field(text, place, format_number(there))
     return changed
@@ -134,6 +137,14 @@ def energy_sets(model: CalculixModel, parameter: Parameter) -> tuple[str, ...]:
 
 
 def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[KeywordCard]:
+    """The cards of one keyword, with data, that belong to a material. Raises ModelError."""
+    cards = material_cards(model, material, keyword)
+    if not any(card.data for card in cards):
+        raise ModelError(f"material {material} has no {keyword} card with data")
+    return cards
+
+
+def material_cards(model: CalculixModel, material: str, keyword: str) -> list[KeywordCard]:
     """The cards of one keyword that belong to a material. Raises ModelError."""
     names = [card.option("NAME") for card in model.deck.named("*MATERIAL")]
     if material not in names:
@@ -147,8 +158,6 @@ def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[K
             inside = card.option("NAME") == material
         elif inside and card.keyword == keyword:
             cards.append(card)
-    if not any(card.data for card in cards):
-        raise ModelError(f"material {material} has no {keyword} card with data")
     return cards
 
 
@@ -268,32 +277,85 @@ def _dimension(model: CalculixModel, elset: str) -> list[KeywordField]:
 
 
 def _spring_stiffness(model: CalculixModel, elset: str) -> list[KeywordField]:
-    """Constants stand one a line (one a temperature), after the line of directions.
-
-    SPRINGA has no directions, but ccx skips the line after the keyword all the same.
-    """
+    """Constants stand one a line (one a temperature), after the line of directions."""
     found = []
     for card in _section_cards(model, elset, "*SPRING"):
-        where = model.deck.where(card)
-        if "NONLINEAR" in card.options:
-            raise ModelError(f"{where}: a nonlinear spring has no one stiffness to update")
+        _check_linear(model, card)
         kinds = {model.mesh.elements[number].kind for number in model.members(card)}
-        if kinds != {"SPRINGA"}:
-            first = 1
-        elif card.data and not _blank_after(model, card):
-            raise ModelError(f"{where}: ccx requires a blank line before the constant of a SPRINGA")
-        else:
-            first = 0
+        first = 0 if kinds == {"SPRINGA"} else 1
+        if first == 0:
+            _check_blank(model, card)
         found += [
             first_value(model, card, row) for row in range(first, max(len(card.data), first + 1))
         ]
     return found
 
 
+def dashpot_field(model: CalculixModel, card: KeywordCard) -> KeywordField:
+    """The constant of a *DASHPOT. Raises ModelError where it has several, by temperature."""
+    _check_linear(model, card)
+    _check_blank(model, card)
+    if len(card.data) > 1:
+        raise ModelError(f"{model.deck.where(card)}: a dashpot by temperature has no one constant")
+    return first_value(model, card, 0)
+
+
+def _check_linear(model: CalculixModel, card: KeywordCard) -> None:
+    if "NONLINEAR" in card.options:
+        what = "spring has no one stiffness" if card.keyword == "*SPRING" else "dashpot no constant"
+        raise ModelError(f"{model.deck.where(card)}: a nonlinear {what} to update")
+
+
+def _check_blank(model: CalculixModel, card: KeywordCard) -> None:
+    """SPRINGA and DASHPOTA have no directions, but ccx skips the line after the keyword."""
+    if card.data and not _blank_after(model, card):
+        kind = "SPRINGA" if card.keyword == "*SPRING" else "DASHPOTA"
+        raise ModelError(
+            f"{model.deck.where(card)}: ccx requires a blank line before the constant of a {kind}"
+        )
+
+
 def _blank_after(model: CalculixModel, card: KeywordCard) -> bool:
     """Whether the first line after the keyword that is not a comment is blank."""
     texts = (model.deck.lines[position].text.strip() for position in card.lines[1:])
     return next((not text for text in texts if not text.startswith(COMMENTS)), True)
+
+
+def _dashpots(model: CalculixModel, elset: str) -> list[KeywordField]:
+    return [dashpot_field(model, card) for card in _section_cards(model, elset, "*DASHPOT")]
+
+
+def loss_fields(model: CalculixModel, material: str) -> list[KeywordField]:
+    """The loss factor of a material, none where it has no *DAMPING. Raises ModelError."""
+    found = []
+    for card in material_cards(model, material, "*DAMPING"):
+        where, line = model.deck.where(card), card.lines.start
+        others = sorted(card.options.keys() - {"STRUCTURAL"})
+        if others:
+            raise ModelError(
+                f"{where}: {others[0]} of *DAMPING is of explicit dynamics and damps no mode here: "
+                "give STRUCTURAL, the loss factor, or take the card out"
+            )
+        fields = [canonical_name(text) for text in model.deck.fields(line)]
+        (place,) = (k for k, text in enumerate(fields) if text.startswith("STRUCTURAL="))
+        try:
+            value = read_number(card.option("STRUCTURAL"))
+        except ValueError:
+            raise ModelError(f"{where}: STRUCTURAL of *DAMPING is not a number") from None
+        found.append(KeywordField(line, place, value))
+    if len(found) > 1:
+        raise ModelError(f"{model.deck.where(card)}: material {material} has *DAMPING twice")
+    return found
+
+
+def _losses(model: CalculixModel, material: str) -> list[KeywordField]:
+    found = loss_fields(model, material)
+    if not found:
+        raise ModelError(
+            f"material {material} has no loss factor: write *DAMPING, STRUCTURAL=value below its "
+            "*MATERIAL"
+        )
+    return found
 
 
 def _mass(model: CalculixModel, elset: str) -> list[KeywordField]:
@@ -310,4 +372,6 @@ _FINDERS: dict[Quantity, Callable[[CalculixModel, str], list[KeywordField]]] = {
     "dimension": _dimension,
     "spring_stiffness": _spring_stiffness,
     "mass": _mass,
+    "viscous_damping": _dashpots,
+    "structural_damping": _losses,
 }

@@ -57,7 +57,7 @@ def elastic_constants(model: CalculixModel) -> dict[str, tuple[float, float]]:
 
 
 #: Sections whose numbers parameters name by their element set.
-BY_SET = ("*SHELL SECTION", "*BEAM SECTION", "*SPRING", "*MASS")
+BY_SET = ("*SHELL SECTION", "*BEAM SECTION", "*SPRING", "*MASS", "*DASHPOT")
 
 
 def targets(model: CalculixModel) -> tuple[Target, ...]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
 from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
+from modetune.adapters.calculix.damping import damped_materials, dampers
 from modetune.adapters.calculix.deck import read_deck, write_edited
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
@@ -43,6 +44,7 @@ from modetune.adapters.calculix.sections import (
 from modetune.adapters.calculix.spare_unknowns import modes_at_most
 from modetune.adapters.calculix.splitting import split_model
 from modetune.adapters.cross_checks import check_energies, mark_of, without_spare
+from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.numbers import Number
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
 from modetune.adapters.regular_file import read_regular
@@ -60,6 +62,7 @@ from modetune.adapters.solver import (
 )
 from modetune.core.algebra.rigid_modes import STRAINED
 from modetune.core.errors import (
+    ModelError,
     NoResult,
     SolverCrashed,
     SolverExhausted,
@@ -69,8 +72,9 @@ from modetune.core.errors import (
 from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh, cell_sizes
 from modetune.core.modes import Floats, Integers, ModeSet
-from modetune.core.parameters import Parameter, Quantity, Values, assigned, driven_by
+from modetune.core.parameters import DAMPING, Parameter, Quantity, Values, assigned, driven_by
 from modetune.core.storage.keys import Json
+from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult, Result
 from modetune.core.updating.static import LoadCase
@@ -81,9 +85,9 @@ JOB = "job"
 #: Names another program than `ccx` on PATH.
 PROGRAM_VARIABLE = "MODETUNE_CCX"
 #: Stiffness and mass matrices are linear in these.
-LINEAR: frozenset[Quantity] = frozenset(
-    {"youngs_modulus", "shear_modulus", "density", "spring_stiffness", "mass", "variable"}
-)
+LINEAR: frozenset[Quantity] = DAMPING | {
+    "youngs_modulus", "shear_modulus", "density", "spring_stiffness", "mass", "variable",
+}  # fmt: skip
 #: Items of Young's moduli of engineering constants.
 DIRECTIONS = (1, 2, 3)
 MISSING = (
@@ -168,6 +172,8 @@ class CalculixDeck(Deck):
         return read_incidence(self.model.deck, self.model.mesh)
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
+        if damps_only(parameter, self.parameters):
+            return NOTHING
         driven = driven_by(parameter, self.parameters)
         across = parameter.quantity in ("thickness", "dimension")
         plain = parameter.proportional and not driven
@@ -201,14 +207,41 @@ class CalculixDeck(Deck):
             model = replace(model, deck=replace(model.deck, lines=lines))
         return load_case(model, self.mesh(), number)
 
+    def undamped(self) -> str:
+        try:
+            found = self._dampers
+        except ModelError as error:
+            return str(error)
+        if found.links or found.losses:
+            return ""
+        return f"{self.model.deck.file}: the deck has no *DASHPOT, nor *DAMPING of a material"
+
+    def losses(self) -> tuple[Parameter, ...]:
+        return self._losses
+
+    def damping(self, base: MatrixResult) -> DampingModel:
+        return self._dampers.model(self, base)
+
+    @cached_property
+    def _losses(self) -> tuple[Parameter, ...]:
+        return damped_materials(self.model)
+
+    @cached_property
+    def _dampers(self) -> Dampers:
+        return dampers(self.model, self, self.parameters)
+
     def edited(self, values: Values) -> EditedCalculix:
-        return EditedCalculix(self.model, self._changed(values))
+        moving = [pair for pair in self._assigned(values) if pair[0].quantity not in DAMPING]
+        return EditedCalculix(self.model, edited_lines(self.model, moving))
 
     def write_updated(self, values: Values, folder: Path) -> Path:
-        return write_edited(self.model.deck, self._changed(values), folder)
+        changed = edited_lines(self.model, self._assigned(values))
+        return write_edited(self.model.deck, changed, folder)
 
-    def _changed(self, values: Values) -> dict[int, str]:
-        return edited_lines(self.model, assigned(self.parameters, values))
+    def _assigned(self, values: Values) -> list[tuple[Parameter, float]]:
+        """Parameters with values, those of groups' stiffness last."""
+        groups = values.keys() - {item.name for item in self.parameters}
+        return assigned((*self.parameters, *(self._losses if groups else ())), values)
 
 
 CAPABILITIES = Capabilities(strain_energies=True, matrices=True, tell_rigid=True, matrix_modes=True)

@@ -23,7 +23,7 @@ from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
-from modetune.core.updating.damping import Damper, DampingKind, DampingModel
+from modetune.core.updating.damping import Damper, DampingKind, DampingModel, Linear
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     Powers,
@@ -149,7 +149,7 @@ class MatrixModel:
         for name, part in self.parts.items():
             (constant, column), (end, _) = here.get(name, (1.0, -1)), there.get(name, (1.0, -1))
             found += [
-                Damper(kind, matrix, constant, end - constant, column)
+                Damper(kind, matrix, (Linear(constant, end - constant, column),))
                 for kind in DAMPING_KINDS
                 if (matrix := getattr(part, kind)) is not None
             ]

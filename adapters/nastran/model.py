@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.nastran.affected_elements import affected_elements_of, powers_of
 from modetune.adapters.nastran.bulk import Bulk, Objection, read_bulk
 from modetune.adapters.nastran.case_control import read_case_control
+from modetune.adapters.nastran.damping import damped_groups, dampers
 from modetune.adapters.nastran.deck import (
     CardField,
     NastranCard,
@@ -37,7 +39,8 @@ from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, Values, assigned, driven_by
+from modetune.core.parameters import DAMPING, Parameter, Values, assigned, driven_by
+from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation, observe
 from modetune.core.updating.static import LoadCase
 
@@ -107,11 +110,15 @@ class NastranModel(Deck):
 
     def masses(self) -> MassKind:
         """By PARAM,COUPMASS, of the case control if it stands there; lumped where nothing does."""
+        said = self._asked("COUPMASS")
+        return "consistent" if said == "YES" or (said.isdigit() and int(said) > 0) else "lumped"
+
+    def _asked(self, name: str) -> str:
+        """A parameter of the deck, of the case control if it stands there; empty without."""
         asked = dict(read_case_control(self.deck).parameters)
         for card in self.deck.named("PARAM"):
             asked.setdefault(card.text(1), card.text(2))
-        said = asked.get("COUPMASS", "").upper()
-        return "consistent" if said == "YES" or (said.isdigit() and int(said) > 0) else "lumped"
+        return asked.get(name, "").upper()
 
     def other_masses(self) -> MassKind:
         """Which masses jobs on other solvers have where the deck asks for lumped ones."""
@@ -220,18 +227,56 @@ class NastranModel(Deck):
         for parameter, value in pairs:
             for number, there in moved_numbers(parameter, self.numbers(parameter), value):
                 if there != number.value:
-                    values[number.place] = there
+                    # A group's stiffness is scaled beside what others make of it.
+                    before = values.get(number.place, number.value)
+                    values[number.place] = there * (before / number.value if number.value else 1.0)
         return changed_lines(self.deck, values)
 
     def edited(self, values: Values) -> EditedNastran:
         return EditedNastran(self, self.changed(values), values)
 
     def changed(self, values: Values) -> dict[int, str]:
-        """New texts of the lines that the values of the parameters change."""
-        return self.edit(assigned(self.parameters, values))
+        """New texts of the lines that the values change for jobs, which know no damping."""
+        groups = values.keys() - {item.name for item in self.parameters}
+        every = assigned((*self.parameters, *(self._losses if groups else ())), values)
+        return self.edit(pair for pair in every if pair[0].quantity not in DAMPING)
 
     def write_updated(self, values: Values, folder: Path) -> Path:
-        return write_edited(self.deck, self.changed(values), folder)
+        return write_edited(self.deck, self.edit(assigned(self.parameters, values)), folder)
+
+    def undamped(self) -> str:
+        return self.undamped_as(self)
+
+    def undamped_as(self, deck: Deck) -> str:
+        """Why damping cannot be computed where this deck is what jobs are made of."""
+        try:
+            found = self.dampers(deck)
+        except ModelError as error:
+            return str(error)
+        if found.links or found.losses or found.uniform:
+            return ""
+        return (
+            f"{self.deck.file}: the deck has no damping (GE, PARAM,G, CDAMP1 to 4, CVISC, B or GE "
+            "of PBUSH)"
+        )
+
+    def losses(self) -> tuple[Parameter, ...]:
+        return self._losses
+
+    @cached_property
+    def _losses(self) -> tuple[Parameter, ...]:
+        return damped_groups(self.structure)
+
+    def damping(self, base: MatrixResult) -> DampingModel:
+        return self.dampers(self).model(self, base)
+
+    def dampers(self, deck: Deck) -> Dampers:
+        """What damps the model in terms of the elements of this deck. Raises ModelError."""
+        try:
+            uniform = read_number(self._asked("G") or "0")
+        except ValueError as error:
+            raise ModelError(f"{self.deck.file}: PARAM,G: {error}") from None
+        return dampers(self.structure, deck, self.parameters, uniform)
 
     def bulk_at(self, changed: dict[int, str]) -> Bulk:
         """pyNastran's model of the deck with some lines changed. Raises ModelError."""
@@ -316,6 +361,8 @@ class NastranModel(Deck):
             return False
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
+        if damps_only(parameter, self.parameters):
+            return NOTHING
         if self.problems((parameter,)):
             return None
         items = (parameter, *driven_by(parameter, self.parameters))

@@ -197,6 +197,18 @@ def _spring_loss(structure: Structure, card: NastranCard, ident: int) -> Iterato
     yield (0, 3, "GE1") if card.text(1) == str(ident) else (0, 7, "GE1")
 
 
+def _damper(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
+    """PDAMP: a card may hold four of them."""
+    places = (place for place in (1, 3, 5, 7) if card.text(place) == str(ident))
+    yield from ((0, place + 1, "B1") for place in places)
+
+
+def _line_damper(structure: Structure, card: NastranCard, ident: int) -> Iterator[Entry]:
+    """PVISC, two to a card: along the line (item 1) and about it (item 2)."""
+    first = 2 if card.text(1) == str(ident) else 6
+    yield from ((1, first, "CE1"), (2, first + 1, "CR1"))
+
+
 def _bush(kind: str) -> Callable[[Structure, NastranCard, int], Iterator[Entry]]:
     """Numbers of the row of a PBUSH that begins with K, B or GE."""
 
@@ -227,6 +239,8 @@ _FINDERS: dict[tuple[str, str], Callable[[Structure, NastranCard, int], Iterator
     ("spring_stiffness", "PELAS"): _spring,
     ("spring_stiffness", "PBUSH"): _bush("K"),
     ("viscous_damping", "PBUSH"): _bush("B"),
+    ("viscous_damping", "PDAMP"): _damper,
+    ("viscous_damping", "PVISC"): _line_damper,
     ("structural_damping", "PBUSH"): _bush("GE"),
     ("structural_damping", "PELAS"): _spring_loss,
 }

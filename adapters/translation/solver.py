@@ -20,6 +20,7 @@ from scipy import sparse
 from modetune.adapters.calculix.affected_elements import changed_numbers, changed_places
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, understand
 from modetune.adapters.calculix.solver import CalculixDeck, EditedCalculix, calculix_program
+from modetune.adapters.damping import NOTHING, damps_only
 from modetune.adapters.nastran import model as nastran_model
 from modetune.adapters.nastran.bulk import Bulk, read_bulk
 from modetune.adapters.nastran.case_control import read_case_control
@@ -36,6 +37,7 @@ from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values, driven_by
+from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult
 from modetune.core.updating.static import LoadCase
@@ -121,6 +123,8 @@ class TranslatedDeck(Deck):
 
         Not every parameter that a Nastran model is linear in is so in its translation.
         """
+        if damps_only(parameter, self.parameters):
+            return NOTHING
         driven = driven_by(parameter, self.parameters)
         moved = {item.quantity for item in (parameter, *driven)}
         if "poissons_ratio" in moved or any(degree(item.expression) > 1 for item in driven):
@@ -174,6 +178,15 @@ class TranslatedDeck(Deck):
                 "supported elements are in no matrix of CalculiX: use `solver: mystran`"
             )
         return found
+
+    def undamped(self) -> str:
+        return self.model.undamped_as(self)
+
+    def losses(self) -> tuple[Parameter, ...]:
+        return self.model.losses()
+
+    def damping(self, base: MatrixResult) -> DampingModel:
+        return self.model.dampers(self).model(self, base)
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         return self.model.write_updated(values, folder)

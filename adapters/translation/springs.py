@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.bush_axes import bush_axes, bush_place
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.calculix_text import number_list
@@ -94,12 +95,9 @@ def _bush(element: Any, freedoms: Freedoms) -> Deformations:
     values = [float(value or 0.0) for value in element.pid_ref.Ki]
     values += [0.0] * (6 - len(values))
     first, second = [*element.node_ids, None][:2]
-    start = freedoms.builder.coordinates[first]
-    span = freedoms.builder.coordinates[second] - start if second else np.zeros(3)
-    place = start + (0.5 if element.s is None else element.s) * span
-    if element.ocid is not None and element.ocid >= 0:
-        place = np.asarray(element.ocid_ref.transform_node_to_global(np.array(element.si)))
-    axes = _bush_axes(element, start, span, values, freedoms)
+    coordinates = freedoms.builder.coordinates
+    place, span = bush_place(element, coordinates)
+    axes = bush_axes(element, span, coordinates, freedoms.frames, values)
     found = []
     for component, stiffness in enumerate(values):
         if stiffness == 0.0:
@@ -139,34 +137,6 @@ def _motion(freedoms: Freedoms, node: int, place: Floats, axis: Floats, turns: b
     if not rotations:
         raise ValueError(f"point {node} is of solids and has no rotations")
     return freedoms.along(rotations, axis)
-
-
-def _bush_axes(
-    element: Any, place: Floats, span: Floats, values: list[float], freedoms: Freedoms
-) -> Floats:
-    """x, y, z of the bush as rows in basic coordinates."""
-    if element.cid is not None:
-        return local_axes(element.cid_ref, place)
-    length = float(np.linalg.norm(span))
-    size = 1e-9 * (1.0 + float(np.abs(place).max()))
-    if length <= size:
-        raise ValueError("its ends coincide or one is grounded: it needs a CID")
-    x = span / length
-    given = element.x if element.x is not None and element.x[0] is not None else None
-    if element.g0:
-        guess = np.asarray(freedoms.builder.coordinates[element.g0] - place)
-    elif given is not None:
-        frame = freedoms.frames.get(element.node_ids[0], np.eye(3))
-        guess = np.asarray(np.asarray(given, dtype=np.float64) @ frame)
-    elif any(values[1:3]) or any(values[4:6]):
-        raise ValueError("it has no orientation vector, and stiffness across its axis")
-    else:
-        guess = np.eye(3)[int(np.argmin(np.abs(x)))]
-    z = np.cross(x, guess)
-    if not np.linalg.norm(z) > 1e-6 * np.linalg.norm(guess):
-        raise ValueError("its orientation vector is along its axis")
-    z = z / np.linalg.norm(z)
-    return np.array([x, np.cross(z, x), z])
 
 
 #: Edge of the tetrahedra as a share of the model's extent.

@@ -23,23 +23,34 @@ Derivatives need no other vector, since left and right ones are one:
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
+
+logger = logging.getLogger(__name__)
 
 Complexes = NDArray[np.complex128]
 #: Relative change of s that ends the iteration, 100 times the rounding of a sum of squares.
 SETTLED = 1e-13
 MOST_STEPS = 12
 BESIDE = 1.0 + 1e-9
-#: Least squared cosine (in M) of a damped mode with the real one that it grew from.
-STILL_ITSELF = 0.5
+#: Least squared cosine (in M) of a damped mode with the real one that it grew from, and the least
+#: one of a real mode that a mixture is made of.
+STILL_ITSELF, TAKES_PART = 0.7, 0.1
+#: Relative difference of repeated roots, some digits above the square root of the rounding, which
+#: is what a defective pair is off by.
+ALIKE = 1e-7
+#: Im(s) / |s| of a root that oscillates: its damping ratio is below 1 by half the square of this.
+OVERDAMPED = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +95,23 @@ def ratio_slope(s: complex, change: complex) -> float:
     return -change.real / size + s.real * (s.conjugate() * change).real / size**3
 
 
-def damped_modes(system: DampedSystem, shapes: Floats, wanted: Integers) -> DampedModes:
+def damped_modes(
+    system: DampedSystem, shapes: Floats, wanted: Integers, like: Complexes | None = None
+) -> DampedModes:
     """The damped modes that real ones become.
 
-    shapes: (n, n_modes), mass-normalised, those of the undamped system; wanted: positions.
-    Raises ModesError where a mode is overdamped, or is no longer told from others.
+    shapes: (n, n_modes), mass-normalised, those of the undamped system; wanted: positions. like:
+    (n_wanted,), roots s of a test, by which those are told apart that damping mixes. Raises
+    ModesError where a mode is overdamped, or mixed without a test.
     """
     roots, vectors = _on_real_modes(system, shapes)
-    found = [_of_mode(system, shapes, roots, vectors, int(mode)) for mode in wanted]
+    chosen = _chosen(roots, vectors, wanted, like)
+    found = []
+    for mode, place in zip(wanted.tolist(), chosen, strict=True):
+        # Of repeated roots any vector is one, also such that x^T M x = 0; a real shape is none.
+        alike = np.abs(roots - roots[place]) <= ALIKE * np.abs(roots[place])
+        start = shapes[:, mode] if alike.sum() > 1 else shapes @ vectors[:, place]
+        found.append(_of_mode(system, complex(roots[place]), start.astype(np.complex128), mode))
     return DampedModes(
         np.array([root for root, _ in found]), np.column_stack([shape for _, shape in found])
     )
@@ -105,20 +125,52 @@ def _on_real_modes(system: DampedSystem, shapes: Floats) -> tuple[Complexes, Com
     whole[size:, :size] = -shapes.T @ (system.complex_stiffness @ shapes)
     whole[size:, size:] = -shapes.T @ (system.viscous @ shapes)
     roots, vectors = linalg.eig(whole)
-    above = roots.imag > 0.0
+    # An overdamped mode has two real roots, of which structural damping makes small angles.
+    above = roots.imag > np.abs(roots) * OVERDAMPED
     return roots[above], vectors[:size, above]
 
 
+def _chosen(
+    roots: Complexes, vectors: Complexes, wanted: Integers, like: Complexes | None
+) -> list[int]:
+    """The place of the root of each wanted mode.
+
+    Real modes of which damping makes mixtures are one set, and so are their roots.
+    """
+    shares = np.abs(vectors) ** 2 / (np.abs(vectors) ** 2).sum(axis=0)
+    mixed = shares.max(axis=0) < STILL_ITSELF
+    joined = (shares[:, mixed] >= TAKES_PART).astype(np.float64)
+    _, labels = connected_components(joined @ joined.T, directed=False)
+    chosen = [-1] * wanted.size
+    for label in dict.fromkeys(labels[wanted].tolist()):
+        members = np.flatnonzero(labels == label)
+        own = np.flatnonzero(shares[members].sum(axis=0) >= 0.5)
+        asked = np.flatnonzero(labels[wanted] == label)
+        names = " and ".join(str(mode + 1) for mode in members.tolist())
+        if own.size < members.size:
+            raise ModesError(
+                f"mode {names} of the model is overdamped: it no longer oscillates, so that it "
+                "has no damping ratio below 1"
+            )
+        if members.size == 1:
+            chosen[asked[0]] = int(own[np.argmax(shares[members[0], own])])
+            continue
+        if like is None:
+            raise ModesError(f"damping mixes modes {names} of the model wholly")
+        logger.info(
+            "damping mixes modes %s of the model: those of the test go with the damped ones whose "
+            "frequencies and ratios are nearest", names,
+        )  # fmt: skip
+        apart = np.abs(roots[own] / like[asked, None] - 1.0) ** 2
+        for row, column in zip(*linear_sum_assignment(apart), strict=True):
+            chosen[asked[row]] = int(own[column])
+    return chosen
+
+
 def _of_mode(
-    system: DampedSystem, shapes: Floats, roots: Complexes, vectors: Complexes, mode: int
+    system: DampedSystem, root: complex, x: Complexes, mode: int
 ) -> tuple[complex, Complexes]:
-    """The root and the vector (n,) of one mode, on all equations."""
-    lost = f"mode {mode + 1} of the model is overdamped, or damping mixes it with others wholly"
-    shares = np.abs(vectors[mode]) ** 2 / (np.abs(vectors) ** 2).sum(axis=0)
-    if not shares.size or shares.max() < STILL_ITSELF:
-        raise ModesError(lost)
-    place = int(np.argmax(shares))
-    root, x = complex(roots[place]), shapes @ vectors[:, place]
+    """The root and the vector (n,) of one mode on all equations, from near ones."""
     stiff = system.complex_stiffness
     for step in range(MOST_STEPS):
         x = x / np.sqrt(x @ (system.mass @ x))
@@ -126,11 +178,12 @@ def _of_mode(
         before, root = root, complex(min(np.roots(terms), key=lambda s: abs(s - root)))
         # On the real modes' space the first root is its own already, whatever lies outside.
         if step and abs(root - before) <= SETTLED * abs(root):
-            if root.imag <= 0.0:
-                raise ModesError(lost)
             return root, x
         near = root * BESIDE  # at the root itself a pivot may be zero
         pencil = sparse.csc_array(stiff + near * system.viscous + near**2 * system.mass)
         y = splu(pencil).solve(np.asarray(2.0 * root * (system.mass @ x) + system.viscous @ x))
         x = y / np.abs(y).max()
-    raise ModesError(f"{lost}: its iteration did not settle")
+    raise ModesError(
+        f"the iteration for damped mode {mode + 1} of the model did not settle: it is next to "
+        "being overdamped"
+    )

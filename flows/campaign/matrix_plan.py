@@ -85,6 +85,8 @@ def sampling(solver: Solver, parameter: Parameter, step: float) -> Sampling:
         # Beyond its bounds a number may be none that a model can have.
         ends = (parameter.upper / parameter.initial, parameter.lower / parameter.initial)
         factors = (max(ends, key=lambda factor: abs(factor - 1.0)),)
+    if affected is not None and not (affected.stiffness or affected.mass):
+        factors = ()  # of damping alone
     return Sampling(affected, powers, factors)
 
 

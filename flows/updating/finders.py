@@ -241,12 +241,14 @@ class BySolver:
 
 def assembled(source: MatrixSource, theta: Floats) -> MatricesAt:
     """A model's matrices at a set, from jobs that are done. Raises ModelError."""
-    return MatricesAt(source.matrices(theta, range(theta.size)), source.written(theta))
+    model = source.matrices(theta, range(theta.size))
+    return MatricesAt(model, source.written(theta), source.group_stiffness(theta))
 
 
 def by_solver(campaign: Campaign, engine: JobEngine) -> BySolver:
     """The finder of the solver's own modes for a campaign's only case."""
-    source = MatrixSource(engine, campaign.parameters, campaign.sensitivity.step)
+    parameters, step = campaign.parameters, campaign.sensitivity.step
+    source = MatrixSource(engine, parameters, step, campaign.case.needs("losses"))
     plans = sensitivities(campaign, source, campaign_analysis(campaign))
     return BySolver(campaign, source, plans.methods())
 

@@ -10,8 +10,8 @@ was given as matrices has its own parts, and needs no job.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 
@@ -22,8 +22,9 @@ from modetune.adapters.solver import MatrixAnalysis
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.parameters import ParameterSet
+from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.keys import Json, canonical_json, content_key
+from modetune.core.updating.damping import GroupStiffness
 from modetune.core.updating.matrix_samples import differences, remainder, separate
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
@@ -57,6 +58,9 @@ WITHOUT_MATRICES = (
 class MatrixSource:
     """Where a model's matrices come from; step: relative, of differences where there are no powers.
 
+    with_losses: whether damping needs the stiffness of groups that have loss factors. beside:
+    values of parameters that are not its own.
+
     Each model has a source of its own. The matrices at a set are those of `columns`, positions of
     parameters; of a model that is known `everywhere` they are the same for all sets and columns.
     """
@@ -64,6 +68,8 @@ class MatrixSource:
     engine: JobEngine
     parameters: ParameterSet
     step: float
+    with_losses: bool = False
+    beside: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def everywhere(self) -> bool:
@@ -81,9 +87,13 @@ class MatrixSource:
         """
         if self._given is not None:
             return ()
-        if self.everywhere and self.key(theta, columns) in self.engine.store:
-            return ()
-        return self._jobs(self._plan(theta, columns))
+        known = self.everywhere and self.key(theta, columns) in self.engine.store
+        own = () if known else self._jobs(self._plan(theta, columns))
+        groups = self._groups(theta)
+        if groups is None:
+            return own
+        more = groups.jobs(groups.parameters.initial, range(len(groups.parameters)))
+        return tuple({self.engine.key(job): job for job in (*more, *own)}.values()) if more else own
 
     def works(self, theta: Floats, columns: Sequence[int]) -> list[Work]:
         """The same, a piece of work each."""
@@ -129,9 +139,41 @@ class MatrixSource:
         """As `matrices`; results of jobs leave the store, which has what was made of them."""
         jobs = self.jobs(theta, columns)
         found = self.matrices(theta, columns)
+        self.group_stiffness(theta)
         for job in jobs:
             self.engine.store.drop(self.engine.key(job))
         return found
+
+    def group_stiffness(self, theta: Floats) -> GroupStiffness | None:
+        """Stiffness of the groups that have loss factors, from jobs that have gone before."""
+        groups = self._groups(theta)
+        if groups is None:
+            return None
+        deck, start = self.engine.solver.deck, groups.parameters.initial
+        if groups.beside:
+            at = self.written(theta)
+        else:
+            values = [(p, deck.deck_value(p)) for p in self.parameters.parameters]
+            at = np.array([p.relative_to(value, value) for p, value in values])
+        return GroupStiffness(groups.matrices(start, range(start.size)), at)
+
+    def _groups(self, theta: Floats) -> MatrixSource | None:
+        """Where these come from: of the deck's own values, or around a set."""
+        if not self._losses:
+            return None
+        return self._own_groups if self.everywhere else self._groups_beside(theta)
+
+    def _groups_beside(self, theta: Floats | None) -> MatrixSource:
+        beside = {} if theta is None else self.parameters.values(theta)
+        return MatrixSource(self.engine, ParameterSet(self._losses), self.step, beside=beside)
+
+    @cached_property
+    def _own_groups(self) -> MatrixSource:
+        return self._groups_beside(None)
+
+    @cached_property
+    def _losses(self) -> tuple[Parameter, ...]:
+        return self.engine.solver.deck.losses() if self.with_losses else ()
 
     def without_powers(self, columns: Sequence[int]) -> list[int]:
         """Those of these columns whose derivatives are differences of pairs of matrices."""
@@ -190,7 +232,10 @@ class MatrixSource:
 
     def _jobs(self, chosen: MatrixPlan) -> tuple[Job, ...]:
         thetas = [np.array(chosen.base), *(sample.values for sample in chosen.samples)]
-        return tuple(Job(self.parameters.values(theta), MatrixAnalysis()) for theta in thetas)
+        return tuple(
+            Job({**self.beside, **self.parameters.values(theta)}, MatrixAnalysis())
+            for theta in thetas
+        )
 
     def _take_apart(self, chosen: MatrixPlan, wide: bool) -> ParameterMatrices:
         first, *others = self._jobs(chosen)

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from modetune.core.algebra.damped_modes import damped_modes, ratio_slope
+from modetune.core.algebra.damped_modes import ALIKE, damped_modes, ratio_slope
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
@@ -45,7 +45,7 @@ class DampingRatios:
     tolerance: float
     damping: Callable[[MatrixResult], DampingModel]
     kind: ClassVar[str] = "damping"
-    needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
+    needs: ClassVar[frozenset[Need]] = frozenset({"matrices", "losses"})
     #: Of the newest set, as values and derivatives are asked for one after the other.
     _newest: list[tuple[MatricesAt, Integers, Floats, Floats]] = field(
         default_factory=list, repr=False, compare=False
@@ -76,7 +76,7 @@ class DampingRatios:
         """Ratios (n_pairs,) and their derivatives (n_pairs, n_parameters)."""
         given, modal = state.matrices, state.modal
         if given is None or modal is None:
-            raise ModesError("damping ratios need the matrices of the model")
+            raise ModesError("damping ratios require the matrices of the model")
         wanted = state.pairing.computed + modal.n_rigid
         for known, pairs, ratios, slopes in self._newest:
             if (
@@ -89,13 +89,19 @@ class DampingRatios:
         n_modes = min(int(wanted.max()) + 1 + MORE_MODES, here.nodes.size)
         real = ModeSolver().solve(here.upper_stiffness, here.upper_mass, n_modes)
         model = self.damping(given.model.base)
-        system = model.system(given.model, given.theta)
-        found = damped_modes(system, real.shapes, wanted)
+        system = model.system(given.model, given.theta, given.groups)
+        modes = state.test.modes.select(state.pairing.measured)
+        ratios = np.clip(modes.damping_ratios, 0.0, 1.0)
+        like = 2.0 * np.pi * modes.frequencies_hz * (1j * np.sqrt(1.0 - ratios**2) - ratios)
+        found = damped_modes(system, real.shapes, wanted, like)
         slopes = np.zeros((wanted.size, given.theta.size))
         for column in range(given.theta.size):
-            change = model.change(given.model, given.theta, column)
+            change = model.change(given.model, given.theta, column, given.groups)
             for row, root in enumerate(found.roots):
                 moved = system.slope(root, found.shapes[:, row], change)
                 slopes[row, column] = ratio_slope(root, moved)
+        for root in found.roots:  # of repeated ones only the mean has derivatives of its own
+            alike = np.abs(found.roots - root) <= ALIKE * abs(root)
+            slopes[alike] = slopes[alike].mean(axis=0)
         self._newest[:] = [(given, wanted, found.damping_ratios, slopes)]
         return found.damping_ratios, slopes

@@ -29,24 +29,27 @@ from modetune.core.correlation.pairing import Pairing
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
+from modetune.core.updating.damping import GroupStiffness
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.core.updating.weighting import Weighting
 
 #: What a response takes besides frequencies: shapes at the sensors and their derivatives; K, M and
-#: their derivatives.
-Need = Literal["shapes", "matrices"]
+#: their derivatives; with them the stiffness of groups that have a loss factor.
+Need = Literal["shapes", "matrices", "losses"]
 
 
 @dataclass(frozen=True, slots=True)
 class MatricesAt:
     """Stiffness and mass of a case at parameter values, and how they change there.
 
-    theta: (n_parameters,), the case's own parameters.
+    theta: (n_parameters,), the case's own parameters. groups: of losses, where a response needs
+    them and the model has them.
     """
 
     model: ParameterMatrices
     theta: Floats
+    groups: GroupStiffness | None = None
 
     @property
     def here(self) -> MatrixResult:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import NOT_NEGATIVE, POWERS, Parameter
+from modetune.core.parameters import DAMPING, NOT_NEGATIVE, POWERS, Parameter
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.self_test import not_confirmed
@@ -73,7 +73,7 @@ def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]
             found.append(
                 ("wrong", f"{bounds} let Poisson's ratio reach {reach:.3g}", "keep it below 0.5")
             )
-    if not any(POWERS[item.quantity]) and item.quantity != "variable":
+    if item.quantity in DAMPING and not campaign.case.needs("losses"):
         found.append(
             (
                 "doubtful",

@@ -1,0 +1,62 @@
+"""Damping in a CalculiX deck: *DASHPOT elements, and *DAMPING, STRUCTURAL= of materials.
+
+A DASHPOTA acts along the line between its nodes, as the deck's coordinates have them. ALPHA and
+BETA of *DAMPING are of explicit dynamics alone (ccx 2.20), and refused here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modetune.adapters.calculix.model import CalculixModel
+from modetune.adapters.calculix.places import dashpot_field, find_numbers, loss_fields
+from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
+from modetune.adapters.solver import Deck
+from modetune.core.errors import ModelError
+from modetune.core.parameters import Parameter
+
+
+def damped_materials(model: CalculixModel) -> tuple[Parameter, ...]:
+    """Materials of elements that have a loss factor. Raises ModelError."""
+    found = []
+    for card in model.deck.named("*MATERIAL"):
+        name = card.option("NAME")
+        if any(model.members(user) for user in model.users({name})) and loss_fields(model, name):
+            found.append(group("material", name))
+    return tuple(found)
+
+
+def dampers(model: CalculixModel, deck: Deck, parameters: tuple[Parameter, ...]) -> Dampers:
+    """All that damps the deck. Raises ModelError with file and line for what is not followed."""
+    known = Coefficients(parameters, lambda item: find_numbers(model, item))
+    mesh, links = deck.mesh(), []
+    rows = {node: row for row, node in enumerate(mesh.nodes.tolist())}
+    ends = {
+        number: nodes
+        for cells in mesh.cells
+        for number, nodes in zip(cells.elements.tolist(), cells.nodes.tolist(), strict=True)
+    }
+    for card in model.deck.named("*DASHPOT"):
+        members, where = model.members(card), model.deck.where(card)
+        kinds = {model.mesh.elements[number].kind for number in members}
+        if kinds - {"DASHPOTA"}:
+            raise ModelError(f"{where}: *DASHPOT of {min(kinds)} is not DASHPOTA, as ccx takes it")
+        field = dashpot_field(model, card)
+        number = known.of((field.line, field.place), field.value, where)
+        for element in sorted(members):
+            first, second = ends[element]
+            span = mesh.coordinates[rows[second]] - mesh.coordinates[rows[first]]
+            length = float(np.linalg.norm(span))
+            if not length:
+                raise ModelError(f"{where}: the nodes of dashpot {element} coincide")
+            axis = (span / length).tolist()
+            dofs = tuple((node, axis_of) for node in (first, second) for axis_of in (1, 2, 3))
+            factors = (*(-value for value in axis), *axis)
+            links.append(Link("viscous", dofs, factors, (number,), where))
+    groups = damped_materials(model)
+    factors_of, places = [], []
+    for item in groups:
+        (field,) = loss_fields(model, item.targets[0])
+        places.append(model.deck.lines[field.line].where)
+        factors_of.append(known.of((field.line, field.place), field.value, places[-1]))
+    return Dampers(tuple(links), losses_of(deck, parameters, groups, factors_of, places))

@@ -1,0 +1,205 @@
+"""Damping in a Nastran deck: dampers, and loss factors (GE) of materials, laminates and springs.
+
+GE of a material damps all its elements but laminates', which have that of their own property; a
+PSHELL takes that of MID1. GE1 of a PBUSH alone goes for all its directions. PARAM,G is a loss
+factor of all stiffness beside these (MSC's Quick Reference Guide, PBUSH, PCOMP, PSHELL). W3 and W4
+are of transient solutions and change nothing here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
+from modetune.adapters.nastran.bush_axes import bush_axes, bush_place
+from modetune.adapters.nastran.deck import NastranCard
+from modetune.adapters.nastran.geometry import output_frames
+from modetune.adapters.nastran.places import ELEMENT_ENTRIES, MATERIAL_ENTRIES
+from modetune.adapters.nastran.sections import FIELDS, holds, section_entries
+from modetune.adapters.nastran.structure import Structure
+from modetune.adapters.numbers import Number
+from modetune.adapters.solver import Deck
+from modetune.core.errors import ModelError
+from modetune.core.modes import Floats
+from modetune.core.parameters import Parameter, Quantity
+from modetune.core.updating.damping import DampingKind, Linear
+
+LAMINATES = ("PCOMP", "PCOMPG")
+SCALAR = ("CDAMP1", "CDAMP2", "CDAMP3", "CDAMP4", "CELAS1", "CELAS2", "CELAS3", "CELAS4")
+LINES = ("CBUSH", "CVISC")
+#: Dampers that are not followed.
+OTHERS = {"CBUSH1D": "c", "CBUSH2D": "b1"}
+#: Items of a PVISC: along the line, and about it.
+ALONG, ABOUT = 1, 2
+
+#: Degrees of freedom with their factors.
+Form = list[tuple[tuple[int, int], float]]
+
+
+def damped_groups(structure: Structure) -> tuple[Parameter, ...]:
+    """Materials and laminates of elements whose card has a GE, zero or not."""
+    found = []
+    used = set(structure.rods_of)
+    for number, materials in structure.materials_of.items():
+        (card,) = structure.owners.properties[number][:1]
+        if card.name not in LAMINATES:
+            used |= materials
+        elif structure.number(card, _loss_field(card)) is not None:
+            found.append(group("property", str(number)))
+    for number in sorted(used & structure.owners.materials.keys()):
+        card = structure.owners.materials[number][0]
+        known = ("structural_damping", card.name) in MATERIAL_ENTRIES
+        if known and structure.number(card, _loss_field(card)) is not None:
+            found.append(group("material", str(number)))
+    return tuple(found)
+
+
+def _loss_field(card: NastranCard) -> int:
+    entries = FIELDS if card.name in LAMINATES else MATERIAL_ENTRIES
+    ((_, field, _),) = entries["structural_damping", card.name]
+    return field
+
+
+def dampers(
+    structure: Structure, deck: Deck, parameters: Sequence[Parameter], uniform: float
+) -> Dampers:
+    """All that damps the deck; uniform: PARAM,G. Raises ModelError for what is not followed."""
+
+    def numbers_of(item: Parameter) -> list[Number]:
+        return deck.numbers(item)
+
+    known = Coefficients(parameters, numbers_of)
+    groups, factors, places = damped_groups(structure), list[Linear](), list[str]()
+    for item in groups:
+        family = (
+            structure.owners.properties if item.by == "property" else structure.owners.materials
+        )
+        card = family[int(item.targets[0])][0]
+        place = structure.field(card, _loss_field(card))
+        value = structure.number(card, _loss_field(card)) or 0.0
+        places.append(structure.deck.where(card))
+        factors.append(known.of(place, value, places[-1]))
+        shared = deck.affected_elements(item)
+        own = structure.elements_of.get(int(item.targets[0]))
+        if item.by == "property" and shared is not None and own != shared.elements:
+            raise ModelError(
+                f"{places[-1]}: GE of {card.name} {card.text(1)}: other properties use its "
+                "materials, which is not followed: give it materials of its own"
+            )
+    links = tuple(_Links(structure, known).all())
+    return Dampers(links, losses_of(deck, parameters, groups, factors, places), uniform)
+
+
+class _Links:
+    """What dampers and springs with loss factors act on."""
+
+    def __init__(self, structure: Structure, known: Coefficients) -> None:
+        self._structure, self._known, self._bulk = structure, known, structure.bulk
+        lines = [item for item in self._bulk.elements.values() if item.type in LINES]
+        ends = {n for item in lines for n in (*item.node_ids, getattr(item, "g0", None)) if n}
+        self._places = {n: np.asarray(self._bulk.nodes[n].get_position()) for n in ends}
+        self._frames = output_frames(self._bulk) if lines else {}
+
+    def all(self) -> Iterator[Link]:
+        for number, element in sorted(self._bulk.elements.items()):
+            where = self._structure.deck.where(self._structure.owners.elements[number][0])
+            if element.type in OTHERS and getattr(element.pid_ref, OTHERS[element.type], None):
+                raise ModelError(f"{where}: damping of {element.type} is not followed: use CBUSH")
+            if element.type not in (*SCALAR, *LINES):
+                continue
+            try:
+                for kind, form, numbers in self._of(element):
+                    dofs, factors = zip(*form, strict=True)
+                    yield Link(kind, dofs, factors, numbers, where)
+            except ValueError as error:
+                raise ModelError(f"{where}: {element.type} {number}: {error}") from None
+
+    def _of(self, element: Any) -> Iterator[tuple[DampingKind, Form, tuple[Linear, ...]]]:
+        if element.type == "CBUSH":
+            yield from self._bush(element)
+        elif element.type == "CVISC":
+            first, second = element.node_ids
+            span = self._places[second] - self._places[first]
+            axis = span / np.linalg.norm(span)
+            for item, start in ((ALONG, 1), (ABOUT, 4)):
+                number = self._number("viscous_damping", element, item)
+                if number is not None:
+                    ends = ((second, 1.0), (first, -1.0))
+                    form = [term for n, sign in ends for term in self._along(n, sign * axis, start)]
+                    yield "viscous", form, (number,)
+        elif element.type.startswith("CDAMP"):
+            number = self._number("viscous_damping", element)
+            if number is not None:
+                yield "viscous", _scalar(element), (number,)
+        else:
+            loss = self._number("structural_damping", element)
+            stiffness = self._number("spring_stiffness", element)
+            if loss is not None and stiffness is not None:
+                yield "structural", _scalar(element), (loss, stiffness)
+
+    def _bush(self, element: Any) -> Iterator[tuple[DampingKind, Form, tuple[Linear, ...]]]:
+        names: tuple[Quantity, ...] = ("viscous_damping", "structural_damping", "spring_stiffness")
+        if element.pid_ref.type != "PBUSH":
+            return
+        viscous, loss, stiffness = (
+            [self._number(name, element, item) for item in range(1, 7)] for name in names
+        )
+        if loss[0] is not None and not any(loss[1:]):
+            loss = loss[:1] * 6
+        pairs = [(a, b) if a and b else None for a, b in zip(loss, stiffness, strict=True)]
+        damped = [float(bool(v or pair)) for v, pair in zip(viscous, pairs, strict=True)]
+        if not any(damped):
+            return
+        place, span = bush_place(element, self._places)
+        axes = bush_axes(element, span, self._places, self._frames, damped)
+        first, second = [*element.node_ids, None][:2]
+        for item, (number, pair) in enumerate(zip(viscous, pairs, strict=True)):
+            axis, form = axes[item % 3], Form()
+            for node, sign in ((second, 1.0), (first, -1.0)):
+                if node and item < 3:
+                    arm = place - self._places[node]
+                    form += self._along(node, sign * axis, 1)
+                    form += self._along(node, sign * np.cross(arm, axis), 4)
+                elif node:
+                    form += self._along(node, sign * axis, 4)
+            if number is not None:
+                yield "viscous", form, (number,)
+            if pair is not None:
+                yield "structural", form, pair
+
+    def _along(self, node: int, vector: Floats, first: int) -> Form:
+        """A basic vector times the motion of a grid point, in the axes that results have there."""
+        own = self._frames.get(node, np.eye(3)) @ vector
+        return [((node, first + k), value) for k, value in enumerate(own.tolist()) if value]
+
+    def _number(self, quantity: Quantity, element: Any, item: int = 0) -> Linear | None:
+        """A number of an element or its property, None where its field is blank."""
+        structure = self._structure
+        card = structure.owners.elements[element.eid][0]
+        entries = ELEMENT_ENTRIES.get((quantity, card.name))
+        if entries is None and isinstance(getattr(element, "pid", None), int):
+            card = structure.property_card(str(element.pid))
+            if holds(quantity, card.name):
+                entries = tuple(section_entries(structure, quantity, card, element.pid))
+        for _, field, _ in (entry for entry in entries or () if entry[0] == item):
+            value = structure.number(card, field)
+            if value is not None:
+                return self._known.of(
+                    structure.field(card, field), value, structure.deck.where(card)
+                )
+        return None
+
+
+def _scalar(element: Any) -> Form:
+    """The first end less the second one, ground left out. Raises ValueError where both are."""
+    found: Form = []
+    for place, node in enumerate(element.node_ids):
+        if node:
+            component = int(getattr(element, f"c{place + 1}", 0) or 0) or 1
+            found.append(((node, component), -1.0 if place else 1.0))
+    if not found:
+        raise ValueError("both its ends are grounded")
+    return found
