@@ -39,8 +39,9 @@ from modetune.core.modes import Floats, Integers
 logger = logging.getLogger(__name__)
 
 Complexes = NDArray[np.complex128]
-#: Relative change of s that ends the iteration, 100 times the rounding of a sum of squares.
-SETTLED = 1e-13
+#: Relative change of s that ends the iteration, 100 times the rounding of a sum of squares; and how
+#: many times the rounding of x^T K x, whose terms are far above the sum where parts are stiff.
+SETTLED, ROUNDED = 1e-13, 4.0 * float(np.finfo(np.float64).eps)
 MOST_STEPS = 12
 BESIDE = 1.0 + 1e-9
 #: Least squared cosine (in M) of a damped mode with the real one that it grew from, and the least
@@ -171,13 +172,15 @@ def _of_mode(
     system: DampedSystem, root: complex, x: Complexes, mode: int
 ) -> tuple[complex, Complexes]:
     """The root and the vector (n,) of one mode on all equations, from near ones."""
-    stiff = system.complex_stiffness
+    stiff, sizes = system.complex_stiffness, abs(system.stiffness)
     for step in range(MOST_STEPS):
-        x = x / np.sqrt(x @ (system.mass @ x))
-        terms = [1.0, x @ (system.viscous @ x), x @ (stiff @ x)]
+        x = x / np.sqrt(np.sum(x * np.asarray(system.mass @ x)))
+        terms = [1.0, *(np.sum(x * np.asarray(part @ x)) for part in (system.viscous, stiff))]
         before, root = root, complex(min(np.roots(terms), key=lambda s: abs(s - root)))
         # On the real modes' space the first root is its own already, whatever lies outside.
-        if step and abs(root - before) <= SETTLED * abs(root):
+        apart = abs(root - before) / abs(root)
+        size = float(np.sum(np.abs(x) * np.asarray(sizes @ np.abs(x)))) / abs(root) ** 2
+        if step and apart <= SETTLED + ROUNDED * size:
             return root, x
         near = root * BESIDE  # at the root itself a pivot may be zero
         pencil = sparse.csc_array(stiff + near * system.viscous + near**2 * system.mass)

@@ -117,3 +117,39 @@ def test_an_overdamped_mode_is_said_to_be_so() -> None:
     one = np.ones((1, 1))
     with pytest.raises(ModesError, match="overdamped"):
         damped_modes(system(one, one, 5.0 * one, 0.0 * one), one, np.array([0]))
+
+
+def test_equal_oscillators_joined_by_a_damper_are_told_apart_by_the_test() -> None:
+    """Real modes are any two; damped ones move together (zeta 0.01) or against each other."""
+    one = np.eye(2)
+    c = 0.02 * one + between(2, 0, 1, 0.1)
+    given, shapes = system(one, one, c, 0.0 * one), one
+    like = np.array([-0.12 + 0.99j, -0.008 + 1.0j])
+    found = damped_modes(given, shapes, np.arange(2), like)
+    np.testing.assert_allclose(found.damping_ratios, [0.11, 0.01], rtol=1e-12)
+    slopes = [
+        ratio_slope(s, given.slope(s, x, system(0 * one, 0 * one, between(2, 0, 1, 1.0), 0 * one)))
+        for s, x in zip(found.roots, found.shapes.T, strict=True)
+    ]
+    np.testing.assert_allclose(slopes, [1.0, 0.0], atol=1e-10)
+    with pytest.raises(ModesError, match="mixes modes 1 and 2"):
+        damped_modes(given, shapes, np.arange(2))
+
+
+def test_a_repeated_damped_mode_has_its_ratio_and_a_shape_with_mass() -> None:
+    one = np.eye(3)
+    turned, _ = np.linalg.qr(np.array([[1.0, 2.0, 0.3], [0.5, -1.0, 2.0], [1.0, 0.1, 0.4]]))
+    k = turned @ np.diag([1.0, 1.0, 4.0]) @ turned.T
+    found = damped_modes(system(k, one, 0.04 * one, 0.0 * one), turned, np.arange(3))
+    np.testing.assert_allclose(found.damping_ratios, [0.02, 0.02, 0.01], rtol=1e-10)
+
+
+def test_an_overdamped_mode_beside_others_is_named() -> None:
+    k, m = chain(4)
+    _, shapes = linalg.eigh(k, m)
+    whole_modes = np.linalg.inv(shapes)
+    c = whole_modes.T @ np.diag([0.1, 500.0, 0.1, 0.1]) @ whole_modes
+    given = system(k, m, c, 0.0 * k)
+    assert damped_modes(given, shapes, np.array([0, 2])).roots.size == 2
+    with pytest.raises(ModesError, match="mode 2 of the model is overdamped"):
+        damped_modes(given, shapes, np.array([1]))

@@ -1,0 +1,171 @@
+"""Damping of decks found through the command line, from tests of LAPACK on all equations."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.nastran.dialect import MYSTRAN
+from modetune.adapters.nastran.solver import mystran_solver
+from tests.adapters.damped_decks import damped_system, measured, roots
+from tests.command_line import run_command
+
+mystran = pytest.mark.skipif(
+    shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
+    reason="MYSTRAN is not here (tools/mystran.sh)",
+)
+ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not here")
+
+
+def sandwich() -> str:
+    """A cantilever of two skins on a soft core with a loss factor of its own, held by a dashpot."""
+    lines, elements = ["*NODE"], dict[str, list[str]](SKIN=[], CORE=[])
+
+    def node(i: int, j: int, k: int) -> int:
+        return 1 + i + 5 * (j + 2 * k)
+
+    for k, z in enumerate((0.0, 0.002, 0.008, 0.01)):
+        for j in range(2):
+            lines += [f"{node(i, j, k)},{0.05 * i},{0.04 * j},{z}" for i in range(5)]
+    lines.append("99,0.2,0.,-0.1")
+    for k, name in enumerate(("SKIN", "CORE", "SKIN")):
+        for i in range(4):
+            low = [node(i, 0, k), node(i + 1, 0, k), node(i + 1, 1, k), node(i, 1, k)]
+            corners = ",".join(str(n) for n in [*low, *(n + 10 for n in low)])
+            elements[name].append(f"{4 * k + i + 1},{corners}")
+    for name, rows in elements.items():
+        lines += [f"*ELEMENT, TYPE=C3D8I, ELSET={name}", *rows]
+    lines += ["*ELEMENT, TYPE=DASHPOTA, ELSET=STAY", f"50,{node(4, 0, 0)},99"]
+    lines += ["*MATERIAL, NAME=ALU", "*ELASTIC", "7e10,0.3", "*DENSITY", "2700."]
+    lines += ["*MATERIAL, NAME=GUM", "*ELASTIC", "2e8,0.4", "*DENSITY", "1100."]
+    lines += ["*DAMPING, STRUCTURAL=0.2", "*SOLID SECTION, ELSET=SKIN, MATERIAL=ALU"]
+    lines += ["*SOLID SECTION, ELSET=CORE, MATERIAL=GUM", "*DASHPOT, ELSET=STAY", "", "8."]
+    held = [node(0, j, k) for j in range(2) for k in range(4)]
+    lines += ["*BOUNDARY", *(f"{n},1,3" for n in (*held, 99))]
+    return "\n".join([*lines, "*STEP", "*FREQUENCY", "6", "*END STEP", ""])
+
+
+def plate() -> str:
+    """A clamped plate of aluminium, part of it with a lossy coating that is a plate of its own."""
+    lines = ["BEGIN BULK", "EIGRL,1,,,6"]
+    for j in range(4):
+        held = "123456" if j == 0 else ""
+        lines += [f"GRID,{10 * j + i},,{0.1 * i},{0.12 * j},0.,,{held}" for i in range(4)]
+    for j in range(3):
+        for i in range(3):
+            low = 10 * j + i
+            own = 2 if j < 2 and i > 0 else 1
+            lines.append(f"CQUAD4,{100 + low},{own},{low},{low + 1},{low + 11},{low + 10}")
+    lines += ["PSHELL,1,1,.003,1,,1", "PSHELL,2,2,0.0045,2,,2"]
+    lines += ["MAT1,1,7.+10,,0.3,2700.,,,0.002", "MAT1,2,4.+10,,0.33,2200.,,,0.05"]
+    text = "\n".join([*lines, "CDAMP2,300,0.5,30,3,33,3", "ENDDATA", ""])
+    return text.replace("GRID,0,", "GRID,40,").replace("CQUAD4,100,1,0,", "CQUAD4,100,1,40,")
+
+
+def mast() -> str:
+    """A mast whose first bending mode a tuned mass damper makes two heavily damped ones."""
+    lines = ["BEGIN BULK", "EIGRL,1,,,6", "GRID,10,,0.,0.,0.,,123456"]
+    lines += [f"GRID,{n},,0.,0.,{n}.,,246" for n in range(1, 9)]
+    lines += ["GRID,9,,0.,0.,8.,,23456"]
+    lines += [f"CBAR,{n},1,{n - 1 or 10},{n},0.,1.,0." for n in range(1, 9)]
+    lines += ["PBAR,1,1,2.-3,4.-6,4.-6,8.-6", "MAT1,1,2.1+11,,0.3,7850.,,,0.01"]
+    lines += ["CONM2,20,9,,1.5", "CELAS2,30,220.,8,1,9,1", "CDAMP2,31,4.,8,1,9,1", "ENDDATA", ""]
+    return "\n".join(lines)
+
+
+def machine() -> str:
+    """A stiff frame with a heavy body on rubber mounts, bushes that stand slanting."""
+    lines = ["BEGIN BULK", "EIGRL,1,,,8", "CORD2R,3,,0.,0.,0.,0.3,0.,1.", ",1.,0.,0."]
+    for n, (x, y) in enumerate([(0.0, 0.0), (1.2, 0.0), (1.2, 0.7), (0.0, 0.7)], 1):
+        lines += [f"GRID,{n},,{x},{y},0.", f"GRID,{10 + n},,{x},{y},0.,,123456"]
+        lines += [f"CBUSH,{20 + n},{7 if n < 3 else 8},{n},{10 + n},,,,3"]
+        lines += [f"CBAR,{n},1,{n},{n % 4 + 1},0.,0.,1."]
+    lines += ["GRID,5,,0.5,0.3,0.2", "RBE2,40,5,123456,1,2,3,4", "CONM2,41,5,,80.,,,,"]
+    lines += [",3.,,7.,,,8.", "PBAR,1,1,1.-3,1.-6,1.-6,2.-6", "MAT1,1,2.1+11,,0.3,7850."]
+    lines += ["PBUSH,7,K,2.+5,2.+5,4.+5", ",,GE,0.15", "PBUSH,8,K,2.5+5,2.5+5,5.+5"]
+    return "\n".join([*lines, ",,B,60.,60.,90.", "ENDDATA", ""])
+
+
+CASES: dict[str, tuple[Any, Any, str, dict[str, str], dict[str, float], str, int]] = {
+    "sandwich": (
+        sandwich, calculix_solver, "inp",
+        {"STRUCTURAL=0.2": "STRUCTURAL=0.26", "2e8,0.4": "2.4e8,0.4", "\n8.\n": "\n5.6\n"},
+        {"gum": 1.3, "E": 1.2, "stay": 0.7},
+        "{name: gum, quantity: structural_damping, material: GUM, bounds: [0.3, 3.0]}\n"
+        "{name: E, quantity: youngs_modulus, material: GUM, bounds: [0.5, 2.0]}\n"
+        "{name: stay, quantity: viscous_damping, elset: STAY, bounds: [0.3, 3.0]}", 4,
+    ),
+    "plate": (
+        plate, mystran_solver, "bdf",
+        {",0.05\n": ",0.062\n", "2,0.0045": "2,0.00495", "300,0.5": "300,0.4"},
+        {"ge": 1.24, "t": 1.1, "c": 0.8},
+        "{name: ge, quantity: structural_damping, material: 2, bounds: [0.3, 3.0]}\n"
+        "{name: t, quantity: thickness, property: 2, bounds: [0.6, 1.5]}\n"
+        "{name: c, quantity: viscous_damping, element: 300, bounds: [0.3, 3.0]}", 4,
+    ),
+    "mast": (
+        mast, mystran_solver, "bdf",
+        {"31,4.": "31,5.6", "30,220.": "30,242.", ",0.01\n": ",0.012\n"},
+        {"b": 1.4, "k": 1.1, "ge": 1.2},
+        "{name: b, quantity: viscous_damping, element: 31, bounds: [0.3, 3.0]}\n"
+        "{name: k, quantity: spring_stiffness, element: 30, bounds: [0.5, 2.0]}\n"
+        "{name: ge, quantity: structural_damping, material: 1, bounds: [0.3, 3.0]}", 3,
+    ),
+    "machine": (
+        machine, mystran_solver, "bdf",
+        {"GE,0.15": "GE,0.12", "B,60.,60.,90.": "B,72.,72.,108.",
+         "2.5+5,2.5+5,5.+5": "3.+5,3.+5,6.+5"},
+        {"ge": 0.8, "b": 1.2, "k": 1.2},
+        "{name: ge, quantity: structural_damping, property: 7, bounds: [0.3, 3.0]}\n"
+        "{name: b, quantity: viscous_damping, property: 8, bounds: [0.3, 3.0]}\n"
+        "{name: k, quantity: spring_stiffness, property: 8, bounds: [0.5, 2.0]}", 6,
+    ),
+}  # fmt: skip
+
+
+N_MATRICES = {"sandwich": 2, "plate": 9, "mast": 3, "machine": 2}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=ccx if name == "sandwich" else mystran) for name in CASES]
+)
+def test_dampers_of_a_deck_are_found_from_ratios(name: str, tmp_path: Path) -> None:
+    written, solver_of, suffix, changes, truth, parameters, n_modes = CASES[name]
+    text = written()
+    (tmp_path / "true").mkdir()
+    (tmp_path / f"{name}.{suffix}").write_text(text)
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "true" / f"deck.{suffix}").write_text(text)
+    solver = solver_of(tmp_path / "true" / f"deck.{suffix}", ())
+    system, _ = damped_system(solver, tmp_path / "true")
+    # Masses of few unknowns: 1 / w^2 is what is bounded.
+    inverse = linalg.eigh(system.mass.toarray(), system.stiffness.toarray())[0][::-1]
+    hz = 1.0 / (2.0 * np.pi * np.sqrt(inverse[:n_modes]))
+    found = roots(system, n_modes)
+    (tmp_path / "measured.csv").write_text(measured(found, hz))
+    program = "calculix" if suffix == "inp" else "mystran"
+    (tmp_path / "campaign.yaml").write_text(
+        f"name: {name}\nmodel: {{deck: {name}.{suffix}, solver: {program}, units: m-kg-s}}\n"
+        "test: {modes: measured.csv}\nparameters:\n"
+        + "".join(f"  - {line}\n" for line in parameters.splitlines())
+        + "residuals:\n  damping: {deviation: 0.01, tolerance: 1.0e-4}\n"
+        "update: {e1: {frequency: 1.0e-5}, starts: 1}\n"
+    )
+    ended = run_command(tmp_path, "update", "campaign.yaml", "--json", "--set", "report.page=false")
+    assert ended.returncode == 0, ended.stderr + ended.stdout[:2000]
+    told = json.loads(ended.stdout)
+    updated = {item["name"]: item["updated"] for item in told["parameters"]}
+    # e1 holds ratios to 1e-4 of themselves, which tell the parameters three to ten times worse.
+    assert updated == pytest.approx(truth, rel=1e-3)
+    # The model's own matrices, those at twice a modulus with a loss factor, and others' parts.
+    assert told["solver_runs"]["sensitivity"] == N_MATRICES[name]
