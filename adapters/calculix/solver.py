@@ -199,7 +199,7 @@ class CalculixDeck(Deck):
         )
 
     def load_case(self, number: int, values: Values | None = None) -> LoadCase:
-        model, changed = self.model, self._changed(values or {})
+        model, changed = self.model, self.edited(values or {}).changed
         if changed:
             lines = list(model.deck.lines)
             for place, text in changed.items():
