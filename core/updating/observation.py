@@ -8,6 +8,7 @@ constant.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import Integers
 
 Weights = dict[int, float]
@@ -92,3 +94,14 @@ def named_rows(
 def nothing_known(n_wanted: int, n_equations: int) -> Observation:
     """An observation that tells nothing."""
     return from_rows([None] * n_wanted, n_equations)
+
+
+def sensor_observation(
+    sensors: SensorMap, observation: Callable[[Integers, Integers], Observation]
+) -> Observation:
+    """What a test's sensors see. observation: of motions of nodes, by numbers and components."""
+    axes = np.arange(1, 4) + 3 * sensors.turns[:, None]
+    looked = np.abs(sensors.directions) > 1e-6
+    nodes = np.broadcast_to(sensors.model_nodes[:, None], axes.shape)
+    nodes, components = np.unique(np.stack([nodes[looked], axes[looked]]), axis=1)
+    return observation(nodes, components).turned(sensors.matrix(nodes, components))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -18,6 +19,7 @@ from modetune.core.measurement.frf_lines import chosen_lines, log_variances
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import dof_name
+from modetune.core.updating.observation import sensor_observation
 from modetune.core.updating.responses.frf import Frf, FrfCurve
 from modetune.flows.campaign.section import NotNegative, Positive, Section, Share
 from modetune.flows.campaign.tested_model import TestedModel
@@ -152,14 +154,8 @@ def _receptance(frfs: MeasuredFrfs, column: int) -> Complexes:
 
 
 def _observer(seen: SensorMap, deck: Deck) -> Callable[[MatrixResult], sparse.csr_array]:
-    axes = np.arange(1, 4) + 3 * seen.turns[:, None]
-    nodes = np.repeat(seen.model_nodes, 3)
-    dofs = np.unique(np.stack([nodes, axes.ravel()]), axis=1)
-    dofs = dofs[:, np.isin(dofs[1], list(deck.summary.components))]
-    turn = seen.matrix(dofs[0], dofs[1])
-
     def observe(here: MatrixResult) -> sparse.csr_array:
-        observed = deck.observation(here, dofs[0], dofs[1]).turned(turn)
+        observed = sensor_observation(seen, partial(deck.observation, here))
         for row in np.flatnonzero(observed.unknown)[:1].tolist():
             dof = dof_name((int(seen.nodes[row]), int(seen.components[row])))
             raise ModelError(

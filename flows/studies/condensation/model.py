@@ -18,7 +18,7 @@ from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import CampaignError
 from modetune.core.modes import COMPONENTS, Floats, Integers, dof_name
 from modetune.core.parameters import Values
-from modetune.core.updating.observation import Observation
+from modetune.core.updating.observation import Observation, sensor_observation
 from modetune.core.updating.results import MatrixResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.job import Job
@@ -118,12 +118,7 @@ def sensor_names(campaign: Campaign) -> Dofs:
 
 def by_sensors(model: FullModel) -> Observation:
     """What the test's sensors see, by the equations."""
-    sensors = model.campaign.case.sensors
-    kinds = np.array(sorted(model.campaign.case.solver.deck.summary.components), dtype=np.int64)
-    ids = np.unique(sensors.model_nodes)
-    nodes, components = np.repeat(ids, kinds.size), np.tile(kinds, ids.size)
-    found = model.observation(nodes, components)
-    return found.turned(sensors.matrix(nodes, components))
+    return sensor_observation(model.campaign.case.sensors, model.observation)
 
 
 def masters_of(campaign: Campaign, given: str) -> Dofs:

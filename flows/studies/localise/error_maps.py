@@ -7,11 +7,11 @@ of its own, one of stiffness and one of mass. The maps themselves are `core/upda
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.eigen import solve_modes
@@ -28,6 +28,7 @@ from modetune.core.updating.localisation import (
     group_errors,
     node_errors,
 )
+from modetune.core.updating.observation import Observation, sensor_observation
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import CaseEvaluation
@@ -65,10 +66,10 @@ def why_no_maps(campaign: Campaign) -> str:
         return "maps need measured shapes, and the test has none"
     if not solver.offers.matrices:
         return f"maps need stiffness and mass matrices, which {solver.program.name} does not give"
-    if not solver.deck.summary.solid_shapes:
+    if not solver.deck.summary.matrix_shapes:
         return (
-            "maps need matrices whose unknowns are at the model's nodes: solids without dependent "
-            "nodes, or a model of matrices"
+            "maps need matrices that tell the motion of nodes, which those of "
+            f"{solver.deck.summary.name} do not (docs/matrices.md)"
         )
     return ""
 
@@ -97,28 +98,23 @@ def error_maps(
     errors = group_errors(fields, base.stiffness, base.mass, groups, computed)
     nodes = node_errors(fields, base.nodes, base.components)
     named = tuple(group.name for group in groups)
-    mesh = campaign.case.solver.deck.mesh()
-    strains = _strains(mesh, fields, base)
+    deck = campaign.case.solver.deck
+    mesh = deck.mesh()
+    strains = _strains(mesh, fields, partial(deck.observation, base))
     return ErrorMaps(named, errors, nodes, mesh.nodes, strains, fields.misfits), ""
 
 
-def _strains(mesh: Mesh, fields: ErrorFields, base: MatrixResult) -> Floats:
+def _strains(
+    mesh: Mesh, fields: ErrorFields, observation: Callable[[Integers, Integers], Observation]
+) -> Floats:
     """Strain of the error's field at the mesh's nodes, all modes alike; the largest is 1."""
     if mesh.nodes.size == 0:  # a model of matrices has no geometry
         return np.zeros(0)
-    own = _first_unknowns(base)
-    scaled = fields.errors[own] / np.sqrt(fields.eigenvalues)
-    modes = mode_set(
-        np.sqrt(fields.eigenvalues) / (2.0 * np.pi), scaled, base.nodes[own], base.components[own]
-    )
+    nodes, components = np.repeat(mesh.nodes, 3), np.tile(np.arange(1, 4), mesh.nodes.size)
+    scaled = observation(nodes, components).matrix @ fields.errors / np.sqrt(fields.eigenvalues)
+    modes = mode_set(np.sqrt(fields.eigenvalues) / (2.0 * np.pi), scaled, nodes, components)
     strains = node_strains(mesh, global_shapes(mesh, modes))
     return strains / (float(strains.max(initial=0.0)) or 1.0)
-
-
-def _first_unknowns(base: MatrixResult) -> Integers:
-    """Rows of the unknowns that are at nodes: a solver may have more under the same names."""
-    _, first = np.unique(np.stack([base.nodes, base.components]), axis=1, return_index=True)
-    return np.sort(first)
 
 
 def _groups(
@@ -150,11 +146,14 @@ def _fields(
     """Fields of the test's modes, and the matrices' own modes that answer them, (n, n_pairs)."""
     test, seen, pairing = campaign.test.modes, evaluation.seen, evaluation.pairing
     rows_m, rows_c = common_dofs(test, seen)
-    observer, kept = _observer(campaign, base, rows_c)
+    deck = campaign.case.solver.deck
+    observed = sensor_observation(campaign.case.sensors, partial(deck.observation, base))
+    known = ~(observed.held | observed.unknown)[rows_c]  # a sensor on a support has nothing to see
+    rows_m, rows_c = rows_m[known], rows_c[known]
     weighting = campaign.case.weighting
-    scales = weighting.sensor_scales(rows_m[kept])[0][:, None]
-    measured = scales * np.real(test.mode_shapes[np.ix_(rows_m[kept], pairing.measured)])
-    mine = scales * np.real(seen.mode_shapes[np.ix_(rows_c[kept], pairing.computed)])
+    scales = weighting.sensor_scales(rows_m)[0][:, None]
+    measured = scales * np.real(test.mode_shapes[np.ix_(rows_m, pairing.measured)])
+    mine = scales * np.real(seen.mode_shapes[np.ix_(rows_c, pairing.computed)])
     lengths = np.sum(measured**2, axis=0)
     if measured.size == 0 or (lengths == 0.0).any():
         raise ModesError("a measured shape is zero at all sensors that are free to move")
@@ -169,48 +168,7 @@ def _fields(
         base.mass,
         test.eigenvalues[pairing.measured],
         measured,
-        observer.multiply(scales).tocsr(),
+        observed.matrix[rows_c].multiply(scales).tocsr(),
         weighting.shape_deviations[pairing.measured],
     )
     return fields, shapes[:, pairing.computed + n_rigid]
-
-
-def _observer(
-    campaign: Campaign, base: MatrixResult, rows: Integers
-) -> tuple[sparse.csr_array, NDArray[np.bool_]]:
-    """What these sensors see of the matrices' unknowns, and which of them can move.
-
-    A sensor on an unknown that is held in place has nothing to see.
-    """
-    own = _first_unknowns(base)
-    free = set(zip(base.nodes[own].tolist(), base.components[own].tolist(), strict=True))
-    sensors = campaign.case.sensors
-    kept = np.array(
-        [
-            _moves(
-                sensors.model_nodes[row], sensors.directions[row], bool(sensors.turns[row]), free
-            )
-            for row in rows.tolist()
-        ],
-        dtype=np.bool_,
-    )
-    chosen = rows[kept]
-    part = replace(
-        sensors,
-        nodes=sensors.nodes[chosen],
-        components=sensors.components[chosen],
-        model_nodes=sensors.model_nodes[chosen],
-        directions=sensors.directions[chosen],
-        turns=sensors.turns[chosen],
-        distances=sensors.distances[chosen],
-    )
-    small = sparse.coo_array(part.matrix(base.nodes[own], base.components[own]))
-    return sparse.csr_array(
-        (small.data, (small.row, own[small.col])), shape=(chosen.size, base.nodes.size)
-    ), kept
-
-
-def _moves(node: int, direction: Floats, turns: bool, unknowns: set[tuple[int, int]]) -> bool:
-    """Whether all that a sensor looks along are unknowns."""
-    axes = np.flatnonzero(np.abs(direction) > 1e-6)
-    return all((int(node), int(axis) + 1 + 3 * turns) in unknowns for axis in axes)

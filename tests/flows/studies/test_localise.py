@@ -215,42 +215,51 @@ def node(i: int, j: int, k: int) -> int:
     return 1 + i + (NX + 1) * (j + (NY + 1) * k)
 
 
-def bar_deck() -> str:
+def bar_deck(shells: bool) -> str:
+    """Of solids, or an angle of shells 2 mm thick along the lower and the front faces."""
     lines = ["*NODE, NSET=ALL"]
     for k in range(NZ + 1):
         for j in range(NY + 1):
-            lines += [f"{node(i, j, k)}, {20.0 * i}, {10.0 * j}, {10.0 * k}" for i in range(NX + 1)]
-    for place, name in enumerate(("ROOT", "MIDDLE", "TIP")):
-        lines.append(f"*ELEMENT, TYPE=C3D8I, ELSET={name}")
-        for i in range(5 * place, 5 * place + 5):
-            for j in range(NY):
-                corners = [
-                    node(i + a, j + b, c)
-                    for c in (0, 1)
-                    for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))
+            if j == 0 or k == 0 or not shells:
+                lines += [
+                    f"{node(i, j, k)}, {20.0 * i}, {10.0 * j}, {10.0 * k}" for i in range(NX + 1)
                 ]
-                lines.append(", ".join(map(str, [1 + i + NX * j, *corners])))
+    square = ((0, 0), (1, 0), (1, 1), (0, 1))
+    for place, name in enumerate(("ROOT", "MIDDLE", "TIP")):
+        lines.append(f"*ELEMENT, TYPE={'S4' if shells else 'C3D8I'}, ELSET={name}")
+        for i in range(5 * place, 5 * place + 5):
+            kept = [[node(i + a, j + b, c) for c in (0, 1) for a, b in square] for j in range(NY)]
+            if shells:
+                kept = [corners[:4] for corners in kept]
+                kept.append([node(i + a, 0, c) for a, c in square])
+            for number, corners in enumerate(kept):
+                lines.append(", ".join(map(str, [1 + i + NX * number, *corners])))
     for name in ("ROOT", "MIDDLE", "TIP"):
-        lines += [
-            f"*MATERIAL, NAME={name}",
-            "*ELASTIC",
-            "70000., 0.3",
-            "*DENSITY",
-            "2.7e-9",
-            f"*SOLID SECTION, ELSET={name}, MATERIAL={name}",
-        ]
+        kind = "SHELL" if shells else "SOLID"
+        lines += [f"*MATERIAL, NAME={name}", "*ELASTIC", "70000., 0.3", "*DENSITY", "2.7e-9"]
+        lines += [f"*{kind} SECTION, ELSET={name}, MATERIAL={name}", *(["2."] if shells else [])]
     lines.append("*BOUNDARY")
-    lines += [f"{node(0, j, k)}, 1, 3" for j in range(NY + 1) for k in range(NZ + 1)]
+    held = [(j, k) for j in range(NY + 1) for k in range(NZ + 1) if j == 0 or k == 0 or not shells]
+    lines += [f"{node(0, j, k)}, 1, {6 if shells else 3}" for j, k in held]
     return "\n".join(lines) + "\n"
 
 
 @needs_ccx
-@pytest.mark.parametrize("wrong", ["E_root", "E_middle", "E_tip"])
-def test_the_wrong_third_of_a_bar_of_solids_ranks_first_by_calculix(
-    wrong: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("wrong", "shells"),
+    [
+        ("E_root", False),
+        ("E_middle", False),
+        ("E_tip", False),
+        ("E_root", True),
+        ("E_middle", True),
+    ],
+)
+def test_the_wrong_third_of_a_bar_of_solids_or_shells_ranks_first_by_calculix(
+    wrong: str, shells: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
-    (tmp_path / "bar.inp").write_text(bar_deck())
+    (tmp_path / "bar.inp").write_text(bar_deck(shells))
     (tmp_path / "bar.yaml").write_text(CAMPAIGN)
     sensors = [node(i, j, 0) for i in range(3, NX + 1, 2) for j in (0, NY)]
     blank = mode_set(
