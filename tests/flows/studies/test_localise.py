@@ -34,6 +34,9 @@ SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 ALL = dict.fromkeys([f"k{number}" for number in range(1, 8)], "spring_stiffness")
 THREE = dict.fromkeys(["k1", "k4", "k6"], "spring_stiffness")
 
+needs_mystran = pytest.mark.skipif(
+    shutil.which("mystran") is None, reason="MYSTRAN is not here (tools/mystran.sh)"
+)
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
 
@@ -244,6 +247,25 @@ def bar_deck(shells: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
+def beam_deck() -> str:
+    """The same length in bars along the edge that is node(i, 0, 0) and, joined to it, another."""
+    lines = ["SOL 103", "CEND", "METHOD = 1", "SPC = 1", "BEGIN BULK", "EIGRL,1,,,10"]
+    grids = [(node(i, j, 0), 20.0 * i, 10.0 * j) for j in (0, NY) for i in range(NX + 1)]
+    lines += [f"GRID,{number},,{x},{y},0." for number, x, y in grids]
+    for i in range(NX):
+        for j in (0, NY):
+            number = 1 + i + NX * j
+            ends = f"{node(i, j, 0)},{node(i + 1, j, 0)}"
+            lines.append(f"CBAR,{number},{1 + i // 5},{ends},0.,0.,1.")
+        ends = f"{node(i + 1, 0, 0)},{node(i + 1, NY, 0)}"
+        lines.append(f"CBAR,{100 + i},{1 + i // 5},{ends},0.,0.,1.")
+    for number in (1, 2, 3):
+        lines.append(f"PBAR,{number},{number},40.,500.,200.,400.")
+        lines.append(f"MAT1,{number},70000.,,0.3,2.7-9")
+    lines.append(f"SPC1,1,123456,{node(0, 0, 0)},{node(0, NY, 0)}")
+    return "\n".join([*lines, "ENDDATA", ""])
+
+
 @needs_ccx
 @pytest.mark.parametrize(
     ("wrong", "shells"),
@@ -261,6 +283,23 @@ def test_the_wrong_third_of_a_bar_of_solids_or_shells_ranks_first_by_calculix(
     monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
     (tmp_path / "bar.inp").write_text(bar_deck(shells))
     (tmp_path / "bar.yaml").write_text(CAMPAIGN)
+    the_wrong_third_ranks_first(tmp_path, wrong)
+
+
+@needs_mystran
+def test_the_wrong_third_of_a_beam_ranks_first_by_mystran(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    (tmp_path / "bar.bdf").write_text(beam_deck())
+    told = CAMPAIGN.replace("deck: bar.inp, solver: calculix", "deck: bar.bdf, solver: mystran")
+    for number, name in enumerate(("ROOT", "MIDDLE", "TIP"), 1):
+        told = told.replace(f"material: {name}", f"material: {number}")
+    (tmp_path / "bar.yaml").write_text(told)
+    the_wrong_third_ranks_first(tmp_path, "E_middle")
+
+
+def the_wrong_third_ranks_first(tmp_path: Path, wrong: str) -> None:
     sensors = [node(i, j, 0) for i in range(3, NX + 1, 2) for j in (0, NY)]
     blank = mode_set(
         np.arange(1.0, 5.0),
