@@ -12,26 +12,27 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy import sparse
 
-from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.condensation.reduction import guyan, serep
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
-from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
+from modetune.core.modes import ModeSet, common_dofs
 from modetune.core.parameters import Values
 from modetune.core.storage.record_file import is_record, read_record
-from modetune.core.updating.results import MatrixResult, ModalResult
+from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.measured import tracking_nodes
 from modetune.flows.campaign.sketch import YAML, is_deck, looked_at
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import solved
+from modetune.flows.studies.condensation.model import by_sensors, dof_arrays, full_model
 from modetune.flows.studies.correlate.correlate import (
     Correlation,
-    Dof,
     Orthogonality,
     Side,
     correlate,
@@ -274,72 +275,22 @@ def _orthogonality(
     method: Literal["guyan", "serep"],
     watcher: JobWatcher | None,
 ) -> Orthogonality:
-    """One matrix job; sensors along the model's own axes that have an equation are masters."""
-    solver = model.campaign.case.solver
-    if not solver.offers.matrices or not solver.deck.summary.solid_shapes:
-        raise CampaignError(
-            "orthogonality needs a mass matrix at the sensors, which "
-            f"{solver.program.name} does not give for {solver.deck.summary.name} (solids without "
-            "dependent nodes, or matrices); leave --orthogonality out: the MAC matrix says much "
-            "the same"
-        )
-    engine = job_engine(model.campaign, watcher)
-    (outcome,) = solved(engine, [Job(model.values, MatrixAnalysis())], "matrices")
-    matrices = outcome.result(MatrixResult)
-    dofs, rows, signs = _masters(found, model, matrices)
+    """One matrix job; common degrees of freedom that can move are masters."""
+    full, names = full_model(model.campaign, model.values, watcher), list(found.dofs)
+    sensors = model.campaign.case.sensors
+    named = zip(sensors.nodes.tolist(), sensors.components.tolist(), strict=True)
+    places = {name: place for place, name in enumerate(named)}
+    if places.keys() >= set(names):
+        chosen = sparse.eye_array(len(places), format="csr")[[places[name] for name in names]]
+        wanted = by_sensors(full).turned(sparse.csr_array(chosen))
+    else:  # two models at common nodes
+        wanted = full.observation(*dof_arrays(names))
+    seen, moving = full.seen(wanted, names)
+    masters = seen.stiffness, seen.mass, seen.rows
     if method == "serep":
         # No more modes than masters: only so each is kept exactly.
-        count = min(model.campaign.case.n_modes, rows.size)
-        _, shapes = solve_modes(matrices.stiffness, matrices.mass, count)
-        mass = serep(matrices.stiffness, matrices.mass, rows, shapes).mass
+        count = min(model.campaign.case.n_modes, moving.size)
+        reduced = serep(*masters, solve_modes(seen.stiffness, seen.mass, count)[1])
     else:
-        mass = guyan(matrices.stiffness, matrices.mass, rows).mass
-    return orthogonality(found, method, dofs, mass * np.outer(signs, signs))
-
-
-def _masters(
-    found: Correlation, model: Model, matrices: MatrixResult
-) -> tuple[tuple[Dof, ...], Integers, Floats]:
-    """Common degrees of freedom that are unknowns of the model, their rows there, and signs.
-
-    A sensor that is held in place has no row and is left out. Raises CampaignError for one that
-    looks along none of the model's axes.
-    """
-    equations: dict[Dof, int] = {}
-    names = zip(matrices.nodes.tolist(), matrices.components.tolist(), strict=True)
-    for row, name in enumerate(names):
-        equations.setdefault(name, row)
-    seen = _model_dofs(found, model)
-    tilted = [dof_name(dof) for dof in found.dofs if dof not in seen]
-    if tilted:
-        raise CampaignError(
-            f"sensor {', '.join(tilted[:5])} looks along none of the model's axes, so the mass "
-            "matrix has no row for it; leave --orthogonality out"
-        )
-    kept = [dof for dof in found.dofs if seen[dof][0] in equations]
-    if not kept:
-        raise CampaignError("no common degree of freedom is an unknown of the model's matrices")
-    rows = np.array([equations[seen[dof][0]] for dof in kept], dtype=np.int64)
-    if np.unique(rows).size < rows.size:
-        raise CampaignError(
-            "two sensors look along one direction at one node, so the mass matrix cannot be "
-            "reduced to both; leave --orthogonality out"
-        )
-    return tuple(kept), rows, np.array([seen[dof][1] for dof in kept])
-
-
-def _model_dofs(found: Correlation, model: Model) -> dict[Dof, tuple[Dof, float]]:
-    """What each common degree of freedom is in the model, and its sign, where along an axis."""
-    sensors = model.campaign.case.sensors
-    if not sensors.n_sensors:
-        return {dof: (dof, 1.0) for dof in found.dofs}
-    seen: dict[Dof, tuple[Dof, float]] = {}
-    for place in range(sensors.n_sensors):
-        direction = sensors.directions[place]
-        axis = int(np.abs(direction).argmax())
-        if abs(direction[axis]) > 1.0 - 1e-9:
-            name = int(sensors.nodes[place]), int(sensors.components[place])
-            turned = 3 * bool(sensors.turns[place])
-            dof = int(sensors.model_nodes[place]), axis + 1 + turned
-            seen[name] = dof, float(np.sign(direction[axis]))
-    return seen
+        reduced = guyan(*masters)
+    return orthogonality(found, method, tuple(names[n] for n in moving.tolist()), reduced.mass)

@@ -126,6 +126,23 @@ def test_serep_and_kidder_give_a_models_own_modes_back_everywhere(
 
 
 @pytest.mark.parametrize(("model", "nodes", "components"), CASES)
+def test_modes_are_orthogonal_in_the_mass_that_serep_leaves_at_the_sensors(
+    folder: Path, model: str, nodes: list[int], components: str
+) -> None:
+    if model == "strip.inp":  # fourteen modes of a plate that moves along its normal alone
+        nodes = [10 * i + j for i in range(1, 13) for j in (1, 2)]
+    test, _ = measured_of(model, nodes, components)
+    found = modetune.correlate(model, test, orthogonality="serep", settings=UNITS).orthogonality
+    assert found is not None
+    assert len(found.dofs) == len(nodes) * len(components)
+    # Ten digits in the test, shapes of a size that is not one of unit mass: cosines are.
+    sizes = np.sqrt(np.abs(np.diag(found.first)))
+    cosines = np.abs(found.first) / np.outer(sizes, sizes)
+    np.testing.assert_allclose(cosines, np.eye(4), atol=1e-6)
+    np.testing.assert_allclose(np.abs(found.second[:4, :4]), np.eye(4), atol=1e-6)
+
+
+@pytest.mark.parametrize(("model", "nodes", "components"), CASES)
 def test_the_error_at_held_out_sensors_is_what_noise_leaves(
     folder: Path, model: str, nodes: list[int], components: str
 ) -> None:
