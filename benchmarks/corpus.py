@@ -147,7 +147,7 @@ def reference(path: Path) -> Floats:
             if other.suffix.lower() == ".op2":
                 values = read_op2(other).eigenvalues
             elif other.suffix.lower() == ".f06":
-                values = read_f06(other).eigenvalues
+                values = read_f06(other).modes.eigenvalues
             else:
                 continue
         except (ModetuneError, ValueError):

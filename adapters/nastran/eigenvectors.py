@@ -11,7 +11,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
+
+#: Generalised masses are printed with seven digits; what is this near to 1 is 1.
+UNIT_MASS = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class NastranModes:
+    """What a file says of normal modes, in the deck's own units and the file's normalisation.
+
+    eigenvalues, generalized_mass: (n_modes,), (rad/s)^2, the latter NaN or empty where not told.
+    mode_numbers: (n_shapes,), places of the shapes' eigenvalues, from 1; nodes, components:
+    (n_dof,), components 1..6; mode_shapes: (n_dof, n_shapes), sorted by node, in each point's
+    output frame (CD); n_dof is 0 where no shapes were asked for.
+    elements: (n_el,), ascending; strain_energies: (n_el, n_modes), NaN where the file does not
+    list the element for the mode; total_strain_energy: (n_modes,), of the whole problem, NaN
+    where there are no energies.
+    mass: of the grid point weight generator, which takes PARAM,WTMASS off again; NaN where there is
+    none.
+    """
+
+    eigenvalues: Floats
+    generalized_mass: Floats
+    mode_numbers: Integers
+    nodes: Integers
+    components: Integers
+    mode_shapes: Floats
+    elements: Integers
+    strain_energies: Floats
+    total_strain_energy: Floats
+    mass: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,3 +121,31 @@ def energy_table(
         energies[rows, column] = np.nan_to_num(energies[rows, column]) + table.energies
         totals[column] = table.total
     return elements, energies, totals
+
+
+def unit_modes(found: NastranModes) -> ModeSet:
+    """The modes of a file at all of its nodes, of unit modal mass where it tells modal masses.
+
+    Raises ValueError where a mode has no shape.
+    """
+    n_modes = found.mode_shapes.shape[1]
+    shown = found.mode_numbers
+    if not n_modes or shown.max() > found.eigenvalues.size:
+        raise ValueError(f"{found.eigenvalues.size} eigenvalues and {n_modes} eigenvectors")
+    masses = found.generalized_mass[shown - 1]
+    return mode_set(
+        np.sqrt(np.maximum(found.eigenvalues[shown - 1], 0.0)) / (2.0 * np.pi),
+        found.mode_shapes * unit_scale(masses),
+        found.nodes,
+        found.components,
+        normalisation="unknown" if np.isnan(masses).any() else "mass",
+    )
+
+
+def unit_scale(generalized_mass: Floats) -> Floats:
+    """Factors that make the shapes mass-normalised, (n_modes,); 1 where the masses are not told."""
+    known = np.where(np.isnan(generalized_mass), 1.0, generalized_mass)
+    if not (known > 0.0).all():
+        mode = int(np.argmin(known)) + 1
+        raise ValueError(f"mode {mode} with the generalised mass {known.min():g}")
+    return np.where(np.abs(known - 1.0) < UNIT_MASS, 1.0, known**-0.5)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.nastran.eigenvectors import energy_table, shape_matrix
+from modetune.adapters.nastran.eigenvectors import NastranModes, energy_table, shape_matrix
 from modetune.adapters.nastran.f06_messages import (
     BANNER_LINES,
     END,
@@ -36,38 +36,22 @@ from modetune.adapters.nastran.f06_tables import (
 )
 from modetune.adapters.regular_file import open_regular
 from modetune.core.errors import SolverCrashed
-from modetune.core.modes import Floats, Integers
 
 __all__ = ["F06", "FatalMessage", "read_f06"]
 
 
 @dataclass(frozen=True, slots=True)
 class F06:
-    """What a print file says, in the deck's own units and the file's normalisation.
+    """What a print file says.
 
     version: of the program, as its banner has it, empty if none. ended: whether the run says it
-    reached its end. fatal_messages: in the order of the file.
-    eigenvalues, generalized_mass: (n_modes,), (rad/s)^2, mode 1 first; empty without a table.
-    mode_numbers: (n_shapes,), modes whose eigenvectors are printed; nodes, components: (n_dof,);
-    mode_shapes: (n_dof, n_shapes), sorted by node, in each point's output frame (CD).
-    elements: (n_el,); strain_energies: (n_el, n_modes), NaN where not printed;
-    total_strain_energy: (n_modes,), of the whole problem, NaN where there is none.
-    mass: of the grid point weight generator, PARAM,WTMASS taken off; NaN where there is none.
+    reached its end. fatal_messages: in the order of the file. modes: (0,) where none are printed.
     """
 
     version: str
     ended: bool
     fatal_messages: tuple[FatalMessage, ...]
-    eigenvalues: Floats
-    generalized_mass: Floats
-    mode_numbers: Integers
-    nodes: Integers
-    components: Integers
-    mode_shapes: Floats
-    elements: Integers
-    strain_energies: Floats
-    total_strain_energy: Floats
-    mass: float
+    modes: NastranModes
 
 
 def read_f06(path: Path) -> F06:
@@ -147,10 +131,7 @@ class _Scan:
         energies = self._energies.tables() if tables else []
         n_modes = eigenvalues.size or len({table.mode for table in energies})
         elements, strain_energies, totals = energy_table(energies, range(1, n_modes + 1))
-        return F06(
-            version=self._version,
-            ended=self.ended,
-            fatal_messages=tuple(self._messages),
+        modes = NastranModes(
             eigenvalues=eigenvalues,
             generalized_mass=generalized_mass,
             mode_numbers=np.array([shape.mode for shape in shapes], dtype=np.int64),
@@ -162,3 +143,4 @@ class _Scan:
             total_strain_energy=totals,
             mass=self._weight.mass,
         )
+        return F06(self._version, self.ended, tuple(self._messages), modes)

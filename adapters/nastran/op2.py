@@ -24,7 +24,6 @@ files of MSC Nastran 2005, 2014 and 2018, Simcenter Nastran 2019 and MYSTRAN 17.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +31,7 @@ import numpy as np
 from modetune.adapters.nastran.eigenvectors import (
     ElementEnergies,
     GridShape,
+    NastranModes,
     energy_table,
     shape_matrix,
 )
@@ -48,32 +48,7 @@ REAL_MODES = 2
 GRID_TYPES = (1, 2)  # grid points and scalar points; harmonic and extra points are not nodes
 
 
-@dataclass(frozen=True, slots=True)
-class Op2Modes:
-    """What an OP2 file says of normal modes, all in the file's own units and normalisation.
-
-    eigenvalues: (n_modes,), (rad/s)^2. generalized_mass: (n_modes,), NaN without LAMA table.
-    nodes, components: (n_dof,), components 1..6; mode_shapes: (n_dof, n_modes), in each point's
-    output frame (CD); n_dof is 0 where no shapes were asked for.
-    elements: (n_el,), ascending; strain_energies: (n_el, n_modes), NaN where the file does not
-    list the element for the mode; total_strain_energy: (n_modes,), of the whole problem, NaN
-    where there are no energies.
-    mass: of the grid point weight generator, which takes PARAM,WTMASS off again; NaN where there is
-    none.
-    """
-
-    eigenvalues: Floats
-    nodes: Integers
-    components: Integers
-    mode_shapes: Floats
-    generalized_mass: Floats
-    elements: Integers
-    strain_energies: Floats
-    total_strain_energy: Floats
-    mass: float
-
-
-def read_op2(path: Path) -> Op2Modes:
+def read_op2(path: Path) -> NastranModes:
     """Read the modes of an OP2 file.
 
     Raises SolverCrashed where the file is not whole, holds no real modes, or holds them sorted by
@@ -87,7 +62,7 @@ def read_op2(path: Path) -> Op2Modes:
         raise SolverCrashed(f"{path} holds no modes that can be used: {error}") from error
 
 
-def _modes(tables: list[Op2Table]) -> Op2Modes:
+def _modes(tables: list[Op2Table]) -> NastranModes:
     shapes = _shapes([table for table in tables if table.name in EIGENVECTORS])
     lama = next((table for table in tables if table.name in EIGENVALUES), None)
     rows = np.zeros((0, 7)) if lama is None else _lama(lama)
@@ -105,8 +80,9 @@ def _modes(tables: list[Op2Table]) -> Op2Modes:
     nodes, components, mode_shapes = shape_matrix(shapes, len(numbers))
     energies = _energies([table for table in tables if table.name in STRAIN_ENERGIES])
     elements, strain_energies, totals = energy_table(energies, numbers)
-    return Op2Modes(
+    return NastranModes(
         eigenvalues=eigenvalues,
+        mode_numbers=np.arange(1, len(numbers) + 1),
         nodes=nodes,
         components=components,
         mode_shapes=mode_shapes,

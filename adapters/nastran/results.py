@@ -14,40 +14,29 @@ import numpy as np
 from modetune.adapters.cross_checks import check_energies
 from modetune.adapters.nastran.design import COMPONENTS, n_rows, response_id
 from modetune.adapters.nastran.design_sensitivity import DesignSensitivities
-from modetune.adapters.nastran.f06 import F06
-from modetune.adapters.nastran.op2 import Op2Modes
+from modetune.adapters.nastran.eigenvectors import NastranModes, unit_scale
 from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
-from modetune.core.modes import Floats, Integers, ModeSet, mode_set
+from modetune.core.modes import Floats, Integers, mode_set
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 
-#: Generalised masses are printed with seven digits; what is this near to 1 is 1.
-UNIT_MASS = 1e-5
 
-
-def completed(modes: Op2Modes, printed: F06) -> Op2Modes:
+def completed(modes: NastranModes, printed: NastranModes) -> NastranModes:
     """An OP2 file's modes, with what the print file has and the OP2 file lacks."""
     n_modes = modes.eigenvalues.size
+    lacking: list[str] = []
     if printed.eigenvalues.size == n_modes and np.isnan(modes.generalized_mass).all():
-        modes = replace(modes, generalized_mass=printed.generalized_mass)
+        lacking += ["generalized_mass"]
     if not modes.nodes.size and printed.mode_shapes.shape[1] == n_modes:
-        modes = replace(
-            modes,
-            nodes=printed.nodes,
-            components=printed.components,
-            mode_shapes=printed.mode_shapes,
-        )
+        lacking += ["nodes", "components", "mode_shapes"]
     if not modes.elements.size and printed.strain_energies.shape[1] == n_modes:
-        modes = replace(
-            modes,
-            elements=printed.elements,
-            strain_energies=printed.strain_energies,
-            total_strain_energy=printed.total_strain_energy,
-        )
-    return modes if np.isfinite(modes.mass) else replace(modes, mass=printed.mass)
+        lacking += ["elements", "strain_energies", "total_strain_energy"]
+    if not np.isfinite(modes.mass):
+        lacking += ["mass"]
+    return replace(modes, **{name: getattr(printed, name) for name in lacking})
 
 
 def modal_result(
-    modes: Op2Modes,
+    modes: NastranModes,
     analysis: ModalAnalysis,
     group_elements: Sequence[frozenset[int]],
     wtmass: float,
@@ -64,7 +53,7 @@ def modal_result(
             "fewer, or the run broke off"
         )
     eigenvalues = modes.eigenvalues[:n_modes]
-    scale = _scale(modes.generalized_mass[:n_modes])
+    scale = unit_scale(modes.generalized_mass[:n_modes])
     rows = shape_rows(modes.nodes, modes.components, analysis.nodes)
     total = modes.total_strain_energy[:n_modes] * scale**2
     check_energies(eigenvalues, total)
@@ -86,25 +75,6 @@ def modal_result(
         ).reshape(len(analysis.groups), n_modes),
         total_strain_energy=total,
         mass=modes.mass * wtmass,
-    )
-
-
-def unit_modes(found: Op2Modes | F06) -> ModeSet:
-    """The modes of a file at all of its nodes, of unit modal mass where it tells modal masses.
-
-    Raises ValueError where a mode has no shape.
-    """
-    n_modes = found.mode_shapes.shape[1]
-    shown = found.mode_numbers if isinstance(found, F06) else np.arange(1, n_modes + 1)
-    if not n_modes or shown.max() > found.eigenvalues.size:
-        raise ValueError(f"{found.eigenvalues.size} eigenvalues and {n_modes} eigenvectors")
-    masses = found.generalized_mass[shown - 1]
-    return mode_set(
-        np.sqrt(np.maximum(found.eigenvalues[shown - 1], 0.0)) / (2.0 * np.pi),
-        found.mode_shapes * _scale(masses),
-        found.nodes,
-        found.components,
-        normalisation="unknown" if np.isnan(masses).any() else "mass",
     )
 
 
@@ -131,16 +101,7 @@ def shape_rows(nodes: Integers, components: Integers, wanted: Sequence[int]) -> 
     return np.array([place[dof] for dof in wanted_dofs], dtype=np.int64)
 
 
-def _scale(generalized_mass: Floats) -> Floats:
-    """Factors that make the shapes mass-normalised, (n_modes,); 1 where the masses are not told."""
-    known = np.where(np.isnan(generalized_mass), 1.0, generalized_mass)
-    if not (known > 0.0).all():
-        mode = int(np.argmin(known)) + 1
-        raise ValueError(f"mode {mode} with the generalised mass {known.min():g}")
-    return np.where(np.abs(known - 1.0) < UNIT_MASS, 1.0, known**-0.5)
-
-
-def _group_energy(modes: Op2Modes, name: str, elements: frozenset[int], n_modes: int) -> Floats:
+def _group_energy(modes: NastranModes, name: str, elements: frozenset[int], n_modes: int) -> Floats:
     """Strain energy of a group's elements in each mode, (n_modes,)."""
     rows = np.isin(modes.elements, sorted(elements))
     energies = modes.strain_energies[rows, :n_modes]

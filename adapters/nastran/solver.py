@@ -155,7 +155,7 @@ class NastranProgram:
     def _modes(
         self, model: NastranModel, analysis: ModalAnalysis, folder: Path, printed: F06
     ) -> ModalResult:
-        modes = completed(read_op2(folder / self.dialect.result_file), printed)
+        modes = completed(read_op2(folder / self.dialect.result_file), printed.modes)
         elements = [
             frozenset[int]().union(*map(model.set_elements, sets)) for _, sets in analysis.groups
         ]

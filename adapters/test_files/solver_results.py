@@ -9,21 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from modetune.adapters.calculix.frd_modes import read_frd, read_frd_points
-from modetune.adapters.nastran.f06 import F06, read_f06
+from modetune.adapters.nastran.eigenvectors import unit_modes
+from modetune.adapters.nastran.f06 import read_f06
 from modetune.adapters.nastran.hdf5_modes import read_hdf5_modes
+from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.punch import read_punch
 from modetune.adapters.test_files.kinds import Form
 from modetune.core.errors import CampaignError, SolverError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
-
-if TYPE_CHECKING:
-    from modetune.adapters.nastran.op2 import Op2Modes
 
 #: Modes of less than this share of the file's highest frequency are taken for rigid: rounding left
 #: 3e-6 to 1e-5 of it in free models; a body on soft mounts had 2e-4 of its elastic modes.
@@ -38,28 +36,17 @@ def _nowhere() -> Points:
 
 def _printed(path: Path) -> ModeSet:
     """Modes of a print file; frequencies alone where it has no eigenvectors. Raises ValueError."""
-    found: F06 = read_f06(path)
-    if found.fatal_messages:
-        raise ValueError(f"the run failed: {found.fatal_messages[0].text.strip()}")
+    printed = read_f06(path)
+    if printed.fatal_messages:
+        raise ValueError(f"the run failed: {printed.fatal_messages[0].text.strip()}")
+    found = printed.modes
     if found.eigenvalues.size and not found.mode_shapes.size:
         return mode_set(np.sqrt(np.maximum(found.eigenvalues, 0.0)) / (2.0 * np.pi))
-    return _unit_modes(found)
-
-
-def _unit_modes(found: F06 | Op2Modes) -> ModeSet:
-    from modetune.adapters.nastran.results import unit_modes  # pyNastran takes half a second
-
     return unit_modes(found)
 
 
-def _read_op2(path: Path) -> tuple[ModeSet, Points]:
-    from modetune.adapters.nastran.op2 import read_op2  # ... here too
-
-    return _unit_modes(read_op2(path)), _nowhere()
-
-
 READERS: dict[Form, Callable[[Path], tuple[ModeSet, Points]]] = {
-    "op2": _read_op2,
+    "op2": lambda path: (unit_modes(read_op2(path)), _nowhere()),
     "f06": lambda path: (_printed(path), _nowhere()),
     "punch": lambda path: (read_punch(path), _nowhere()),
     "frd": lambda path: (read_frd(path), read_frd_points(path)),

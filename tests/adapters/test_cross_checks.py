@@ -91,7 +91,7 @@ def test_a_generalised_stiffness_that_contradicts_its_eigenvalue_is_refused(
 ) -> None:
     path = tmp_path / "job.f06"
     path.write_text(small())
-    assert read_f06(path).eigenvalues.size
+    assert read_f06(path).modes.eigenvalues.size
     lines = small().splitlines(keepends=True)
     row = next(n for n, line in enumerate(lines) if line.split()[:2] == ["1", "1"])
     last = lines[row].split()[-1]

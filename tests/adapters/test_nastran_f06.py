@@ -72,14 +72,14 @@ def test_tables_broken_over_pages_are_put_together_and_the_first_subcase_is_read
     tmp_path: Path,
 ) -> None:
     f06 = read_f06(write(tmp_path, small()))
-    np.testing.assert_array_equal(f06.eigenvalues, [-4.0e-7, 100.0])
-    assert f06.mode_numbers.tolist() == [1, 2]
-    assert f06.nodes.tolist() == [1] * 6 + [2] * 6 + [7, 8]
-    assert f06.components.tolist() == [1, 2, 3, 4, 5, 6] * 2 + [1, 1]
+    np.testing.assert_array_equal(f06.modes.eigenvalues, [-4.0e-7, 100.0])
+    assert f06.modes.mode_numbers.tolist() == [1, 2]
+    assert f06.modes.nodes.tolist() == [1] * 6 + [2] * 6 + [7, 8]
+    assert f06.modes.components.tolist() == [1, 2, 3, 4, 5, 6] * 2 + [1, 1]
     wanted = [1.0, 0.0, -0.25, 0.0, 0.0, 3.0e-101] + [2.0] * 6 + [5.0, 6.0]
-    np.testing.assert_array_equal(f06.mode_shapes[:, 0], wanted)
+    np.testing.assert_array_equal(f06.modes.mode_shapes[:, 0], wanted)
     assert (f06.version, f06.ended) == ("MSC Nastran 2022.1", True)
-    assert np.isnan(f06.mass)
+    assert np.isnan(f06.modes.mass)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_files_of_msc_and_simcenter_have_the_expected_frequencies(
     folder = shared_data / "nastran" / name
     case = json.loads((folder / "expected.json").read_text())["f06"]
     f06 = read_f06(next(folder.glob("*.f06")))
-    cycles = np.sqrt(np.abs(f06.eigenvalues)) / (2.0 * np.pi)
+    cycles = np.sqrt(np.abs(f06.modes.eigenvalues)) / (2.0 * np.pi)
     wanted = np.array(next(iter(case.values()))[0])[: cycles.size]
     assert cycles.size == np.count_nonzero(next(iter(case.values()))[0])
     np.testing.assert_allclose(cycles, wanted, rtol=1e-5)
@@ -107,11 +107,13 @@ def test_files_of_msc_and_simcenter_have_the_expected_frequencies(
 
 def assert_same_shapes(f06: F06, op2: Path) -> None:
     modes = read_op2(op2)
-    np.testing.assert_array_equal(f06.nodes, modes.nodes)
-    np.testing.assert_array_equal(f06.components, modes.components)
+    np.testing.assert_array_equal(f06.modes.nodes, modes.nodes)
+    np.testing.assert_array_equal(f06.modes.components, modes.components)
     # Seven printed digits against single precision.
     largest = np.abs(modes.mode_shapes).max()
-    np.testing.assert_allclose(f06.mode_shapes, modes.mode_shapes, rtol=1e-5, atol=1e-6 * largest)
+    np.testing.assert_allclose(
+        f06.modes.mode_shapes, modes.mode_shapes, rtol=1e-5, atol=1e-6 * largest
+    )
 
 
 def test_shapes_and_strain_energies_are_those_of_the_op2_file_of_the_run(shared_data: Path) -> None:
@@ -121,9 +123,9 @@ def test_shapes_and_strain_energies_are_those_of_the_op2_file_of_the_run(shared_
         read_op2(folder / "mode_solid_shell_bar.op2"),
     )
     assert_same_shapes(f06, folder / "mode_solid_shell_bar.op2")
-    np.testing.assert_array_equal(f06.elements, modes.elements)
-    np.testing.assert_allclose(f06.strain_energies, modes.strain_energies, rtol=1e-5)
-    np.testing.assert_allclose(f06.total_strain_energy, modes.total_strain_energy, rtol=1e-5)
+    np.testing.assert_array_equal(f06.modes.elements, modes.elements)
+    np.testing.assert_allclose(f06.modes.strain_energies, modes.strain_energies, rtol=1e-5)
+    np.testing.assert_allclose(f06.modes.total_strain_energy, modes.total_strain_energy, rtol=1e-5)
 
 
 def test_all_probes_of_mystran_are_those_of_their_op2_files(
@@ -139,20 +141,20 @@ def test_all_probes_of_mystran_are_those_of_their_op2_files(
         # Rigid eigenvalues are rounding, equal on the scale of the elastic ones.
         largest = modes.eigenvalues.max()
         np.testing.assert_allclose(
-            f06.eigenvalues, modes.eigenvalues, rtol=1e-5, atol=1e-9 * largest
+            f06.modes.eigenvalues, modes.eigenvalues, rtol=1e-5, atol=1e-9 * largest
         )
         assert_same_shapes(f06, op2)
-        assert f06.mass == pytest.approx(modes.mass, rel=1e-6)
+        assert f06.modes.mass == pytest.approx(modes.mass, rel=1e-6)
 
 
 def test_nastran_95_prints_the_garteur_mass_and_thirty_eigenvalues(shared_data: Path) -> None:
     f06 = read_f06(shared_data / "garteur" / "supaero" / "nastran_dynamic_ref.out")
-    assert f06.eigenvalues.size == 30
+    assert f06.modes.eigenvalues.size == 30
     # Rows 7 and 10 of the file's own table.
-    cycles = np.sqrt(f06.eigenvalues[[6, 9]]) / (2.0 * np.pi)
+    cycles = np.sqrt(f06.modes.eigenvalues[[6, 9]]) / (2.0 * np.pi)
     np.testing.assert_allclose(cycles, [6.366620, 46.01503], rtol=1e-6)
-    assert f06.generalized_mass[6] == pytest.approx(3.826903e-03)
-    assert f06.mass == pytest.approx(41.265, rel=1e-6)  # the README of the data, in kg
+    assert f06.modes.generalized_mass[6] == pytest.approx(3.826903e-03)
+    assert f06.modes.mass == pytest.approx(41.265, rel=1e-6)  # the README of the data, in kg
     assert f06.ended
 
 
@@ -221,7 +223,7 @@ def test_a_run_that_broke_off_keeps_its_messages_and_loses_its_half_tables(tmp_p
     broken = text.replace(point(7, ["5.0", "6.0"], "S"), "", 1)
     f06 = read_f06(write(tmp_path, broken))
     assert len(f06.fatal_messages) == 1
-    assert f06.mode_shapes.size == 0
+    assert f06.modes.mode_shapes.size == 0
     with pytest.raises(SolverCrashed, match="different points"):
         read_f06(write(tmp_path, broken + END))
 
@@ -241,7 +243,9 @@ def test_a_file_cut_anywhere_has_not_ended_and_tells_no_wrong_eigenvalue(tmp_pat
     for length in np.linspace(0, len(text) - 30, 40).astype(int):
         f06 = read_f06(write(tmp_path, text[:length]))
         assert not f06.ended
-        np.testing.assert_array_equal(f06.eigenvalues, [-4.0e-7, 100.0][: f06.eigenvalues.size])
+        np.testing.assert_array_equal(
+            f06.modes.eigenvalues, [-4.0e-7, 100.0][: f06.modes.eigenvalues.size]
+        )
 
 
 def test_a_byte_changed_anywhere_is_refused_or_read(tmp_path: Path) -> None:
@@ -257,5 +261,5 @@ def test_a_byte_changed_anywhere_is_refused_or_read(tmp_path: Path) -> None:
         except SolverCrashed:
             continue
         np.testing.assert_allclose(
-            f06.eigenvalues, [-4.0e-7, 100.0][: f06.eigenvalues.size], rtol=1e-4
+            f06.modes.eigenvalues, [-4.0e-7, 100.0][: f06.modes.eigenvalues.size], rtol=1e-4
         )

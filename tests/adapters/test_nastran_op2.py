@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.nastran.op2 import Op2Modes, read_op2
+from modetune.adapters.nastran.eigenvectors import NastranModes
+from modetune.adapters.nastran.op2 import read_op2
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats
 
@@ -280,7 +281,7 @@ def test_a_byte_changed_anywhere_is_refused_or_changes_one_number_at_most(tmp_pa
     assert refused > 20
 
 
-def differences(found: Op2Modes, good: Op2Modes) -> int:
+def differences(found: NastranModes, good: NastranModes) -> int:
     """How many numbers differ; the last modes may be lost with the name of their table."""
     n_modes = found.eigenvalues.size
     if found.nodes.shape != good.nodes.shape:

@@ -29,7 +29,7 @@ from modetune.adapters.nastran.dialect import (
     VERSION_VARIABLE,
     DialectName,
 )
-from modetune.adapters.nastran.op2 import Op2Modes
+from modetune.adapters.nastran.eigenvectors import NastranModes
 from modetune.adapters.nastran.results import modal_result
 from modetune.adapters.nastran.solver import (
     mystran_solver,
@@ -517,10 +517,11 @@ def test_nothing_is_run_twice_for_one_result(site: Site) -> None:
 # results from arrays
 
 
-def op2_modes(**changes: object) -> Op2Modes:
+def op2_modes(**changes: object) -> NastranModes:
     """One mode of one node with unit mass: eigenvalue 8, two elements with energies 1 and 3."""
-    whole = Op2Modes(
+    whole = NastranModes(
         eigenvalues=np.array([8.0]),
+        mode_numbers=np.array([1]),
         nodes=np.ones(6, dtype=np.int64),
         components=np.arange(1, 7),
         mode_shapes=np.arange(6.0)[:, None],
