@@ -206,9 +206,10 @@ def _told_orthogonality(found: Orthogonality | None) -> dict[str, Json] | None:
 def _write(found: Correlation, figures: Path | None, out: Path | None) -> list[Path]:
     written = []
     if figures is not None:
-        from modetune.flows.studies.correlate.figures import write_figures
+        from modetune.flows.report.matplotlib_charts import save_all
+        from modetune.flows.studies.correlate.figures import correlation_charts
 
-        written += write_figures(found, figures)
+        written += save_all(correlation_charts(found), figures)
     if out is not None:
         written.append(_write_csv(out, _pairs(found), ComparedPair))
         if found.comac.size:

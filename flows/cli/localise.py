@@ -70,13 +70,13 @@ def localise(
         found = find(campaign, place.theta, pages)
         written: list[Path] = []
         if figures is not None:
-            from modetune.flows.studies.localise.figures import write_figures
+            from modetune.flows.report.matplotlib_charts import save_all
+            from modetune.flows.studies.localise.figures import localisation_figures
 
             model = "updated" if record else "initial"
             title = f"{campaign.name}: where the {model} model is wrong"
-            written = write_figures(
-                title, found, campaign.case.solver.deck.mesh(), campaign.case.surface, figures
-            )
+            mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
+            written = save_all(localisation_figures(title, found, mesh, surface), figures)
         if pages is not None:
             pages.done(found.sentence, tables(found), written)
     if as_json:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -34,12 +34,12 @@ def report(
         known, folder = read_record(record), record if record.is_dir() else record.parent
         tell("drawing the report")
         page = write_page(known, out or folder / "report.html")
-        kind: Literal["png", "svg"] = "svg" if form == "svg" else "png"
-        pictures: tuple[Path, ...] = ()
+        pictures: list[Path] = []
         if figures is not None:
-            from modetune.flows.report.charts import write_pictures
+            from modetune.flows.report.charts import campaign_charts
+            from modetune.flows.report.matplotlib_charts import save_all
 
-            pictures = write_pictures(known, figures, kind)
+            pictures = save_all(dict(campaign_charts(known)), figures, form)
     if as_json:
         told = json_object(known, "name", status="good", page=page, figures=pictures)
         typer.echo(json.dumps(told))

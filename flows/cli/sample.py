@@ -63,7 +63,7 @@ def sample(
         from modetune.core.storage.files import check_writable
         from modetune.core.storage.record_file import read_record
         from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.studies.sample.record import FILE, write_posterior
+        from modetune.flows.studies.sample.record import POSTERIOR
         from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
         from modetune.flows.studies.sample.telling import findings, posterior_table, told
 
@@ -78,8 +78,13 @@ def sample(
         paged("sample", campaign.name, no_prefect) as pages,
     ):
         found = sample_campaign(campaign, request, working, earlier, pages)
-        write_posterior(folder / FILE, found)
-        written = [folder / FILE, *_figures(found, figures)]
+        POSTERIOR.write(folder / POSTERIOR.file, found)
+        written = [folder / POSTERIOR.file]
+        if figures is not None:
+            from modetune.flows.report.matplotlib_charts import save_all
+            from modetune.flows.studies.sample.figures import posterior_figures
+
+            written += save_all(posterior_figures(found), figures)
         doubts = [finding.text for finding in findings(found) if finding.red]
         if pages is not None:
             said = "; ".join(doubts) or found.points_by or "sampled"
@@ -90,14 +95,6 @@ def sample(
     else:
         _show(found, written)
     raise typer.Exit(3 if doubts else 0)
-
-
-def _figures(found: PosteriorRecord, folder: Path | None) -> list[Path]:
-    if folder is None:
-        return []
-    from modetune.flows.studies.sample.figures import write_figures
-
-    return write_figures(found, folder)
 
 
 def _show(found: PosteriorRecord, written: list[Path]) -> None:

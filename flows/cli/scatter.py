@@ -56,7 +56,7 @@ def scatter(
         from modetune.core.storage.files import check_writable
         from modetune.core.storage.record_file import read_record
         from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.studies.scatter.record import FILE, write_scatter
+        from modetune.flows.studies.scatter.record import SCATTER
         from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
         from modetune.flows.studies.scatter.telling import findings, scatter_tables, summary, told
 
@@ -73,12 +73,13 @@ def scatter(
         paged("scatter", campaign.name, no_prefect) as pages,
     ):
         found = scatter_campaign(campaign, request, working, earlier, pages)
-        write_scatter(folder / FILE, found)
-        written = [folder / FILE]
+        SCATTER.write(folder / SCATTER.file, found)
+        written = [folder / SCATTER.file]
         if figures is not None:
-            from modetune.flows.studies.scatter.figures import write_figures
+            from modetune.flows.report.matplotlib_charts import save_all
+            from modetune.flows.studies.scatter.figures import scatter_charts
 
-            written += write_figures(found, figures)
+            written += save_all(scatter_charts(found), figures)
         judged, tables = findings(found), scatter_tables(found)
         doubts = [finding.text for finding in judged if finding.red]
         if pages is not None:

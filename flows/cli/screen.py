@@ -54,7 +54,7 @@ def screen(
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.studies.screen.design import METHODS
         from modetune.flows.studies.screen.proposal import check_out, write_proposal
-        from modetune.flows.studies.screen.record import FILE, write_screening
+        from modetune.flows.studies.screen.record import SCREENING
         from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
         from modetune.flows.studies.screen.telling import proposed, tables
 
@@ -73,21 +73,18 @@ def screen(
         paged("screen", campaign.name, no_prefect) as pages,
     ):
         screening = screen_campaign(campaign, request, working, pages)
-        write_screening(folder / FILE, screening)
-        written = [folder / FILE, *_figures(screening, figures)]
+        SCREENING.write(folder / SCREENING.file, screening)
+        written = [folder / SCREENING.file]
+        if figures is not None:
+            from modetune.flows.report.matplotlib_charts import save_all
+            from modetune.flows.studies.screen.figures import screening_charts
+
+            written += save_all(screening_charts(screening), figures)
         if out is not None:
             written.append(write_proposal(campaign_file, screening, out))
         if pages is not None:
             pages.done(proposed(screening), tables(screening), written)
     _tell(screening, folder, written, as_json)
-
-
-def _figures(screening: Screening, folder: Path | None) -> list[Path]:
-    if folder is None:
-        return []
-    from modetune.flows.studies.screen.figures import write_figures
-
-    return write_figures(screening, folder)
 
 
 def _tell(screening: Screening, folder: Path, written: list[Path], as_json: bool) -> None:

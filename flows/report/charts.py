@@ -6,8 +6,6 @@ Each is described once (`chart`); `campaign_charts` names all that a record give
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -86,15 +84,6 @@ def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
         )
         unit = UNITS[record.frfs.kind] if record.frfs else ""
         yield f"response_{place}", responses(pair.title, unit, pair.frequencies_hz[lines], curves)
-
-
-def write_pictures(
-    record: CampaignRecord, folder: Path, form: Literal["png", "svg"]
-) -> tuple[Path, ...]:
-    """Write every chart that the record gives. Raises StorageUnavailable."""
-    from modetune.flows.report.matplotlib_charts import save
-
-    return tuple(save(chart, folder / f"{name}.{form}") for name, chart in campaign_charts(record))
 
 
 def mac_towers(

@@ -5,6 +5,7 @@ Each drawing is a figure that the caller may go on with; `save` writes it as PNG
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,11 @@ def save(figure: Figure | Chart, path: Path) -> Path:
         # Without a date the same figure is the same file.
         figure.savefig(part, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else {})
     return path
+
+
+def save_all(figures: Mapping[str, Figure | Chart], folder: Path, form: str = "png") -> list[Path]:
+    """Write figures by their names. Raises StorageUnavailable."""
+    return [save(figure, folder / f"{name}.{form}") for name, figure in figures.items()]
 
 
 def plain(text: str) -> str:

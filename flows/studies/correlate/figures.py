@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from modetune.core.modes import Floats, dof_name
@@ -18,18 +16,10 @@ from modetune.flows.report.chart import (
     HeatMap,
     Panel,
 )
-from modetune.flows.report.matplotlib_charts import save
 from modetune.flows.studies.correlate.correlate import Correlation, Side
 
 #: Sensors of which bars are drawn; the worst where there are more.
 BARS = 40
-
-
-def write_figures(found: Correlation, folder: Path) -> list[Path]:
-    """Write all charts that the comparison allows, as PNG. Raises StorageUnavailable."""
-    return [
-        save(chart, folder / f"{name}.png") for name, chart in correlation_charts(found).items()
-    ]
 
 
 def correlation_charts(found: Correlation) -> dict[str, Chart]:

@@ -13,7 +13,7 @@ import numpy as np
 from modetune.core.measurement.stabilisation import OrderPoles, Stability
 from modetune.flows.report.chart import AFTER, TEST, Axis, Chart, Curve, HeatMap, Panel, Rule
 from modetune.flows.report.charts import responses
-from modetune.flows.report.matplotlib_charts import save
+from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.report.page import write_chart
 from modetune.flows.report.responses import ResponseCurve
 from modetune.flows.studies.identify.identify import Identification
@@ -96,8 +96,7 @@ def write_figures(folder: Path, title: str, found: Identification) -> tuple[Path
         f"synthesis_{word.replace(' ', '_')}": synthesis_chart(found, place, word)
         for word, place in shown.items()
     }
-    written = [save(chart, folder / f"{name}.png") for name, chart in charts.items()]
-    return (*written, write_chart(folder / "stabilisation.html", diagram))
+    return (*save_all(charts, folder), write_chart(folder / "stabilisation.html", diagram))
 
 
 def _poles(orders: tuple[OrderPoles, ...], stability: Stability) -> Curve:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from modetune.core.modes import Floats
 from modetune.core.surface import Surface
 from modetune.core.updating.localisation import Removal
 from modetune.flows.report.chart import AFTER, BEFORE, Axis, Bars, Chart, Panel
-from modetune.flows.report.matplotlib_charts import new_figure, plain, save
+from modetune.flows.report.matplotlib_charts import new_figure, plain
 from modetune.flows.studies.localise.error_maps import ErrorMaps
 from modetune.flows.studies.localise.localise import Localisation
 
@@ -31,17 +30,19 @@ BARS = 30
 COLOURS = "YlOrRd"
 
 
-def write_figures(
-    title: str, found: Localisation, mesh: Mesh, surface: Surface, folder: Path
-) -> list[Path]:
-    """Write all figures that were found out, as PNG. Raises StorageUnavailable."""
-    paths = [save(removal_chart(title, found.parameters, found.singles), folder / "removals.png")]
+def localisation_figures(
+    title: str, found: Localisation, mesh: Mesh, surface: Surface
+) -> dict[str, Figure | Chart]:
+    """All figures of what was found out, by name."""
+    figures: dict[str, Figure | Chart] = {
+        "removals": removal_chart(title, found.parameters, found.singles)
+    }
     if found.maps is not None:
-        paths.append(save(group_chart(title, found.maps), folder / "groups.png"))
+        figures["groups"] = group_chart(title, found.maps)
         if mesh.nodes.size:
             strains = on_surface(found.maps.strains, mesh, surface)
-            paths.append(save(surface_figure(title, surface, strains), folder / "map.png"))
-    return paths
+            figures["map"] = surface_figure(title, surface, strains)
+    return figures
 
 
 def group_chart(title: str, maps: ErrorMaps) -> Chart:

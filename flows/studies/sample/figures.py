@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,19 +19,16 @@ from modetune.flows.report.chart import (
     Rule,
     positions,
 )
-from modetune.flows.report.matplotlib_charts import new_figure, save
+from modetune.flows.report.matplotlib_charts import new_figure
 from modetune.flows.studies.sample.record import PosteriorRecord
 
 #: Cells of a histogram along one parameter, and parameters of which pairs are drawn.
 CELLS, SHOWN = 32, 10
 
 
-def write_figures(record: PosteriorRecord, folder: Path) -> list[Path]:
-    """Write all figures as PNG. Raises StorageUnavailable."""
-    return [
-        save(corner_figure(record), folder / "posterior.png"),
-        save(surrogate_chart(record), folder / "surrogate.png"),
-    ]
+def posterior_figures(record: PosteriorRecord) -> dict[str, Figure | Chart]:
+    """All figures by name."""
+    return {"posterior": corner_figure(record), "surrogate": surrogate_chart(record)}
 
 
 def corner_figure(record: PosteriorRecord) -> Figure:

@@ -34,7 +34,6 @@ Values of parameters are relative to the deck's.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +44,6 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import RecordFile
 from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.studies.sample.surrogate import Training
-
-FILE = "posterior.h5"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -113,14 +110,4 @@ class PosteriorRecord:
         return self.reduced_model.sentence if self.reduced_model else ""
 
 
-POSTERIOR = RecordFile(PosteriorRecord, "sampling", FILE, 5)
-
-
-def write_posterior(path: Path, record: PosteriorRecord) -> None:
-    """Write the record whole or not at all. Raises StorageUnavailable."""
-    POSTERIOR.write(path, record)
-
-
-def read_posterior(path: Path) -> PosteriorRecord:
-    """The record as it was written. Raises CampaignError, StoreDamaged."""
-    return POSTERIOR.read(path)
+POSTERIOR = RecordFile(PosteriorRecord, "sampling", "posterior.h5", 5)

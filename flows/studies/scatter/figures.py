@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
 
 from modetune.core.modes import Floats
 from modetune.flows.report.chart import PARAMETER_COLOURS, TEST, Axis, Chart, Curve, Panel
-from modetune.flows.report.matplotlib_charts import save
 from modetune.flows.studies.scatter.record import ScatterRecord
 
 #: Pairs of neighbours that are drawn, at most; points of an ellipse.
@@ -18,12 +16,10 @@ SHOWN, POINTS = 9, 181
 LINES = ("-", "--", ":")
 
 
-def write_figures(record: ScatterRecord, folder: Path) -> list[Path]:
-    """Write all figures as PNG. Raises StorageUnavailable."""
+def scatter_charts(record: ScatterRecord) -> dict[str, Chart]:
+    """All charts that the record gives, by name."""
     charts = {"scatter": scatter_chart(record), "answers": answers_chart(record)}
-    return [
-        save(chart, folder / f"{name}.png") for name, chart in charts.items() if chart is not None
-    ]
+    return {name: chart for name, chart in charts.items() if chart is not None}
 
 
 def scatter_chart(record: ScatterRecord) -> Chart | None:

@@ -8,15 +8,12 @@ are of one test. Several answers that explain the mean of the tests stand side b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from modetune.core.brief import brief
 from modetune.core.modes import Floats
 from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import RecordFile
 from modetune.core.updating.reduced_range import RangeUse
-
-FILE = "scatter.h5"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -85,14 +82,4 @@ class ScatterRecord:
     __repr__ = brief
 
 
-SCATTER = RecordFile(ScatterRecord, "scatter study", FILE, 1)
-
-
-def write_scatter(path: Path, record: ScatterRecord) -> None:
-    """Write the record whole or not at all. Raises StorageUnavailable."""
-    SCATTER.write(path, record)
-
-
-def read_scatter(path: Path) -> ScatterRecord:
-    """The record as it was written. Raises CampaignError, StoreDamaged."""
-    return SCATTER.read(path)
+SCATTER = RecordFile(ScatterRecord, "scatter study", "scatter.h5", 1)

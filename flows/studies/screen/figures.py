@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -26,18 +25,11 @@ from modetune.flows.report.chart import (
     Panel,
     Rule,
 )
-from modetune.flows.report.matplotlib_charts import save
 from modetune.flows.studies.screen.record import Screening
 
 CHOSEN, OUT, SECOND = AFTER, BEFORE, "#009E73"
 #: Points of a scatter that are named: the strongest.
 LABELLED = 5
-
-
-def write_figures(screening: Screening, folder: Path) -> list[Path]:
-    """Write all charts that the screening allows, as PNG. Raises StorageUnavailable."""
-    charts = screening_charts(screening)
-    return [save(chart, folder / f"{name}.png") for name, chart in charts.items()]
 
 
 def screening_charts(screening: Screening) -> dict[str, Chart]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from modetune.core.brief import brief
 from modetune.core.modes import Floats, mode_name
@@ -21,8 +20,6 @@ from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.studies.screen.choice import ChosenParameters
 from modetune.flows.studies.screen.design import Design
 from modetune.flows.studies.screen.indices import Indices
-
-FILE = "screening.h5"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,14 +120,4 @@ def mode_names(numbers: Sequence[int], configurations: Sequence[str]) -> tuple[s
     return tuple(map(mode_name, numbers, configurations or [""] * len(numbers)))
 
 
-SCREENING = RecordFile(Screening, "screening", FILE, 5)
-
-
-def write_screening(path: Path, screening: Screening) -> None:
-    """Write the record whole or not at all. Raises StorageUnavailable."""
-    SCREENING.write(path, screening)
-
-
-def read_screening(path: Path) -> Screening:
-    """The record as it was written. Raises CampaignError, StoreDamaged."""
-    return SCREENING.read(path)
+SCREENING = RecordFile(Screening, "screening", "screening.h5", 5)

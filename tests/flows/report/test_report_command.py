@@ -13,7 +13,8 @@ from modetune.core.errors import CampaignError
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import write_record
 from modetune.flows.cli.main import app
-from modetune.flows.report.charts import write_pictures
+from modetune.flows.report.charts import campaign_charts
+from modetune.flows.report.matplotlib_charts import save_all
 
 FIGURES = ["comac", "convergence", "estimates", "frequencies", "mac", "mac_map", "parameters",
            "sensitivities", "sensor_shapes"]  # fmt: skip
@@ -54,7 +55,7 @@ def test_page_and_pictures_go_where_they_are_wanted(folder: Path, tmp_path: Path
 
 def test_names_with_signs_of_formulas_are_drawn(record: CampaignRecord, tmp_path: Path) -> None:
     strange = replace(record, name="a $ of \\alpha_ $ {")
-    pictures = write_pictures(strange, tmp_path, "png")
+    pictures = save_all(dict(campaign_charts(strange)), tmp_path)
     assert sorted(path.stem for path in pictures) == FIGURES
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in pictures)
 

@@ -26,9 +26,9 @@ from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import MeasuredModes, ModeSet, dof_name, mode_set
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.cli.correlate import correlate as correlate_command
-from modetune.flows.report.matplotlib_charts import matplotlib_figure
+from modetune.flows.report.matplotlib_charts import matplotlib_figure, save_all
 from modetune.flows.studies.correlate.correlate import Side, correlate
-from modetune.flows.studies.correlate.figures import heat_chart, write_figures
+from modetune.flows.studies.correlate.figures import correlation_charts, heat_chart
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.updating.running import update_campaign
 from tests.flows.conftest import ScriptedProgram, recased
@@ -493,9 +493,9 @@ def test_large_matrices_are_drawn_without_numbers_and_without_shapes_little_is(
     found = correlate(many, many)
     assert len(matplotlib_figure(heat_chart("t", found.mac, many, many)).axes[0].texts) == 0
     bare = side(mode_set([1.0, 2.0]))
-    assert [path.name for path in write_figures(correlate(bare, bare), tmp_path)] == [
-        "frequencies.png"
-    ]
+    assert [
+        path.name for path in save_all(correlation_charts(correlate(bare, bare)), tmp_path)
+    ] == ["frequencies.png"]
 
 
 def test_records_hold_all_elastic_modes(run_folder: Path) -> None:

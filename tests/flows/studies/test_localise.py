@@ -23,9 +23,9 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.localise import localise as localise_command
 from modetune.flows.jobs.job import Job
 from modetune.flows.report.form_verdict import record_verdict, verdict_summary
-from modetune.flows.report.matplotlib_charts import save
+from modetune.flows.report.matplotlib_charts import save, save_all
 from modetune.flows.studies.localise.error_maps import OTHER_MASS, OTHER_STIFFNESS
-from modetune.flows.studies.localise.figures import on_surface, surface_figure, write_figures
+from modetune.flows.studies.localise.figures import localisation_figures, on_surface, surface_figure
 from modetune.flows.studies.localise.localise import localise, place_of
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine, update_campaign
@@ -154,7 +154,7 @@ def test_figures_are_written_for_what_was_found(bench: Any, tmp_path: Path) -> N
     campaign = bench.campaign({"k5": 1.3}, shapes=True, parameters=ALL)
     found = localise(campaign)
     mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
-    paths = write_figures("chain $x", found, mesh, surface, tmp_path / "figures")
+    paths = save_all(localisation_figures("chain $x", found, mesh, surface), tmp_path / "figures")
     assert [path.name for path in paths] == ["removals.png", "groups.png", "map.png"]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
 

@@ -12,8 +12,9 @@ import pytest
 from modetune.core.errors import CampaignError, SolverRejected
 from modetune.core.modes import Floats
 from modetune.core.updating.weighting import Weighting, even_weighting
-from modetune.flows.studies.sample.figures import write_figures
-from modetune.flows.studies.sample.record import PosteriorRecord, read_posterior, write_posterior
+from modetune.flows.report.matplotlib_charts import save_all
+from modetune.flows.studies.sample.figures import posterior_figures
+from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.sample.telling import findings, told
 from modetune.flows.updating.running import update_campaign
@@ -218,24 +219,24 @@ def test_what_cannot_be_had_is_refused_before_any_run(
 def test_the_record_reads_as_it_was_written_and_is_drawn(
     record: PosteriorRecord, tmp_path: Path
 ) -> None:
-    write_posterior(tmp_path / "posterior.h5", record)
-    read = read_posterior(tmp_path / "posterior.h5")
+    POSTERIOR.write(tmp_path / "posterior.h5", record)
+    read = POSTERIOR.read(tmp_path / "posterior.h5")
     assert told(read, []) == told(record, [])
     for name in ("samples", "log_densities", "near", "check_points", "peaks"):
         np.testing.assert_array_equal(getattr(read, name), getattr(record, name))
     assert read.training.names == record.training.names
-    for path in write_figures(read, tmp_path / "figures"):
+    for path in save_all(posterior_figures(read), tmp_path / "figures"):
         assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_every_damage_to_the_record_is_refused_before_hdf5_sees_it(
     record: PosteriorRecord, tmp_path: Path
 ) -> None:
-    write_posterior(tmp_path / "posterior.h5", record)
-    refused_when_damaged(tmp_path / "posterior.h5", read_posterior)
+    POSTERIOR.write(tmp_path / "posterior.h5", record)
+    refused_when_damaged(tmp_path / "posterior.h5", POSTERIOR.read)
 
 
 def test_a_file_that_is_no_record_is_named(tmp_path: Path) -> None:
     (tmp_path / "posterior.h5").write_text("nothing")
     with pytest.raises(CampaignError, match=r"posterior\.h5 is not a record of a sampling"):
-        read_posterior(tmp_path / "posterior.h5")
+        POSTERIOR.read(tmp_path / "posterior.h5")

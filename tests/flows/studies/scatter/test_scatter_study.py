@@ -19,7 +19,7 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.main import app
-from modetune.flows.studies.scatter.record import ScatterRecord, read_scatter
+from modetune.flows.studies.scatter.record import SCATTER, ScatterRecord
 from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
 from tests.adapters.test_solver_contract import run
 from tests.flows.studies.sample.test_by_reduced import TRUTH, frequencies, row_of_masses
@@ -66,7 +66,7 @@ def test_a_row_of_masses_has_two_answers_and_the_covariance_of_one(row: Path) ->
     assert said["status"] == "doubtful"
     assert "2 answers explain the mean of the tests" in said["findings"][0]["text"]
     assert all(Path(path).is_file() for path in said["written"])
-    record = read_scatter(Path("runs/row/scatter.h5"))
+    record = SCATTER.read(Path("runs/row/scatter.h5"))
     means = np.array([answer.mean for answer in record.answers])
     place = int(np.argmin(np.abs(means - TRUTH).sum(axis=1)))
     answer = record.answers[place]

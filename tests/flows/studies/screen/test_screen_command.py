@@ -10,7 +10,7 @@ from subprocess import CompletedProcess
 import pytest
 
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.screen.record import read_screening
+from modetune.flows.studies.screen.record import SCREENING
 from tests.command_line import run_command
 
 SIX_MASS = Path(__file__).resolve().parents[4] / "configs" / "six_mass"
@@ -46,7 +46,7 @@ def test_a_screening_leaves_record_proposal_figures_and_one_json_object(folder: 
     assert shown["points"] == 16  # four springs at two levels
     assert len(shown["chosen"]) == 2
     assert json.loads((folder / "runs/six-mass/screening.json").read_text()) == shown
-    assert read_screening(folder / "runs/six-mass/screening.h5").choice.chosen == tuple(
+    assert SCREENING.read(folder / "runs/six-mass/screening.h5").choice.chosen == tuple(
         shown["chosen"]
     )
     assert set(load_campaign(folder / "proposed.yaml").parameters.names) == set(shown["chosen"])

@@ -20,9 +20,10 @@ from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import Ended
+from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.studies.screen.design import METHODS, Method
-from modetune.flows.studies.screen.figures import write_figures
-from modetune.flows.studies.screen.record import Screening, read_screening, write_screening
+from modetune.flows.studies.screen.figures import screening_charts
+from modetune.flows.studies.screen.record import SCREENING, Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.screen.telling import lines, tables, told
 from modetune.flows.updating.updating import Unwatched
@@ -271,8 +272,8 @@ def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
     asked = {} if method == "local" else {"points": 40 if method == "sobol" else 8}
     found = screened(campaign, method, **asked)
     path = tmp_path / "screening.h5"
-    write_screening(path, found)
-    again = read_screening(path)
+    SCREENING.write(path, found)
+    again = SCREENING.read(path)
     assert told(again) == told(found)
     assert again.response_names == found.response_names
     for name in ("points", "blocks", "lower", "upper"):
@@ -284,7 +285,7 @@ def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
         console.print(table)
     shown = console.file.getvalue()  # type: ignore[attr-defined]
     assert all(name in shown for name in found.names)
-    for figure in write_figures(again, tmp_path / "figures"):
+    for figure in save_all(screening_charts(again), tmp_path / "figures"):
         assert figure.read_bytes().startswith(b"\x89PNG")
 
 
@@ -292,8 +293,8 @@ def test_every_damage_to_the_record_is_refused_before_hdf5_sees_it(
     bench: Bench, tmp_path: Path
 ) -> None:
     found = screened(bench.campaign({"k1": 1.3, "k3": 0.9}, modes=(1, 2)), "local")
-    write_screening(tmp_path / "screening.h5", found)
-    refused_when_damaged(tmp_path / "screening.h5", read_screening)
+    SCREENING.write(tmp_path / "screening.h5", found)
+    refused_when_damaged(tmp_path / "screening.h5", SCREENING.read)
 
 
 @pytest.mark.parametrize("shapes", [(True, True), (True, False), (False, False)])
@@ -320,14 +321,14 @@ def test_two_configurations_of_one_model_say_what_it_says_twice(
     if shapes[0] == shapes[1]:
         np.testing.assert_allclose(both.importance, np.sqrt(2.0) * one.importance, rtol=1e-9)
     assert both.choice.ranking == one.choice.ranking
-    write_screening(tmp_path / "screening.h5", both)
-    read = read_screening(tmp_path / "screening.h5")
+    SCREENING.write(tmp_path / "screening.h5", both)
+    read = SCREENING.read(tmp_path / "screening.h5")
     assert read.configurations == ("full", "full", "empty", "empty")
-    assert write_figures(read, tmp_path / "figures")
+    assert save_all(screening_charts(read), tmp_path / "figures")
 
 
 def test_a_file_that_is_no_screening_is_told(tmp_path: Path) -> None:
     path = tmp_path / "screening.h5"
     path.write_text("no HDF5")
     with pytest.raises(CampaignError, match="is not a record of a screening"):
-        read_screening(path)
+        SCREENING.read(path)
