@@ -20,8 +20,6 @@ T = TypeVar("T", bound=Hashable)
 OF_MATERIALS: frozenset[Quantity] = frozenset(
     quantity for quantity, targets in TARGETS.items() if "material" in targets
 )
-#: How many members a sentence names.
-LISTED = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +62,6 @@ def cut(
     if not cutting:
         return [((), sorted(elements))]
     return cells_of({number: acting(cutting, frozenset({number})) for number in sorted(elements)})
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names of some members, of many the first few."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
 
 
 def elements_named(numbers: Sequence[int]) -> str:

@@ -28,8 +28,8 @@ from modetune.adapters.splitting import (
     cells_of,
     cut,
     elements_named,
-    listed,
 )
+from modetune.core.near_names import listed
 from modetune.core.parameters import Parameter
 
 #: Keywords that go on with the *MATERIAL above them.

@@ -10,6 +10,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.measurements import read_computed
 from modetune.core.errors import CampaignError, NoResult, SolverRejected
 from modetune.core.modes import ModeSet, Normalisation, dof_name, mode_set
+from modetune.core.near_names import listed
 from modetune.core.updating.results import ModalResult
 
 REMEDY = "under `model.command`"
@@ -55,7 +56,7 @@ def asked_modes(
     missing = [dof_name(dof) for dof in wanted if dof not in rows]
     if missing:
         raise SolverRejected(
-            f"{place} has no shape at {', '.join(missing[:5])}{', ...' if missing[5:] else ''} "
+            f"{place} has no shape at {listed(missing, 5)} "
             f"({len(missing)} of {len(wanted)} that were asked for, {len(rows)} are there); let "
             "the program write all nodes of the file of `nodes`, held ones as zeros, or give "
             f"`components` {REMEDY}"

@@ -30,9 +30,9 @@ from modetune.adapters.splitting import (
     cells_of,
     cut,
     elements_named,
-    listed,
 )
 from modetune.core.errors import ModelError
+from modetune.core.near_names import listed
 from modetune.core.parameters import Parameter
 
 #: Fields of a PSHELL that name materials; of others it is the second one.

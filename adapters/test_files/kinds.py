@@ -15,6 +15,7 @@ from typing import Literal
 
 from modetune.adapters.regular_file import open_regular
 from modetune.core.errors import CampaignError
+from modetune.core.near_names import listed
 from modetune.core.storage.seal import title_of
 
 Form = Literal[
@@ -140,7 +141,7 @@ def _archive(path: Path) -> FileKind:
             return FileKind("", said, NUMBERS)
     if "content.xml" in names:
         return FileKind("", "an OpenDocument file", "save it as .xlsx or CSV")
-    told = ", ".join(names[:4]) + (", ..." if names[4:] else "")
+    told = listed(names, 4)
     if names and all(name.endswith(".npy") for name in names):
         return FileKind("", f"an archive of NumPy's arrays ({told})", NUMBERS)
     return FileKind("", f"a ZIP archive of {told or 'nothing'}", "unpack it")

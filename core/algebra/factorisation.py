@@ -32,6 +32,7 @@ from modetune.core.algebra import matrices
 from modetune.core.algebra.factor_room import roomy_factors
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.errors import ModelError
+from modetune.core.near_names import listed
 
 Matrix: TypeAlias = sparse.sparray | sparse.spmatrix | NDArray[np.float64]
 
@@ -196,7 +197,7 @@ def _unit_diagonal(a: sparse.csr_array) -> NDArray[np.float64]:
     largest = abs(a).max(axis=1).toarray().ravel()
     empty = np.flatnonzero(largest == 0.0)
     if empty.size:
-        shown = ", ".join(map(str, empty[:10].tolist())) + (", ..." if empty.size > 10 else "")
+        shown = listed(empty.tolist(), 10)
         raise ModelError(
             f"a matrix of {a.shape[0]} equations is singular: {empty.size} rows hold only zeros "
             f"(counted from 0: {shown}); unknowns without stiffness must be left out"

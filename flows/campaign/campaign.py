@@ -18,6 +18,7 @@ from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.correlation.matching import PairRules
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.near_names import listed
 from modetune.core.parameters import Parameter, ParameterSet, Values, frequency_reach
 from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
@@ -116,7 +117,7 @@ class Campaign:
         )
         return (
             f"Campaign {self.name} ({self.file}): {models}; {len(self.test.numbers)} test modes\n"
-            f"parameters: {', '.join(names[:12])}{', ...' if len(names) > 12 else ''}"
+            f"parameters: {listed(names, 12)}"
         )
 
     @property

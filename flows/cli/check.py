@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -226,14 +226,13 @@ def compared(
 ) -> tuple[Campaign, BaselineCheck]:
     """A campaign, and its model beside a baseline's, or that of a record."""
     from modetune.core.errors import CampaignError
+    from modetune.core.near_names import named
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.updating.baseline import Band, State, check_deck, check_record
 
     if baseline is None:
         raise CampaignError("--record requires a baseline to compare with; name one with --against")
-    if state not in ("updated", "initial"):
-        raise CampaignError(f"--state {state!r}: expected updated or initial")
-    model: State = "initial" if state == "initial" else "updated"
+    model: State = named("--state", state, get_args(State))
     campaign, band = load_campaign(campaign_file, settings), Band(*bands)
     if record is None:
         with paged("check", campaign.name, no_prefect) as pages:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -52,7 +52,7 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", help="KEY.KEY=VALUE over the campaign files; may be repeated."),
 ]
-State = Annotated[str, typer.Option(help="Which model of a record: updated, or initial.")]
+OfRecord = Annotated[str, typer.Option(help="Which model of a record: updated, or initial.")]
 Reduced = Annotated[
     str | None,
     typer.Option(help="Cross-orthogonality, by a mass matrix that guyan or serep reduces."),
@@ -68,7 +68,7 @@ def correlate(
     solver: SolverChoice = None,
     units: UnitsChoice = None,
     settings: Settings = None,
-    state: State = "updated",
+    state: OfRecord = "updated",
     orthogonality: Reduced = None,
     figures: Figures = None,
     out: Out = None,
@@ -82,12 +82,16 @@ def correlate(
     """
     with begun(f"comparing {first}{f' with {second}' if second else ''}"):
         from modetune.core.errors import CampaignError
-        from modetune.flows.studies.correlate.sides import MODELS, correlate_sources, source
+        from modetune.core.near_names import named
+        from modetune.flows.studies.correlate.sides import (
+            METHODS,
+            MODELS,
+            correlate_sources,
+            source,
+        )
+        from modetune.flows.updating.baseline import State
 
-    if state not in ("updated", "initial"):
-        raise CampaignError(f"--state {state!r}: expected updated or initial")
-    if orthogonality not in (None, "guyan", "serep"):
-        raise CampaignError(f"--orthogonality {orthogonality!r}: expected guyan or serep")
+    method = named("--orthogonality", orthogonality, METHODS) if orthogonality else None
     if second is None and second_at:
         raise CampaignError("--second-at is of a second campaign, and none is named")
     sources = source(first, at or ()), source(second, second_at or ()) if second else None
@@ -95,9 +99,9 @@ def correlate(
     with stoppable(), paged("correlate", first.stem, no_prefect or not solves) as pages:
         found = correlate_sources(
             *sources,
-            "initial" if state == "initial" else "updated",
+            named("--state", state, get_args(State)),
             with_model(settings, solver, units),
-            {"guyan": "guyan", "serep": "serep"}.get(orthogonality or ""),  # type: ignore[arg-type]
+            method,
             pages,
         )
         written = _write(found, figures, out)
@@ -239,7 +243,7 @@ def _tables(found: Correlation) -> list[Table]:
 
 def _lines(found: Correlation) -> list[str]:
     from modetune.core.modes import dof_name
-    from modetune.flows.studies.check.findings import listed
+    from modetune.core.near_names import listed
 
     lines = (
         [f"{len(found.dofs)} common degree{'' if len(found.dofs) == 1 else 's'} of freedom"]

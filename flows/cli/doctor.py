@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
 from modetune.flows.cli.options import AsJson, stoppable
 
 if TYPE_CHECKING:
-    from modetune.flows.campaign.schema import NastranDialect
     from modetune.flows.studies.doctor.doctor import DoctorReport
     from modetune.flows.studies.doctor.lines import DoctorLine
 
@@ -42,18 +41,17 @@ def doctor(
     A commercial solver is tried only when named, for it takes a licence. What it passes is noted,
     and `auto` uses it from then on. Ends with 4 where something failed.
     """
-    from modetune.core.errors import CampaignError
+    from modetune.core.near_names import named
     from modetune.core.storage.files import writing
+    from modetune.flows.campaign.schema import NastranDialect
     from modetune.flows.campaign.terminal import terminal
     from modetune.flows.studies.doctor.doctor import run_doctor
 
-    if dialect not in ("msc", "nx"):
-        raise CampaignError(f"--dialect {dialect!r}: expected msc or nx")
+    chosen: NastranDialect = named("--dialect", dialect, get_args(NastranDialect))
 
     def tell(line: DoctorLine) -> None:
         typer.echo(line.text, err=as_json)
 
-    chosen: NastranDialect = "nx" if dialect == "nx" else "msc"
     with (
         stoppable("stopped; the same command begins anew"),
         terminal(stderr=True).status("looking") as status,  # nothing where it is not a terminal

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.near_names import listed
 from modetune.flows.cli.options import (
     AsJson,
     SolverChoice,
@@ -101,9 +102,8 @@ def _lines(draft: Draft) -> list[str]:
             f"sensors  {test.about}",
         ]
     free = [item.parameter.name for item in draft.free]
-    shown = f"{', '.join(free[:6])}{', ...' if len(free) > 6 else ''}"
     said.append(
-        f"free     {len(free)} of {len(draft.candidates)} candidate parameters: {shown}; the "
-        "others stand behind a #"
+        f"free     {len(free)} of {len(draft.candidates)} candidate parameters: {listed(free)}; "
+        "the others stand behind a #"
     )
     return [*said, f"written: {draft.path}", "", "Read it, then:", *(f"  {x}" for x in draft.next)]

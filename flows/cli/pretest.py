@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -62,19 +62,20 @@ def pretest(
 ) -> None:
     """Choose places for sensors and exciters from the model alone, before there is a test."""
     with begun(f"reading {campaign_file}") as tell:
+        from modetune.core.near_names import named
+        from modetune.flows.studies.pretest.candidates import Directions
         from modetune.flows.studies.pretest.settings import (
+            Method,
             PretestSettings,
-            directions_named,
-            method_named,
             parse_modes,
         )
 
         asked = PretestSettings(
             parse_modes(modes),
             sensors,
-            method_named(method),
+            named("--method", method, get_args(Method)),
             candidates,
-            directions_named(directions),
+            named("--directions", directions, get_args(Directions)),
             triaxial,
             distance,
             exciters,

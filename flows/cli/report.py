@@ -25,12 +25,11 @@ def report(
 ) -> None:
     """Draw a campaign's report: one HTML file that needs no network, and pictures if asked for."""
     with begun(f"reading {record}") as tell:
-        from modetune.core.errors import CampaignError
+        from modetune.core.near_names import named
         from modetune.core.storage.record_file import read_record
         from modetune.flows.report.page import write_page
 
-        if form not in ("png", "svg"):
-            raise CampaignError(f"--format {form!r}: expected png or svg")
+        named("--format", form, ("png", "svg"))
         known, folder = read_record(record), record if record.is_dir() else record.parent
         tell("drawing the report")
         page = write_page(known, out or folder / "report.html")

@@ -49,7 +49,7 @@ def screen(
     Leaves screening.h5 in the campaign's run folder. The same screening again starts no solver.
     """
     with begun(f"reading {campaign_file}"):
-        from modetune.core.errors import CampaignError
+        from modetune.core.near_names import named
         from modetune.core.storage.files import check_writable
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.studies.screen.design import METHODS
@@ -58,15 +58,13 @@ def screen(
         from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
         from modetune.flows.studies.screen.telling import proposed, tables
 
-        known = [name for name in METHODS if name == method]
-        if not known:
-            raise CampaignError(f"--method {method!r}: expected one of {', '.join(METHODS)}")
+        known = named("--method", method, METHODS)
         campaign = load_campaign(campaign_file, settings or [])
     if out is not None:
         check_out(campaign_file, out)
     folder = runs / campaign.name
     check_writable(folder, "name another place for run folders with --runs")
-    request = ScreeningRequest(known[0], points, seed, levels, choose)
+    request = ScreeningRequest(known, points, seed, levels, choose)
     with (
         stoppable(),
         begun(f"screening {campaign.name}") as working,

@@ -43,6 +43,7 @@ from modetune.adapters.test_files.universal.tidying import bad_row, tidy
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats
+from modetune.core.near_names import listed
 
 #: How what pyuff returns for each dataset becomes what modetune knows.
 CONVERT: dict[int, Callable[[DatasetPlace, DatasetBlock, Any], Content | None]] = {
@@ -169,8 +170,9 @@ def _read_set(file: Any, index: int) -> Any:
 
 
 def _lines(lines: Sequence[int]) -> str:
-    shown = ", ".join(map(str, lines[:5])) + (", ..." if len(lines) > 5 else "")
-    return f"line {shown}" if len(lines) == 1 else f"{len(lines)} times, lines {shown}"
+    return (
+        f"line {lines[0]}" if len(lines) == 1 else f"{len(lines)} times, lines {listed(lines, 5)}"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from modetune.core.correlation.complexity import DOUBTFUL, modal_phase_collinear
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import Complexes
 from modetune.core.modes import Floats, MeasuredModes, ModeSet
+from modetune.core.near_names import listed
 
 #: Relative difference of frequencies up to which shapes of one number are one mode: references of a
 #: test may each have their own pole. Between files, only digits may differ.
@@ -181,15 +182,13 @@ def _measured(
     """
     missing = np.isnan(table).all(axis=1).any(axis=1)
     if missing.any():
-        notes.append(f"nodes that some modes lack are left out: {_some(nodes[missing].tolist())}")
+        notes.append(f"nodes that some modes lack are left out: {listed(nodes[missing], 10)}")
     filled = np.nan_to_num(table)
     kept = (filled != 0.0).any(axis=2) & ~missing[:, None]
     unmoved = ~kept[:, :3] & ~missing[:, None]
     still = unmoved.all(axis=1) & ~kept.any(axis=1)
     if still.any():
-        notes.append(
-            f"nodes that move in no mode were not measured: {_some(nodes[still].tolist())}"
-        )
+        notes.append(f"nodes that move in no mode were not measured: {listed(nodes[still], 10)}")
     partly = int((unmoved & ~still[:, None]).sum())
     if partly:
         notes.append(
@@ -226,7 +225,7 @@ def _note_complex(
     low = [number for number, value in zip(numbers, collinearity, strict=True) if value < DOUBTFUL]
     if low:
         notes.append(
-            f"doubtful: modes {_some(low)} are far from real (modal phase collinearity below "
+            f"doubtful: modes {listed(low, 10)} are far from real (modal phase collinearity below "
             f"{DOUBTFUL})"
         )
 
@@ -241,15 +240,15 @@ def _damping_ratios(
         missing = [
             number for number, ratio in zip(numbers, ratios, strict=True) if math.isnan(ratio)
         ]
-        notes.append(f"modes without damping in the file get 0: {_some(missing)}")
+        notes.append(f"modes without damping in the file get 0: {listed(missing, 10)}")
     negative = [number for number, ratio in zip(numbers, ratios, strict=True) if ratio < 0.0]
     if negative:
-        notes.append(f"doubtful: modes with negative damping: {_some(negative)}")
+        notes.append(f"doubtful: modes with negative damping: {listed(negative, 10)}")
     high = [number for number, ratio in zip(numbers, ratios, strict=True) if ratio > HIGH]
     if high:
         notes.append(
-            f"doubtful: modes with a damping ratio above {HIGH:g}: {_some(high)}; is it in per "
-            "cent in the file?"
+            f"doubtful: modes with a damping ratio above {HIGH:g}: {listed(high, 10)}; is it in "
+            "per cent in the file?"
         )
     return np.nan_to_num(ratios)
 
@@ -264,8 +263,3 @@ def _values(groups: Sequence[Sequence[DatasetShape]]) -> list[Floats | Complexes
 
 def _unit_mass(shapes: Sequence[DatasetShape]) -> bool:
     return all(shape.modal_mass == 1.0 and not np.iscomplexobj(shape.values) for shape in shapes)
-
-
-def _some(numbers: Sequence[int]) -> str:
-    shown = ", ".join(map(str, numbers[:10]))
-    return shown if len(numbers) <= 10 else f"{shown} and {len(numbers) - 10} more"

@@ -27,10 +27,3 @@ class Finding:
 def worst(findings: Iterable[Finding]) -> Level:
     """The worst level of all; good where there are none."""
     return max((item.level for item in findings), key=ORDER.__getitem__, default="good")
-
-
-def listed(names: Iterable[object], most: int = 6) -> str:
-    """Names with commas, the first few where there are many."""
-    texts = [str(name) for name in names]
-    more = f" and {len(texts) - most} more" if len(texts) > most else ""
-    return ", ".join(texts[:most]) + more

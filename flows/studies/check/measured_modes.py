@@ -11,7 +11,8 @@ import numpy as np
 
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
-from modetune.flows.studies.check.findings import Finding, listed
+from modetune.core.near_names import listed
+from modetune.flows.studies.check.findings import Finding
 
 #: Off the diagonal of the auto-MAC: above it the sensors hardly tell two modes apart.
 ALIKE = 0.8

@@ -24,8 +24,9 @@ from modetune.core.correlation.matching import (
 from modetune.core.correlation.pairing import LOST_MAC, RESOLUTION, Pairing, close_modes
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
+from modetune.core.near_names import listed
 from modetune.flows.report.tables import Column
-from modetune.flows.studies.check.findings import Finding, listed
+from modetune.flows.studies.check.findings import Finding
 from modetune.flows.studies.check.measured_modes import ALIKE
 
 #: Below it a pair is believed with doubt.

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from modetune.core.modes import Integers
+from modetune.core.near_names import listed
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.mapping import CHOICE, REASONS, SensorRow
-from modetune.flows.studies.check.findings import Finding, listed
+from modetune.flows.studies.check.findings import Finding
 from modetune.flows.studies.check.measured_modes import sensor_name
 
 #: Readers of test files begin a note of something doubtful with it.

@@ -25,6 +25,7 @@ from modetune.core.condensation.measured_unknowns import MeasuredModel
 from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, Integers, ModeSet, Normalisation, mode_set
+from modetune.core.near_names import named
 from modetune.core.parameters import Values
 from modetune.core.updating.direct import (
     DirectUpdate,
@@ -40,7 +41,6 @@ from modetune.flows.studies.condensation.model import (
     FullModel,
     by_sensors,
     full_model,
-    named,
     relative,
     sensor_names,
 )

@@ -34,6 +34,7 @@ from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.measurement.sensors import global_directions
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, dof_name, mode_set
+from modetune.core.near_names import named
 from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
@@ -45,7 +46,6 @@ from modetune.flows.studies.condensation.model import (
     FullModel,
     by_sensors,
     full_model,
-    named,
     relative,
     sensor_names,
 )

@@ -6,7 +6,6 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -26,7 +25,6 @@ from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import solved
 from modetune.flows.updating.running import job_engine
 
-T = TypeVar("T")
 Dofs = list[tuple[int, int]]
 #: NODE, NODE.z or NODE.xyz, and NODE.123 as Nastran has it; a range of nodes in place of NODE.
 MASTERS = re.compile(r"(\d{1,18})(?:-(\d{1,18}))?(?:\.([1-6]+|r?[xyz]|[xyz]+))?", re.IGNORECASE)
@@ -96,14 +94,6 @@ def full_model(campaign: Campaign, values: Values, watcher: JobWatcher | None = 
         )
     (outcome,) = solved(job_engine(campaign, watcher), [Job(values, MatrixAnalysis())], "matrices")
     return FullModel(campaign, outcome.result(MatrixResult))
-
-
-def named(option: str, given: str, known: tuple[T, ...]) -> T:
-    """The way of a name. Raises CampaignError."""
-    for item in known:
-        if item == given:
-            return item
-    raise CampaignError(f"{option} {given!r}: expected one of {', '.join(map(str, known))}")
 
 
 def sensor_names(campaign: Campaign) -> Dofs:

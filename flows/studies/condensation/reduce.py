@@ -23,6 +23,7 @@ from modetune.core.condensation.reduction import (
 )
 from modetune.core.errors import CampaignError
 from modetune.core.modes import CLOSE, Floats, Integers, close_sets
+from modetune.core.near_names import named
 from modetune.core.parameters import Values
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import JobWatcher
@@ -33,7 +34,6 @@ from modetune.flows.studies.condensation.model import (
     dof_arrays,
     full_model,
     masters_of,
-    named,
     sensor_names,
 )
 

@@ -33,6 +33,7 @@ from modetune.core.measurement.common_motion import (
 )
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs, dof_name
+from modetune.core.near_names import listed
 
 SideKind = Literal["test", "model", "record"]
 Dof = tuple[int, int]
@@ -138,9 +139,10 @@ def correlate(first: Side, second: Side) -> Correlation:
     with_shapes = bool(first.modes.n_dof and second.modes.n_dof)
     common, notes = _common(first, second)
     if with_shapes and not common.dofs:
+        theirs = (listed(map(dof_name, _others(side.modes)), 3) for side in (first, second))
         raise CampaignError(
             f"{first.label} and {second.label} have no common degree of freedom: the first has "
-            f"{_some(first.modes)}, the second {_some(second.modes)}; sensors of another numbering "
+            f"{', the second '.join(theirs)}; sensors of another numbering "
             "are laid over a model by `test.sensors` of a campaign"
         )
     a, b = common.of(first.modes, second.modes)
@@ -153,8 +155,8 @@ def correlate(first: Side, second: Side) -> Correlation:
         first=first,
         second=second,
         dofs=common.dofs,
-        only_first=_dofs(first.modes, _others(common.used_first, first.modes.n_dof)),
-        only_second=_dofs(second.modes, _others(common.used_second, second.modes.n_dof)),
+        only_first=_others(first.modes, common.used_first),
+        only_second=_others(second.modes, common.used_second),
         pairs=pairs,
         mac=table,
         auto_first=_auto(first.modes),
@@ -240,15 +242,7 @@ def _auto(modes: ModeSet) -> Floats:
     return mac_or_zero(modes.mode_shapes, modes.mode_shapes) if modes.n_dof else np.zeros((0, 0))
 
 
-def _dofs(modes: ModeSet, rows: Integers) -> tuple[Dof, ...]:
-    nodes, components = modes.nodes[rows].tolist(), modes.components[rows].tolist()
-    return tuple(zip(nodes, components, strict=True))
-
-
-def _others(rows: Integers, count: int) -> Integers:
-    return np.setdiff1d(np.arange(count, dtype=np.int64), rows)
-
-
-def _some(modes: ModeSet) -> str:
-    names = [dof_name(dof) for dof in _dofs(modes, np.arange(min(3, modes.n_dof)))]
-    return f"{', '.join(names)}{', ...' if modes.n_dof > 3 else ''}"
+def _others(modes: ModeSet, used: Integers | tuple[()] = ()) -> tuple[Dof, ...]:
+    """The degrees of freedom whose rows are not among those used."""
+    rows = np.setdiff1d(np.arange(modes.n_dof, dtype=np.int64), used)
+    return tuple(zip(modes.nodes[rows].tolist(), modes.components[rows].tolist(), strict=True))

@@ -44,6 +44,9 @@ from modetune.flows.updating.modal_run import parse_values
 from modetune.flows.updating.running import job_engine
 
 SourceKind = Literal["campaign", "deck", "record", "test"]
+#: How a mass matrix is reduced to the sensors.
+Reduced = Literal["guyan", "serep"]
+METHODS: tuple[Reduced, ...] = ("guyan", "serep")
 #: Kinds that have a model to be solved.
 MODELS = ("campaign", "deck")
 
@@ -116,7 +119,7 @@ def correlate_sources(
     second: ComparedSource | None,
     state: State = "updated",
     settings: Sequence[str] = (),
-    method: Literal["guyan", "serep"] | None = None,
+    method: Reduced | None = None,
     watcher: JobWatcher | None = None,
 ) -> Correlation:
     """Compare two sources, or a campaign or record with its own test.
@@ -272,7 +275,7 @@ def _read(item: ComparedSource, state: State) -> Side:
 def _orthogonality(
     found: Correlation,
     model: Model,
-    method: Literal["guyan", "serep"],
+    method: Reduced,
     watcher: JobWatcher | None,
 ) -> Orthogonality:
     """One matrix job; common degrees of freedom that can move are masters."""

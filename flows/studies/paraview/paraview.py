@@ -19,6 +19,7 @@ from modetune.adapters.calculix.solver import JOB, CalculixDeck, CalculixProgram
 from modetune.adapters.paraview import check_series, mode_grids, write_series
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
+from modetune.core.near_names import named
 from modetune.core.parameters import Values
 from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import CampaignRecord
@@ -97,8 +98,7 @@ def states_of(source: SeriesSource, wanted: str) -> dict[State, Values]:
 
     `both` of a campaign that was never run is its initial state alone.
     """
-    if wanted not in ("initial", "updated", "both"):
-        raise CampaignError(f"--state {wanted!r}: expected initial, updated or both")
+    named("--state", wanted, (*STATES, "both"))
     campaign, record = source.campaign, source.record
     if record is None:
         if wanted == "updated":
@@ -120,8 +120,7 @@ def write_stored(place: Path, wanted: str, out: Path | None) -> tuple[Series, ..
 
     Runs nothing and reads no campaign. Raises CampaignError, StoreError.
     """
-    if wanted not in ("initial", "updated", "both"):
-        raise CampaignError(f"--state {wanted!r}: expected initial, updated or both")
+    named("--state", wanted, (*STATES, "both"))
     record, out = read_record(place / RECORD), out or place / "paraview"
     if record.surface is None or not record.best.field.n_dof:
         raise CampaignError(

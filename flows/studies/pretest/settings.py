@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -57,24 +57,6 @@ def check_count(sensors: int, n_modes: int, n_directions: int) -> None:
             f"--sensors {sensors}: fewer than the {n_modes} modes, which so few cannot tell apart "
             "whatever their places; ask for at least as many sensors as modes"
         )
-
-
-def method_named(text: str) -> Method:
-    """A way to choose sensors by its name. Raises CampaignError."""
-    names: tuple[Method, ...] = get_args(Method)
-    for name in names:
-        if name == text:
-            return name
-    raise CampaignError(f"--method {text!r}: expected one of {', '.join(names)}")
-
-
-def directions_named(text: str) -> Directions:
-    """Which way sensors look, by its name. Raises CampaignError."""
-    names: tuple[Directions, ...] = get_args(Directions)
-    for name in names:
-        if name == text:
-            return name
-    raise CampaignError(f"--directions {text!r}: expected {' or '.join(names)}")
 
 
 def parse_modes(text: str) -> tuple[int, ...]:

@@ -65,7 +65,7 @@ def test_names_with_signs_of_formulas_are_drawn(record: CampaignRecord, tmp_path
     [
         (["nowhere"], "nowhere is not there; a record is the campaign"),
         (["."], "campaign.h5 is not there; a record is the campaign"),
-        (["nowhere", "--format", "pdf"], "--format 'pdf': expected png or svg"),
+        (["nowhere", "--format", "pdf"], "--format 'pdf': expected one of png, svg"),
     ],
 )
 def test_a_mistake_is_told_in_a_sentence(

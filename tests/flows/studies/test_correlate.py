@@ -468,8 +468,8 @@ def test_no_number_is_told_where_there_is_none(places: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--state", "last"], "expected updated or initial"),
-        (["--orthogonality", "irs"], "expected guyan or serep"),
+        (["--state", "last"], "expected one of updated, initial"),
+        (["--orthogonality", "irs"], "expected one of guyan, serep"),
         (["--second-at", "k1=2"], "of a second campaign, and none is named"),
         (["--at", "k99=2"], "expected NAME=VALUE with NAME of k1"),
     ],

@@ -160,7 +160,9 @@ def test_a_campaign_that_was_never_run_has_its_initial_model(strip: Path, tmp_pa
     source = open_source(strip, [], tmp_path / "runs")
     with pytest.raises(CampaignError, match=r"campaign\.h5 is not there.*modetune update"):
         states_of(source, "updated")
-    with pytest.raises(CampaignError, match="--state 'after': expected initial, updated or both"):
+    with pytest.raises(
+        CampaignError, match="--state 'after': expected one of initial, updated, both"
+    ):
         states_of(source, "after")
 
 

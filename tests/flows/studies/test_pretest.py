@@ -28,7 +28,7 @@ from modetune.flows.cli.pretest import pretest as pretest_command
 from modetune.flows.cli.pretest import told_pretest
 from modetune.flows.report.mesh_picture import can_draw
 from modetune.flows.studies.pretest.running import run_pretest
-from modetune.flows.studies.pretest.settings import PretestSettings, method_named, parse_modes
+from modetune.flows.studies.pretest.settings import PretestSettings, parse_modes
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
@@ -111,8 +111,8 @@ def test_sensors_of_a_chain_are_the_best_of_all_subsets(
 
 
 @pytest.mark.parametrize("method", ["effective_independence", "auto_mac", "kinetic_energy"])
-def test_a_pretest_takes_one_modal_run_and_none_again(bench: Any, method: str) -> None:
-    settings = PretestSettings(modes=(1, 2, 3), sensors=4, method=method_named(method))
+def test_a_pretest_takes_one_modal_run_and_none_again(bench: Any, method: Any) -> None:
+    settings = PretestSettings(modes=(1, 2, 3), sensors=4, method=method)
     first = run_pretest(bench.campaign(TRUTH), settings)
     assert (bench.runs("modal"), bench.runs("matrices")) == (1, 0)
     assert (first.runs.modal, first.runs.reused) == (1, 0)
