@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -137,20 +138,18 @@ def fit_surrogate(training: Training, lower: Floats, upper: Floats) -> Surrogate
     return Surrogate(lower, upper, inputs, order, factors @ basis, basis, left_out)
 
 
-def _terms(n_parameters: int, order: int) -> list[tuple[int, ...]]:
-    """Products of inputs up to a degree, each by the inputs that it multiplies."""
-    return [
-        term
-        for degree in range(order + 1)
-        for term in combinations_with_replacement(range(n_parameters), degree)
-    ]
+@cache
+def _terms(n_parameters: int, order: int) -> Integers:
+    """Products of inputs up to a degree, (n_terms, order), by the inputs that each multiplies,
+    counted from one; 0 is the number one."""
+    return np.array(list(combinations_with_replacement(range(n_parameters + 1), order)))
 
 
 def _functions(inputs: Floats, points: Floats, order: int) -> Floats:
     """What a spline of this order is the sum of, at inputs, (n, n_points + n_terms)."""
     radial = (-1.0) ** (order + 1) * cdist(inputs, points) ** (2 * order + 1)
-    terms = _terms(points.shape[1], order)
-    return np.hstack([radial, *(inputs[:, list(term)].prod(1, keepdims=True) for term in terms)])
+    factors = np.hstack([np.ones((len(inputs), 1)), inputs])[:, _terms(points.shape[1], order)]
+    return np.hstack([radial, factors.prod(axis=2)])
 
 
 def _fit(inputs: Floats, values: Floats, order: int) -> tuple[Floats, Floats]:
