@@ -20,7 +20,7 @@ from modetune.core.updating.results import ModalResult
 
 Binder = Callable[[Path, tuple[Parameter, ...]], Solver]
 
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="no ccx here")
+needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 needs_mystran = pytest.mark.skipif(
     shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
     reason=f"no {MYSTRAN.program} here; {MYSTRAN.variable} names one",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,10 +25,9 @@ from tests.adapters.ccx_decks import (
     strip,
     wall,
 )
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_calculix_model import parameter
 from tests.adapters.test_solver_contract import run
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
 
 OTHER = MATERIAL.replace("NAME=A", "NAME=Z")
 #: A plate on which a wall of another material stands at its end x = 30, a spring and a mass.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.updating.results import ModalResult
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_calculix_model import model_of, parameter
 from tests.adapters.test_solver_contract import run
 
@@ -108,7 +108,7 @@ def solved(
     return result, np.real(result.modes.mode_shapes)[order]
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@needs_ccx
 def test_a_sector_has_the_modes_of_the_whole_disc(tmp_path: Path) -> None:
     # The other way is the whole disc by the usual solver. Its eigenvalues 3 and 8 are single.
     (whole, shapes), (sector, own) = solved(tmp_path, True), solved(tmp_path, False)
@@ -130,7 +130,7 @@ def test_a_sector_has_the_modes_of_the_whole_disc(tmp_path: Path) -> None:
         np.testing.assert_allclose(mine, others, rtol=1e-5)
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@needs_ccx
 def test_selected_nodal_diameters_have_their_modes_alone(tmp_path: Path) -> None:
     every, some = solved(tmp_path, False)[0], solved(tmp_path, False, 2, 2, 9)[0]
     doublets = some.eigenvalues[0::2][:4]

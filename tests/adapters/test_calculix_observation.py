@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +23,10 @@ from tests.adapters.ccx_decks import (
     strip,
     wall,
 )
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+pytestmark = needs_ccx
 
 N_MODES = 8
 B31 = "301, 4, 301\n302, 301, 302\n303, 302, 303"

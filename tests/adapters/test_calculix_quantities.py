@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, Quantity, ValueKind, counted_from
 from modetune.core.updating.results import ModalResult
 from tests.adapters.ccx_decks import MATERIAL, attached, beams
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_calculix_affected_elements import D_MATRIX, LAMINATE, ORTHOTROPIC
 from tests.adapters.test_calculix_model import model_of, parameter
 from tests.adapters.test_solver_contract import run
@@ -92,7 +92,7 @@ def eigenvalues(
     return result.eigenvalues[result.n_rigid :]
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@needs_ccx
 def test_twice_the_angle_is_that_of_axes_turned_by_hand(tmp_path: Path) -> None:
     wanted = replace(parameter("ply_angle", "P"), item=2)
     turned = eigenvalues(tmp_path, LAMINATE, wanted, 2.0)
@@ -129,7 +129,7 @@ def test_a_number_that_is_zero_is_refused_with_what_changes_it(
     )
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@needs_ccx
 @pytest.mark.parametrize("kind", ["absolute", "additive"])
 def test_a_ply_turns_from_zero_as_in_a_deck_edited_by_hand(tmp_path: Path, kind: ValueKind) -> None:
     origin, scale = counted_from(kind, 0.0, -60.0, 10.0)
@@ -140,7 +140,7 @@ def test_a_ply_turns_from_zero_as_in_a_deck_edited_by_hand(tmp_path: Path, kind:
     assert np.abs(turned / eigenvalues(tmp_path, FLAT) - 1.0).max() > 0.01
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@needs_ccx
 def test_engineering_constants_are_those_of_an_isotropic_material(tmp_path: Path) -> None:
     # All moduli go with Young's: nine constants of an isotropic material and two are one.
     nine = ORTHOTROPIC.replace(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.calculix.spare_unknowns import spare_unknowns
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.updating.results import ModalResult
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_calculix_model import parameter
 from tests.adapters.test_rigid_modes import STEEL, plate, solved
 from tests.adapters.test_solver_contract import run
@@ -68,7 +68,7 @@ def test_models_of_unknowns_enough_get_none(tmp_path: Path) -> None:
     assert spare_unknowns(model, 16) != []
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@needs_ccx
 def test_users_shells_have_modes_without_energies_and_mass(tmp_path: Path) -> None:
     """A clamped strip of ccx's own user shells, US3, of which it prints neither."""
     places = [(i, j) for j in range(3) for i in range(9)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +15,9 @@ from modetune.adapters.translation.solver import translated_solver
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
 from modetune.core.updating.results import MatrixResult
-from tests.adapters.solved import Binder, solved
+from tests.adapters.solved import Binder, needs_ccx, needs_mystran, solved
 from tests.adapters.test_solver_contract import run
 
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
-needs_mystran = pytest.mark.skipif(
-    shutil.which("mystran") is None, reason="MYSTRAN is not installed"
-)
 SOLVERS = [
     pytest.param(translated_solver, marks=needs_ccx),
     pytest.param(mystran_solver, marks=needs_mystran),

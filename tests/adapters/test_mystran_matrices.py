@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,11 +24,9 @@ from modetune.core.parameters import Parameter, Quantity
 from modetune.core.updating.matrix_samples import ROUNDING, differences
 from modetune.core.updating.results import MatrixResult, ModalResult, Result
 from tests.adapters.mystran_decks import AVERAGED, CARRIED, PINNED, bracket, frame, plate
+from tests.adapters.solved import needs_mystran
 
-pytestmark = pytest.mark.skipif(
-    shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
-    reason="MYSTRAN is not here (tools/mystran.sh)",
-)
+pytestmark = needs_mystran
 #: Printed eigenvalues have seven digits, the last of them rounded.
 PRINTED = 5e-7
 DECKS: dict[str, tuple[Callable[[], str], int]] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +24,7 @@ from modetune.core.errors import NoResult, StorageUnavailable
 from modetune.core.mesh import Cells, Mesh, global_shapes
 from modetune.core.modes import mode_set
 from modetune.core.updating.results import ModalResult
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+from tests.adapters.solved import needs_ccx
 
 MATERIAL = "*MATERIAL, NAME=M\n*ELASTIC\n70000., .3\n*DENSITY\n2.7e-9\n"
 #: A strip of shells on a beam, and a solid on it: a free structure with repeated zero frequencies.

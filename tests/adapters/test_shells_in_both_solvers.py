@@ -6,7 +6,6 @@ and more; CalculiX has them consistent here.
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +17,10 @@ from modetune.adapters.translation.solver import translated_solver
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import ModelError
 from modetune.core.updating.results import ModalResult
+from tests.adapters.solved import needs_ccx, needs_mystran
 from tests.adapters.test_solver_contract import run
 from tests.adapters.test_translation import MAT1, NU, RHO, E, Grid, card, plate_cards
 
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
-needs_mystran = pytest.mark.skipif(
-    shutil.which("mystran") is None, reason="MYSTRAN is not here (tools/mystran.sh)"
-)
 FACE, CORE, CORE_G = 0.0005, 0.02, 70e6
 HONEYCOMB = f"MAT8,2,1.E5,1.E5,.3,1.E5,{CORE_G},{CORE_G},40."
 

@@ -8,7 +8,6 @@ masses are lumped, which makes its bending modes lower than those of consistent 
 from __future__ import annotations
 
 import json
-import shutil
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,8 +26,7 @@ from modetune.core.correlation.correlation import mac
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.updating.results import ModalResult
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+from tests.adapters.solved import needs_ccx
 
 #: Aluminium, m and kg.
 E, NU, RHO = 70e9, 0.3, 2700.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from modetune.adapters.translation.translate import translate
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.updating.results import ModalResult
+from tests.adapters.solved import needs_ccx
 
 E, G, RHO = 70e9, 70e9 / 2.6, 2700.0
 AREA, I1, I2, J = 1e-3, 1e-7, 2e-7, 1.5e-7
@@ -33,8 +33,6 @@ PBAR = "PBAR,1,1,1.E-3,1.E-7,2.E-7,1.5E-7"
 #: beta L of a free-free and a clamped-free beam (Blevins 1979, table 8-1).
 FREE = np.array([4.730041, 7.853205])
 CLAMPED = np.array([1.875104, 4.694091])
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="no ccx on this machine")
 
 
 def read_bulk(*cards: str) -> Any:

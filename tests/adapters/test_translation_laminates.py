@@ -6,13 +6,13 @@ supported plate with transverse shear, omega^2 = D k^4 / (m (1 + D k^2 / H)).
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from modetune.adapters.nastran.shell_laws import law_of
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_translation import (
     LENGTH,
     MAT1,
@@ -31,8 +31,6 @@ from tests.adapters.test_translation import (
     strip,
     strip_frequency,
 )
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
 #: Faces of 1 mm aluminium on 18 mm of honeycomb: E, G in Pa, densities in kg/m3.
 FACE, CORE, CORE_G, CORE_RHO = 0.001, 0.018, 80e6, 50.0

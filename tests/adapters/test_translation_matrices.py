@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,11 @@ from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.parameters import Parameter, Quantity, TargetKind
 from modetune.core.updating.results import MatrixResult, ModalResult
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_calculix_observation import solved
 from tests.adapters.test_solver_contract import run
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+pytestmark = needs_ccx
 
 HEAD = "SOL 103\nCEND\nMETHOD = 1\nSPC = 1\nDISP = ALL\nBEGIN BULK\nEIGRL,1,,,8\n"
 

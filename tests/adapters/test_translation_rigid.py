@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 
 from modetune.adapters.translation.translate import translate
 from modetune.core.errors import ModelError
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_translation import (
     MAT1,
     PSHELL,
@@ -27,8 +27,6 @@ from tests.adapters.test_translation import (
     solve,
     strip,
 )
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
 
 @needs_ccx

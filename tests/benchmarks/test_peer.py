@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
@@ -16,9 +15,10 @@ from benchmarks.ways import WAYS, run_way
 
 from modetune.core.modes import mode_set
 from modetune.core.parameters import Parameter
+from tests.adapters.solved import needs_ccx
 
 pytest.importorskip("dakota.environment", reason="Dakota is not installed")
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+pytestmark = needs_ccx
 
 #: Edges of a brick, mm: unequal, so that no two modes are alike by symmetry.
 EDGES = np.array([20.0, 12.0, 16.0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 
 import pytest
@@ -11,7 +10,7 @@ from benchmarks.__main__ import main
 from benchmarks.rows import ROWS
 from benchmarks.table import Figure, Measured, Row, markdown, measure, told
 
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+from tests.adapters.solved import needs_ccx
 
 
 def row(name: str, aim: float, at_least: bool, of: Callable[[float], float]) -> Row[float]:

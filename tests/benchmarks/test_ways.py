@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from pathlib import Path
 
@@ -25,8 +24,7 @@ from benchmarks.ways import LETTERS, main, wanted
 
 from modetune.core.modes import Floats, mode_set
 from modetune.core.parameters import Parameter
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+from tests.adapters.solved import needs_ccx
 
 TRUTH = (1.2, 0.8)
 #: Springs in one line between two walls, two masses: stiffnesses 1, 1 and 1.

@@ -21,9 +21,10 @@ from modetune.configs.garteur.lab import (
     write_lab,
 )
 from modetune.core.storage.record_file import read_record
+from tests.adapters.solved import needs_ccx
 from tests.command_line import run_command
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 
 
 def modetune(folder: Path, *arguments: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,9 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating.running import update_campaign
 from modetune.flows.updating.updating import Unwatched
+from tests.adapters.solved import needs_ccx
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 TRUTH = [twin.TRUTH[name] for name in ("E_MAST", "rho_HEAD", "MOUNT_SIDE", "MOUNT_UP")]
 #: Of the names of items in the record.
 MODES, PULL, BALANCE = "frequency", "displacement", "mass"

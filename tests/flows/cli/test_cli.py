@@ -19,13 +19,12 @@ import pytest
 
 from modetune.configs.cases import write_case
 from modetune.flows.jobs import prefect_server as process
+from tests.adapters.solved import needs_ccx
 from tests.command_line import run_command as run
 from tests.core.matrix_decks import bar, native_eigenvalues
 from tests.flows.conftest import api_of
 
 COARSE = "model.deck=garteur_coarse.inp"
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
 
 @pytest.fixture(scope="module")

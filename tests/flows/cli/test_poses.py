@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 import modetune
 from modetune.core.modes import Floats, Integers
 from modetune.core.storage.store import Store
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_files.test_universal_dialects import units
 from tests.adapters.test_files.universal_text import mode_55, nodes_15
 from tests.command_line import run_command as run
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+pytestmark = needs_ccx
 
 #: Nodes 1.. of a plate of 800 x 400 mm, 9 by 5; sensors at eight of them, no three alike.
 X, Y = (100.0 * axis.ravel() for axis in np.meshgrid(np.arange(9.0), np.arange(5.0), indexing="ij"))

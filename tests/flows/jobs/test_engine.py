@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +31,7 @@ from modetune.flows.updating.dry_run import dry_run
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.adapters.ccx_decks import bar
+from tests.adapters.solved import needs_ccx
 from tests.core.algebra.test_factor_room import block
 from tests.flows.conftest import ScriptedProgram
 
@@ -165,7 +165,7 @@ sensitivity: {method: finite_difference}
 """
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 def test_a_campaign_by_calculix_edits_the_deck_once_a_job(
     tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

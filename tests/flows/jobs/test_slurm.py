@@ -34,6 +34,7 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.slurm import srun_options
 from modetune.flows.updating.running import job_engine, update_campaign
+from tests.adapters.solved import needs_ccx
 from tests.eventually import eventually
 from tests.flows.updating.test_by_matrices import BAR, update, written
 
@@ -322,7 +323,7 @@ def test_a_job_cancelled_in_slurm_is_tried_again(bench: Any, queue: Any) -> None
     assert bench.runs() == 2
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 def test_matrices_of_a_model_come_from_slurm_and_modes_are_found_here(
     tmp_path: Path, watcher: Any, asked: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

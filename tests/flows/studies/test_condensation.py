@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,9 @@ import modetune
 from modetune.core.errors import CampaignError
 from modetune.core.modes import COMPONENTS
 from tests.adapters.mystran_decks import frame
+from tests.adapters.solved import needs_ccx, needs_mystran
 from tests.command_line import run_command
 
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
-needs_mystran = pytest.mark.skipif(
-    shutil.which("mystran") is None, reason="MYSTRAN is not here (tools/mystran.sh)"
-)
 #: Springs in N/m of eight masses of 1 to 3 kg, the first one to ground.
 SPRINGS = (900.0, 1200.0, 700.0, 1500.0, 1100.0, 800.0, 1300.0, 1000.0)
 CHAIN = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +19,8 @@ from modetune.flows.campaign.schema import OpenFile
 from modetune.flows.campaign.sketch import is_deck, looked_at, sketch_deck
 from modetune.flows.studies.init.draft import Draft
 from modetune.flows.studies.init.written import init_campaign
+from tests.adapters.solved import needs_mystran
 from tests.command_line import run_command
-
-needs_mystran = pytest.mark.skipif(not shutil.which("mystran"), reason="MYSTRAN is not installed")
 
 
 def bracket() -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,9 +17,10 @@ from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
 from modetune.flows.studies.pretest.settings import PretestSettings
 from modetune.flows.updating.running import update_campaign
+from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_by_matrices import NAMED, OWN, STORED, Case, written
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 
 #: Jobs that leave their folders, so that each run of the solver can be counted.
 KEPT = "run.keep_jobs=true"

@@ -29,10 +29,9 @@ from modetune.flows.studies.paraview.paraview import (
     write_stored,
 )
 from modetune.flows.updating.running import update_campaign
+from tests.adapters.solved import needs_ccx
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
 from tests.flows.report.conftest import plate_record
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
 #: A free strip of shells, 240 x 20 x 2 mm.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
@@ -29,8 +28,7 @@ from modetune.flows.cli.pretest import told_pretest
 from modetune.flows.report.mesh_picture import can_draw
 from modetune.flows.studies.pretest.running import run_pretest
 from modetune.flows.studies.pretest.settings import PretestSettings, parse_modes
-
-needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+from tests.adapters.solved import needs_ccx
 
 TRUTH = {"k1": 1.2, "k3": 0.8}
 #: A strip of shells 240 x 40 x 2 mm, clamped at x = 0: 13 by 3 nodes 10 i + j.

@@ -32,11 +32,12 @@ from modetune.flows.updating.running import job_engine, update_campaign
 from modetune.flows.updating.starting import is_unchanged, read_earlier
 from modetune.flows.updating.stored_modes import MatrixModes
 from tests.adapters.ccx_decks import bar, plate, wall
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command
 from tests.flows.conftest import recased
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 
 STORED = "model.eigensolver=pardiso"
 OWN = "model.eigensolver=solver"

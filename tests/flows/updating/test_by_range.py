@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +27,7 @@ from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched
 from tests.adapters.ccx_decks import bar
+from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_by_matrices import (
     BAR,
     JOINT,
@@ -41,7 +41,7 @@ from tests.flows.updating.test_by_matrices import (
     written,
 )
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 
 
 AUTO = "model.eigensolver=auto"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from modetune.flows.updating.forecast import (
     told_forecast,
 )
 from modetune.flows.updating.running import job_engine, update_campaign
+from tests.adapters.solved import needs_ccx
 from tests.core.storage.test_store import holdings
 from tests.flows.updating.test_by_matrices import BAR, STORED, written
 
@@ -103,7 +103,7 @@ def test_constant_matrices_are_counted_in_the_first_iteration_only(
     assert told[0].further.jobs == 1
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 def test_by_stored_matrices_the_solvers_own_run_at_the_end_is_counted(
     tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

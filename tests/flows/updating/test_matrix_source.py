@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +21,10 @@ from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.modes_choice import modes_source
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.semi_analytic import SemiAnalytic, UnlikeMatrices
+from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_by_matrices import row_of_materials
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 
 CAMPAIGN = """\
 name: part

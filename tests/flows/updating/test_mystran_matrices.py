@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modetune.adapters.nastran.dialect import MYSTRAN
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.modes_csv import write_modes_csv
@@ -25,13 +22,11 @@ from modetune.flows.updating.finders import by_solver
 from modetune.flows.updating.modes_choice import modes_source
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.adapters.mystran_decks import AVERAGED, CARRIED, bracket, frame, plate
+from tests.adapters.solved import needs_mystran
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command
 
-pytestmark = pytest.mark.skipif(
-    shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
-    reason="MYSTRAN is not here (tools/mystran.sh)",
-)
+pytestmark = needs_mystran
 #: Ten parameters of a frame of ten tubes, and what they truly are.
 MEMBERS = 10
 TEN = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,10 @@ from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.modal_run import model_modes
 from modetune.flows.updating.running import job_engine
 from tests.adapters.ccx_decks import bar
+from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_by_matrices import Case, update, written
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 
 END = range(37, 41)  # the four nodes of a bar of nine bricks that are not held
 LINES = "".join(f"{node}, 2, 3\n" for node in END)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,11 @@ from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
 from modetune.flows.updating.updating import Unwatched
+from tests.adapters.solved import needs_ccx
 from tests.flows.records import differences
 from tests.flows.updating.test_by_matrices import MODULI, STORED, Case, row_of_materials, written
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 
 #: 45 bricks: enough unknowns that their modes are searched for, and not found all at once.
 LONG = Case(row_of_materials(45), MODULI, (1.25, 0.8, 1.15), tuple(range(5, 185, 3)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -19,16 +18,12 @@ from benchmarks.zoo.families import FAMILIES
 from benchmarks.zoo.twins import measured
 
 import modetune
-from modetune.adapters.nastran.dialect import MYSTRAN
 from modetune.flows.jobs import prefect_server
 from tests.adapters.mystran_decks import frame
+from tests.adapters.solved import needs_mystran
 from tests.flows.conftest import api_of
 from tests.flows.updating.test_mystran_matrices import SENSORS, campaign_file
 
-needs_mystran = pytest.mark.skipif(
-    shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
-    reason="MYSTRAN is not here (tools/mystran.sh)",
-)
 FOUR = {
     f"E_{m}": ("youngs_modulus", f"material: {m}", value)
     for m, value in zip(range(1, 5), (0.9, 1.08, 1.1, 0.94), strict=True)

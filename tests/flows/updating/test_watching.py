@@ -3,7 +3,6 @@ bricks, skew shells and a bar on soft mounts, solved by CalculiX."""
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -20,6 +19,7 @@ from modetune.flows.studies.screen.running import ScreeningRequest, screen_campa
 from modetune.flows.updating.prefect import became
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched
+from tests.adapters.solved import needs_ccx
 from tests.flows.conftest import Bench, Watcher
 from tests.flows.updating.test_by_matrices import BAR, STORED, written
 from tests.flows.updating.test_by_range import CASES
@@ -63,7 +63,7 @@ def screened(file: Path, points: int) -> tuple[Heard, Any]:
     return heard, found
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 @pytest.mark.parametrize("name", CASES)
 def test_many_sets_by_a_reduced_model_are_one_piece_however_many(name: str, tmp_path: Path) -> None:
     few, _ = screened(written(CASES[name], tmp_path / "few"), 24)
@@ -77,7 +77,7 @@ def test_many_sets_by_a_reduced_model_are_one_piece_however_many(name: str, tmp_
     assert many.begun - full[1].total() <= few.begun - full[0].total() + 2
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 def test_an_update_by_matrices_tells_of_modes_columns_and_confirmation(tmp_path: Path) -> None:
     campaign = load_campaign(written(BAR, tmp_path / "bar"), [STORED])
     heard, again = Heard(), Heard()

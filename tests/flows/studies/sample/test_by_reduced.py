@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.sample.telling import ITSELF, findings
 from modetune.flows.updating.updating import Unwatched
+from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_by_matrices import BAR, JOINT, Case, written
 from tests.flows.updating.test_by_range import on_springs
 
@@ -109,7 +109,7 @@ def sampled(file: Path, deviation: float = 0.02, **asked: int) -> PosteriorRecor
     return sample_campaign(load_campaign(file, settings), request, Unwatched().working)
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_samples_of_a_surrogate_are_as_likely_by_the_reduced_model(
     name: str, tmp_path: Path
@@ -123,7 +123,7 @@ def test_samples_of_a_surrogate_are_as_likely_by_the_reduced_model(
     assert record.density_error <= learning.EXACT
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 def test_halves_that_may_be_exchanged_have_as_many_samples_either_way(tmp_path: Path) -> None:
     record = sampled(written(HALVES, tmp_path / "part"), 0.007)
     assert record.reduced_model is not None
@@ -133,7 +133,7 @@ def test_halves_that_may_be_exchanged_have_as_many_samples_either_way(tmp_path: 
     assert first == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(size))
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 def test_where_no_surrogate_is_good_enough_the_reduced_model_itself_gives_the_samples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.main import app
 from modetune.flows.studies.scatter.record import SCATTER, ScatterRecord
 from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
+from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run
 from tests.flows.studies.sample.test_by_reduced import TRUTH, frequencies, row_of_masses
 from tests.flows.updating.test_by_matrices import BAR, written
@@ -160,7 +160,7 @@ def bars(folder: Path, sets: Floats, n_modes: int) -> Floats:
     return np.array(hz) / (2.0 * np.pi)
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@needs_ccx
 def test_a_bar_of_three_materials_takes_a_handful_of_runs(tmp_path: Path) -> None:
     """500 tests of bricks in CalculiX, whose three moduli differ from test to test."""
     file = written(BAR, tmp_path / "part")

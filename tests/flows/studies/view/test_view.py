@@ -22,9 +22,10 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import STORE_VARIABLE
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.running import update_campaign
+from tests.adapters.solved import needs_ccx
 from tests.flows.studies.view.hook import MOVED, TURN, Hook, write_hook
 
-pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+pytestmark = needs_ccx
 PATIENCE_MS = 60_000
 
 
