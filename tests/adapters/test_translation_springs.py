@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from pyNastran.bdf.bdf import BDF
 
-from tests.adapters.test_translation_beams import needs_ccx, problems_of, read_bulk, solve
+from tests.adapters.solved import needs_ccx
+from tests.adapters.test_translation_beams import problems_of, read_bulk, solve
 
 #: Mass 2, moments of inertia 0.1, 0.2, 0.3 about x, y, z.
 BODY = "CONM2,{eid},{node},,2.\n,.1,,.2,,,.3"

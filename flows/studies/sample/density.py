@@ -81,14 +81,20 @@ class Posterior:
         pull = (points - self.prior_mean) / self.prior_deviation
         return np.hstack([self.surrogate.features(points), pull])
 
+    def _squares_at(self, point: Floats) -> Floats:
+        return np.asarray(self._squares(point[None])[0])
+
+    def _slopes_at(self, point: Floats) -> Floats:
+        return np.vstack([self.slopes(point), np.diag(1.0 / self.prior_deviation)])
+
     def _climb(self, start: Floats) -> tuple[Floats, float]:
         """Where the density is greatest, uphill from a point, and the log density there."""
         width = self.upper - self.lower
         margin = 1e-9 * width  # the method starts inside the bounds only
         ended = least_squares(
-            lambda point: self._squares(point[None])[0],
+            self._squares_at,
             np.clip(start, self.lower + margin, self.upper - margin),
-            lambda point: np.vstack([self.slopes(point), np.diag(1.0 / self.prior_deviation)]),
+            self._slopes_at,
             bounds=(self.lower, self.upper),
             x_scale=width,
             xtol=1e-10,
