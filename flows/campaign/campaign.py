@@ -313,7 +313,8 @@ def _read_case(
         problems += file.residuals.problems(source, given, solver)
     if problems:
         return None
-    parameters = given.parameters
+    parameters, strains = given.parameters, file.residuals.modal_strain
+    gauged = strains.nodes(solver.deck) if strains else ()
     return Case(
         solver=solver,
         units=file.model.units,
@@ -321,7 +322,8 @@ def _read_case(
         test=test,
         mapping=mapping,
         surface=display_surface(solver.deck.mesh(), file.report.nodes),
-        nodes=pairing_nodes(test, mapping.sensors, solver),
+        nodes=pairing_nodes(test, mapping.sensors, solver, gauged),
+        gauged=gauged,
         weighting=weighting_of(file.residuals, measurement, test),
         held_out=replace(held, modes=held.modes.rows(mapping.rows)) if held else None,
         held_out_deviations=(

@@ -43,7 +43,7 @@ class Case:
     model; columns: positions of its parameters among the campaign's, all of them where None;
     accepted: doubts about the model that are known; weight: of its residuals; aside: whether it is
     only judged by; rules: which pairs are allowed; compared: what is compared beside frequencies
-    and shapes; tolerances: e1's.
+    and shapes; tolerances: e1's; gauged: nodes whose displacements make strains.
     """
 
     solver: Solver
@@ -65,6 +65,7 @@ class Case:
     rules: PairRules = field(default_factory=PairRules)
     compared: tuple[Response, ...] = ()
     tolerances: Tolerances = field(default_factory=Tolerances)
+    gauged: tuple[int, ...] = ()
 
     @property
     def responses(self) -> tuple[Response, ...]:

@@ -222,11 +222,15 @@ def frfs_on_model(
     return frfs.of(seen), None if mapping is None else mapping.sensors
 
 
-def pairing_nodes(test: MeasuredModes, sensors: SensorMap, solver: Solver) -> tuple[int, ...]:
-    """Sensor nodes, or where there are none a spread of nodes to track modes by."""
+def pairing_nodes(
+    test: MeasuredModes, sensors: SensorMap, solver: Solver, gauged: tuple[int, ...] = ()
+) -> tuple[int, ...]:
+    """Sensor nodes, without any a spread of nodes to track modes by; and those of gauges."""
     if test.has_shapes:
-        return tuple(np.unique(sensors.model_nodes).tolist())
-    return tracking_nodes(solver.deck.summary.node_ids)
+        nodes = sensors.model_nodes.tolist()
+    else:
+        nodes = list(tracking_nodes(solver.deck.summary.node_ids))
+    return tuple(sorted({*nodes, *gauged}))
 
 
 def tracking_nodes(node_ids: frozenset[int]) -> tuple[int, ...]:

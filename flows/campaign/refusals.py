@@ -57,7 +57,7 @@ def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
 def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
     """Why the campaign's sensitivity method is unavailable."""
     method, has = file.sensitivity.method, solver.program.capabilities
-    shapes = file.residuals.with_shapes
+    shapes = file.residuals.with_shapes or file.residuals.modal_strain is not None
     place = source.where(("sensitivity", "method"))
     offered = {
         "strain_energy": has.strain_energies,

@@ -24,6 +24,7 @@ from modetune.flows.campaign.section import (
     by_name,
 )
 from modetune.flows.campaign.static_section import StaticSection
+from modetune.flows.campaign.strain_section import ModalStrainSection
 from modetune.flows.campaign.tested_model import TestedModel
 
 #: What a key of modes stands for.
@@ -32,7 +33,7 @@ SensorKey = Literal["sensor_weight", "sensor_deviation"]
 
 
 #: Keys of the kinds of responses beside frequencies and shapes, in the order of their rows.
-KINDS = ("mac", "static", "damping", "mass_properties", "frf")
+KINDS = ("mac", "modal_strain", "static", "damping", "mass_properties", "frf")
 
 
 class KindSection(Protocol):
@@ -81,6 +82,8 @@ class ResidualSection(Section):
     given [of the shape's deviation]"""
     mac: MacSection | None = None
     """MAC as a response of its own."""
+    modal_strain: ModalStrainSection | None = None
+    """Strains of modes at gauges."""
     static: StaticSection | None = None
     """Static displacements and strains under load cases."""
     damping: DampingSection | None = None

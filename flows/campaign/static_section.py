@@ -94,7 +94,7 @@ class StaticSection(Section):
                 problems.append(((*place, "forces" if case.forces else "load"), str(error)))
             for key, values, terms in (
                 ("displacements", case.displacements, _displacement),
-                ("strains", case.strains, _elongation),
+                ("strains", case.strains, elongation),
             ):
                 size = max(map(abs, values.values()), default=0.0)
                 called = f"of load case {case.load or position + 1}"
@@ -122,7 +122,7 @@ def _displacement(name: str, deck: Deck) -> tuple[Integers, Integers, Floats]:
     return np.array([node]), np.array([component]), np.ones(1)
 
 
-def _elongation(name: str, deck: Deck) -> tuple[Integers, Integers, Floats]:
+def elongation(name: str, deck: Deck) -> tuple[Integers, Integers, Floats]:
     """(u_b - u_a) . t / l, with t the direction from a to b and l their distance."""
     first, _, second = name.partition("-")
     if not (first.isdecimal() and second.isdecimal()) or first == second:

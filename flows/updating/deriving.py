@@ -117,7 +117,11 @@ class Deriving:
             values[np.ix_(own, state.columns[there])] = residual_sensitivity(
                 part.responses,
                 _model_state(state.case, part),
-                StateDerivatives(self._seen(state.case, part, found.derivatives), tuple(there)),
+                StateDerivatives(
+                    self._seen(state.case, part, found.derivatives),
+                    tuple(there),
+                    found.derivatives,
+                ),
             )
             missing |= {int(state.columns[column]) for column in found.missing}
             for column, method in zip(state.columns.tolist(), found.methods, strict=True):

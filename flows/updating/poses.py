@@ -89,7 +89,9 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
         return case, f"measured shapes cannot tell its poses apart: {told}"
     chosen = replace(mappings[order[0]], doubts=(), others=())
     settled_case = replace(
-        case, mapping=chosen, nodes=pairing_nodes(case.test, chosen.sensors, case.solver)
+        case,
+        mapping=chosen,
+        nodes=pairing_nodes(case.test, chosen.sensors, case.solver, case.gauged),
     )
     return settled_case, f"of poses that places cannot tell apart measured shapes choose: {told}"
 

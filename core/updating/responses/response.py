@@ -84,11 +84,12 @@ class StateDerivatives:
     """Derivatives with respect to the parameters at `columns` (positions among the case's own).
 
     modes: of the paired modes, in the order of the pairs, at the rows of `seen` (no rows where no
-    response needs shapes).
+    response needs shapes). whole: the same at the rows of `modal`, where shapes are needed.
     """
 
     modes: ModeDerivatives
     columns: tuple[int, ...]
+    whole: ModeDerivatives | None = None
 
 
 @dataclass(frozen=True, slots=True)

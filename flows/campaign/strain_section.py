@@ -1,0 +1,93 @@
+"""Strains of modes at gauges: the campaign's `residuals.modal_strain`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from modetune.adapters.solver import Deck
+from modetune.adapters.yaml_file import Place
+from modetune.core.errors import ModelError
+from modetune.core.updating.responses.modal_strain import Gauge, ModalStrain, StrainScale
+from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
+from modetune.flows.campaign.static_section import elongation
+from modetune.flows.campaign.tested_model import TestedModel
+
+
+class ModalStrainSection(Section):
+    """Strains of modes at gauges."""
+
+    gauges: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Gauges, each as `node-node`: how much the distance between the two nodes grew, over it."""
+    modes: Annotated[dict[str, tuple[Finite, ...]], BeforeValidator(by_name), Field(min_length=1)]
+    """Measured strains by the test's number of the mode, one of each gauge."""
+    scale: StrainScale = "shapes"
+    """What tells the scale of a mode: its displacement shape in the test, in whose scale strains
+    were measured then, or the strains themselves."""
+    weight: NotNegative = 1.0
+    """Emphasis; 0 leaves strains out."""
+    deviation: Positive = 0.05
+    """Standard deviation [of the root mean square of the mode's strains]"""
+    tolerance: Positive = 0.1
+    """Largest error that e1 allows [of the root mean square of the mode's strains]"""
+
+    @model_validator(mode="after")
+    def _whole(self) -> ModalStrainSection:
+        for number, values in self.modes.items():
+            if not number.isdecimal():
+                raise ValueError(f"{number!r} is not the number of a mode of the test")
+            if len(values) != len(self.gauges):
+                raise ValueError(
+                    f"mode {number} has {len(values)} strains, and there are {len(self.gauges)} "
+                    "gauges: give one of each"
+                )
+            if not any(values):
+                raise ValueError(f"mode {number}: all strains are zero, which tells nothing")
+        if self.scale == "own" and len(self.gauges) < 2:
+            raise ValueError("`scale: own` requires two gauges or more: one tells its scale alone")
+        return self
+
+    @property
+    def mode_keys(self) -> tuple[str, ...]:
+        return ("modes",)
+
+    @property
+    def shape_weights(self) -> Mapping[str, float]:
+        return {}
+
+    def nodes(self, deck: Deck) -> tuple[int, ...]:
+        """Nodes at which modes are wanted for the gauges."""
+        return tuple({node for gauge in self._made(deck)[0] for node in gauge.nodes.tolist()})
+
+    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
+        """Why some of it cannot be compared, each with its place below the section."""
+        found = self._made(given.deck)[1]
+        if self.scale == "shapes" and not given.test.has_shapes:
+            found.append(
+                (("scale",), "the test holds frequencies only, so no shape tells a scale: `own`")
+            )
+        return found
+
+    def response(self, given: TestedModel) -> ModalStrain:
+        """As a test and a model have it, without what `problems` tells of."""
+        return ModalStrain(
+            tuple(self._made(given.deck)[0]),
+            {int(n): np.array(values) for n, values in self.modes.items()},
+            self.scale,
+            self.weight,
+            self.deviation,
+            self.tolerance,
+        )
+
+    def _made(self, deck: Deck) -> tuple[list[Gauge], list[tuple[Place, str]]]:
+        gauges: list[Gauge] = []
+        problems: list[tuple[Place, str]] = []
+        for place, name in enumerate(self.gauges):
+            try:
+                gauges.append(Gauge(name, *elongation(name, deck)))
+            except ModelError as error:
+                problems.append((("gauges", place), str(error)))
+        return gauges, problems
