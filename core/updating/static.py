@@ -15,7 +15,7 @@ the mass, and df/dtheta_c is added to the right side of the derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,9 +29,8 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, dof_name
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.rigid_motions import rigid_motions
+from modetune.core.updating.rigid_motions import Observe, rigid_motions
 
-Observe = Callable[[MatrixResult, Integers, Integers], Observation]
 #: Node, component, value, and file and line.
 Force = tuple[int, int, float, str]
 
@@ -139,7 +138,7 @@ class StaticModel:
         given = np.column_stack([load.acceleration for load in loads])
         accelerations = np.zeros((base.nodes.size, len(loads)))
         if given.any() and mesh is not None:
-            accelerations = rigid_motions(base, mesh, translations=True)[:, :3] @ given
+            accelerations = rigid_motions(base, mesh, translations=True).shapes[:, :3] @ given
         return cls(
             np.column_stack(forces),
             accelerations,

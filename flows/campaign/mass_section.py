@@ -129,4 +129,4 @@ class MassSection(Section):
     def response(self, given: TestedModel) -> MassResponse:
         """As any test has it."""
         targets = {name: self.targets[name] for name in MASS_QUANTITIES if name in self.targets}
-        return MassResponse(targets, self.within)
+        return MassResponse(targets, self.within, given.deck.observation)

@@ -15,12 +15,12 @@ axes, so inertia_xy is minus the integral of x y dm.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from modetune.core.algebra.matrices import projected
+from modetune.core.algebra.matrices import projected, upper_product
 from modetune.core.correlation.mass_properties import rigid_body_of_mass
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
@@ -32,7 +32,7 @@ from modetune.core.updating.responses.response import (
     StateDerivatives,
     residual_of,
 )
-from modetune.core.updating.rigid_motions import rigid_motions
+from modetune.core.updating.rigid_motions import Observe, RigidMotions, rigid_motions
 
 MassQuantity = Literal[
     "mass", "centre_x", "centre_y", "centre_z", "inertia_xx", "inertia_yy", "inertia_zz",
@@ -63,16 +63,25 @@ class MassTarget:
 
 @dataclass(frozen=True, slots=True)
 class MassResponse:
-    """Mass properties beside their targets; within: deviations that e1 allows."""
+    """Mass properties beside their targets.
+
+    within: deviations that e1 allows; observe: degrees of freedom in terms of the matrices'
+    equations, where these are not the nodes' own.
+    """
 
     targets: Mapping[MassQuantity, MassTarget]
     within: float = 2.0
+    observe: Observe | None = None
     kind: ClassVar[str] = "mass_properties"
     needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
+    #: Of the newest set, as values and derivatives are asked for one after the other.
+    _newest: list[tuple[MatricesAt, RigidMotions]] = field(
+        default_factory=list, repr=False, compare=False
+    )
 
     def residual(self, state: ModelState) -> Residual:
         matrices, rigid = self._rigid(state)
-        rigid_mass = projected(matrices.model.mass_at(matrices.theta), rigid)
+        rigid_mass = projected(matrices.model.mass_at(matrices.theta), rigid.shapes)
         here = self._of(rigid_mass)
         printed = np.nan if state.modal is None else state.modal.mass
         if abs(printed / rigid_mass.diagonal()[:3].max() - 1.0) > PRINTED:
@@ -96,10 +105,14 @@ class MassResponse:
 
     def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
         matrices, rigid = self._rigid(state)
-        here = projected(matrices.model.mass_at(matrices.theta), rigid)
+        mass = matrices.model.mass_at(matrices.theta)
+        here = projected(mass, rigid.shapes)
+        momentum = upper_product(mass, rigid.shapes)
         slopes = np.zeros((len(self.targets), len(derivatives.columns)))
         for place, column in enumerate(derivatives.columns):
-            change = projected(matrices.change(column)[1], rigid)
+            moved, heavier = matrices.change(column)
+            turned = rigid.change(moved).T @ momentum
+            change = projected(heavier, rigid.shapes) + turned + turned.T
             stepped = self._of(here + 1j * COMPLEX_STEP * change)
             slopes[:, place] = stepped.imag / COMPLEX_STEP
         return slopes
@@ -109,11 +122,20 @@ class MassResponse:
         deviations = np.sqrt(part.of_used(self.kind, part.noise))
         return bool((np.abs(z) <= self.within * deviations).all())
 
-    def _rigid(self, state: ModelState) -> tuple[MatricesAt, Floats]:
-        assert state.matrices is not None
+    def _rigid(self, state: ModelState) -> tuple[MatricesAt, RigidMotions]:
+        given = state.matrices
+        assert given is not None
         assert state.mesh is not None
+        for known, motions in self._newest:
+            if known.model is given.model and np.array_equal(known.theta, given.theta):
+                return given, motions
         alone = set(self.targets) == {"mass"}
-        return state.matrices, rigid_motions(state.matrices.model.base, state.mesh, alone)
+        try:
+            found = rigid_motions(given.model.at(given.theta), state.mesh, alone, self.observe)
+        except ModesError as error:
+            raise ModesError(f"mass properties: {error}") from error
+        self._newest[:] = [(given, found)]
+        return given, found
 
     def _of(self, rigid_mass: Floats) -> Floats:
         """The asked quantities, (n,), complex where the mass is. Raises ModesError."""

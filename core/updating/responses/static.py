@@ -24,7 +24,8 @@ from modetune.core.updating.responses.response import (
     StateDerivatives,
     residual_of,
 )
-from modetune.core.updating.static import LoadCase, Observe, Reading, StaticModel
+from modetune.core.updating.rigid_motions import Observe
+from modetune.core.updating.static import LoadCase, Reading, StaticModel
 
 #: Relative step of the differences: of a cubic they err by its square, by rounding 1e-12.
 STEP = 1e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -19,8 +20,11 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating.running import update_campaign
+from tests.adapters.ccx_decks import plate as shells
+from tests.adapters.ccx_decks import strip
 from tests.adapters.mystran_decks import frame
 from tests.adapters.test_solver_contract import run
+from tests.command_line import run_command
 from tests.flows.updating.test_mystran_matrices import SENSORS, campaign_file
 
 #: Three masses on springs; kg and N/m.
@@ -174,3 +178,46 @@ def test_a_density_and_a_conm2_are_told_apart_by_the_mass_that_mystran_prints(
     np.testing.assert_allclose(record.updated, [1.08, 0.9], rtol=1e-4)
     computed = printed.mass - record.best.residual.values[-1]
     assert computed == pytest.approx(printed.mass, abs=2e-5)
+
+
+SHELLS = """name: part
+model: {deck: part.inp, solver: calculix, units: mm-t-s}
+test: {modes: test.csv, unmatched: drop}
+parameters:
+  - {name: t_plate, quantity: thickness, elset: P, bounds: [0.5, 2.0]}
+  - {name: t_strip, quantity: thickness, elset: U, bounds: [0.5, 2.0]}
+residuals:
+  frequency_weight: 0
+  mass_properties:
+    mass: {target: 5.0e-6, deviation: 1.0e-9}
+    centre_x: {target: 21.5, deviation: 1.0e-4}
+report: {page: false}
+"""
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@pytest.mark.parametrize("held", [False, True])
+def test_a_weighing_tells_thicknesses_of_shells_by_calculix(tmp_path: Path, held: bool) -> None:
+    """A plate of 30 x 20 with a strip of 10 x 20 at its end, of 2.7e-9."""
+    mounts = "".join(
+        f"*ELEMENT, TYPE=SPRING1, ELSET=K{n}{c}\n{1000 + 10 * n + c}, {n}\n"
+        f"*SPRING, ELSET=K{n}{c}\n{c}\n10.\n"
+        for n in (1, 9, 102)
+        for c in (1, 2, 3)
+    )
+    edge = "*BOUNDARY\n1, 1, 6\n5, 1, 6\n9, 1, 6\n" if held else mounts
+    (tmp_path / "part.inp").write_text(shells("S4", held="") + strip(3.0) + edge)
+    (tmp_path / "test.csv").write_text("mode,1,2\nfrequency_hz,100,200\n")
+    (tmp_path / "part.yaml").write_text(SHELLS)
+    ended = run_command(tmp_path, "update", "part.yaml", "--json")
+    if held:
+        assert ended.returncode != 0
+        assert "supports hold the rest" in " ".join(ended.stderr.split())
+        return
+    assert ended.returncode == 0, ended.stderr
+    updated = [item["updated"] for item in json.loads(ended.stdout)["parameters"]]
+    volume = 5.0e-6 / 2.7e-9
+    # V_p + V_u = V and 15 V_p + 35 V_u = 21.5 V; of each as much as its deck's has.
+    shares = np.linalg.solve([[1.0, 1.0], [15.0, 35.0]], [volume, 21.5 * volume])
+    # Two deviations of the mass, 4e-4, are within e1.
+    np.testing.assert_allclose(updated, shares / [1200.0, 600.0], rtol=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +10,18 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.solver import MatrixAnalysis
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.correlation.pairing import pair_by_order
 from modetune.core.errors import ModesError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, mode_set
-from modetune.core.updating.parameter_matrices import Powers, parameter_matrices
+from modetune.core.updating.parameter_matrices import (
+    ParameterMatrices,
+    Powers,
+    parameter_matrices,
+)
 from modetune.core.updating.responses.mass_properties import (
     MASS_QUANTITIES,
     MassResponse,
@@ -23,6 +30,8 @@ from modetune.core.updating.responses.mass_properties import (
 from modetune.core.updating.responses.response import MatricesAt, ModelState, StateDerivatives
 from modetune.core.updating.results import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
+from tests.adapters.ccx_decks import attached, plate, wall
+from tests.adapters.test_solver_contract import run
 from tests.core.matrix_decks import DENSITY, bar, matrices_of
 from tests.core.updating.compared import state_of
 
@@ -103,8 +112,12 @@ def test_axes_of_nodes_change_nothing() -> None:
 def test_unknowns_inside_of_elements_move_with_no_rigid_motion() -> None:
     whole = points()
     base = whole.model.base
+    joined = np.zeros((24, 1))
+    joined[[0, 3]] = [[0.5], [-0.5]]  # with forces that cancel where both nodes move alike
     more = MatrixResult(
-        sparse.csr_array(sparse.block_diag([base.upper_stiffness, np.eye(1)])),
+        sparse.csr_array(
+            np.block([[base.upper_stiffness.toarray(), joined], [np.zeros((1, 24)), np.eye(1)]])
+        ),
         sparse.csr_array(sparse.block_diag([base.upper_mass, 7.0 * np.eye(1)])),
         np.append(base.nodes, 3),
         np.append(base.components, 2),
@@ -147,6 +160,62 @@ def test_a_chain_of_one_direction_has_a_mass_but_no_places() -> None:
     assert not MassResponse({}, within=4.0).agrees(found)
     with pytest.raises(ModesError, match="at no node of the model"):
         MassResponse(ALL).residual(state)
+
+
+EXPANDED = {
+    "plate": plate("S4", held=""),
+    "quadratic plate": plate("S8R", held=""),
+    "a plate on springs with a mass": plate("S4", held="") + attached(1, 12),
+    "a wall on a plate": plate("S4", held="") + wall((2, 6, 10), 10.0),
+}
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
+@pytest.mark.parametrize("name", EXPANDED)
+def test_expanded_shells_have_their_closed_form_and_exact_derivatives(
+    name: str, tmp_path: Path
+) -> None:
+    """The parameter is the plate's thickness; K and M at it are linear in their own differences."""
+    deck, found, h = None, [], 1e-3
+    for factor in (1.0, 1.0 + h, 1.0 - h):
+        folder = tmp_path / str(factor)
+        folder.mkdir()
+        (folder / "model.inp").write_text(
+            EXPANDED[name].replace("\n2.0\n", f"\n{2.0 * factor:.6f}\n")
+        )
+        solver = calculix_solver(folder / "model.inp", ())
+        deck = solver.deck
+        result = run(solver, {}, MatrixAnalysis(), folder)
+        assert isinstance(result, MatrixResult)
+        found.append(result)
+    assert deck is not None
+    parts = []
+    for key in ("upper_stiffness", "upper_mass"):
+        change = (getattr(found[1], key) - getattr(found[2], key)) / (2.0 * h)
+        parts.append(Powers(0, (1,), (sparse.csr_array(change),)))
+    here = parameter_matrices(found[0], np.ones(1), parts[:1], parts[1:])
+    ends = [parameter_matrices(item, np.ones(1), (), ()) for item in found[1:]]
+    response = MassResponse(ALL, observe=deck.observation)
+
+    def state(model: ParameterMatrices) -> ModelState:
+        return replace(beside(MatricesAt(model, np.ones(1))), mesh=deck.mesh())
+
+    values = -response.residual(state(here)).values
+    scales = np.array([values[0], *[10.0] * 3, *[values[6]] * 6])
+    if name.endswith("plate") and "wall" not in name:
+        a, b, t = 30.0, 20.0, 2.0
+        m = 2.7e-9 * a * b * t
+        turned = m / 12.0 * np.array([b**2 + t**2, a**2 + t**2, a**2 + b**2, 0.0, 0.0, 0.0])
+        expected = np.array([m, a / 2, b / 2, 0.0, *turned])
+        # The condition of the expanded plate, 1e5, times rounding.
+        np.testing.assert_allclose(values / scales, expected / scales, atol=1e-10)
+    derivatives = StateDerivatives(ModeDerivatives(np.zeros((1, 1)), np.zeros((0, 1, 1))), (0,))
+    slopes = response.sensitivity(state(here), derivatives)[:, 0]
+    one, other = (-response.residual(state(model)).values for model in ends)
+    central = (one - other) / (2.0 * h)
+    # Differences of cubes in the thickness: h^2 of them is left.
+    np.testing.assert_allclose(slopes / scales, central / scales, atol=1e-5)
+    assert abs(slopes[0]) > 0.5 * 2.7e-9 * 30.0 * 20.0 * 2.0
 
 
 def test_a_bar_of_two_densities_by_calculix_has_the_properties_of_two_bricks(
