@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
@@ -19,7 +19,7 @@ import numpy as np
 
 from modetune.core.errors import StorageUnavailable
 from modetune.core.mesh import CellKind, Mesh, global_shapes
-from modetune.core.modes import Floats, ModeSet
+from modetune.core.modes import Floats, Integers, ModeSet
 from modetune.core.storage.files import storage_errors
 
 if TYPE_CHECKING:
@@ -65,6 +65,22 @@ def mode_grids(mesh: Mesh, modes: ModeSet) -> Iterator[pyvista.UnstructuredGrid]
     for shape in global_shapes(mesh, modes):
         grid.point_data[SHAPE] = shape
         yield grid
+
+
+def write_fields(path: Path, mesh: Mesh, fields: Mapping[str, tuple[Integers, Floats]]) -> Path:
+    """Write the mesh with values of its cells, NaN where an element has none.
+
+    fields: by name the numbers of elements and their values, (n,) each. Raises StorageUnavailable.
+    """
+    grid = unstructured_grid(mesh)
+    for name, (elements, values) in fields.items():
+        known = dict(zip(elements.tolist(), values.tolist(), strict=True))
+        numbers = grid.cell_data[ELEMENT].tolist()
+        grid.cell_data[name] = np.array([known.get(number, np.nan) for number in numbers])
+    with storage_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        grid.save(path)
+    return path
 
 
 def write_series(

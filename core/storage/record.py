@@ -35,6 +35,9 @@ front of the HDF5 content (`core/storage/seal`).
     /held_out/             numbers, test_hz, initial_hz, updated_hz, error_initial, error_updated,
                            mac_initial, mac_updated, worse, configurations (n_held_out,): modes
                            that were not used, before and after (`core/correlation/held_out`)
+    /fields/0000/          strengths, alone, changes (n_zones,), places, doubts, sentences;
+                           attributes left, started; field/: columns, neighbours, elements,
+                           owners, centres (`core/updating/fields`)
     /iterations/0000/...   one group an evaluated parameter set, in order:
         attributes         number, accepted, decision, slope (e2; NaN at first),
                            sensitivity_skipped (by e2, at this set), sensitivity_age (iterations
@@ -77,6 +80,7 @@ from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import ParameterSet
 from modetune.core.surface import Surface
+from modetune.core.updating.fields import FieldAnswer
 from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.trust import Trust
 
@@ -180,7 +184,8 @@ class CampaignRecord:
     trust: None while the campaign runs, and where no sensitivity was computed. held_out: None while
     it runs, and where nothing was held out. configurations: (n_modes,), whose test each
     mode of `test` is of; empty where the campaign has one model. splits: cards that were added for
-    the elements of parameters, a sentence each.
+    the elements of parameters, a sentence each. fields: what the test says of parameters an element
+    or zone; none while the campaign runs.
     """
 
     name: str
@@ -213,6 +218,7 @@ class CampaignRecord:
     deck_digest: str = ""
     trust: Trust | None = None
     held_out: HeldOut | None = None
+    fields: tuple[FieldAnswer, ...] = ()
     configurations: tuple[str, ...] = ()
     splits: tuple[str, ...] = ()
 

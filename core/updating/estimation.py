@@ -14,16 +14,21 @@ factorisation (normal equations would square the condition number). Bounds and t
 make a box for d; where the free solution leaves it, the same least-squares problem is solved in
 the box (scipy's bounded-variable method), never merely clipped.
 
+W_t is diagonal, or for parameters that hold together (`core/updating/fields`) a full matrix.
+
 The L-curve plots log |d|_Wt over log |z - S d|_W as a varies; its corner balances fit and size
-and is taken as a where the campaign asks for it (Hansen 1992).
+and is taken as a where the campaign asks for it (Hansen 1992). The discrepancy principle takes the
+a at which |z - S d|^2_W is what the measurements' deviations explain (Morozov 1966). Of the form
+that is pulled to t_0 both are asked of t + d - t_0 and z + S (t - t_0), whatever the step's start.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from modetune.core.errors import CampaignError
@@ -38,8 +43,9 @@ LinearForm = Literal[
 ]
 #: The forms above, and `core/updating/trust_region`.
 StepForm = Literal["trust_region", LinearForm]
-#: A factor of regularisation, or the corner of the L-curve.
-Factor = float | Literal["l_curve"]
+#: A factor of regularisation, or how it is found: the corner of the L-curve, what noise explains.
+Found = Literal["l_curve", "discrepancy"]
+Factor = float | Found
 
 #: Singular values below this share of the largest count as zero.
 RANK_TOLERANCE = 1e-10
@@ -50,8 +56,10 @@ class StepProblem:
     """All that a step depends on.
 
     sensitivity: (n_residuals, n_parameters); residual, weights: (n_residuals,);
-    parameter_weights: (n_parameters,), reciprocals of the parameters' variances;
-    offset: (n_parameters,), theta - theta_0; lower, upper: (n_parameters,), box of the step.
+    parameter_weights: (n_parameters,), reciprocals of the parameters' variances, or (n_parameters,
+    n_parameters), the inverse of their covariance;
+    offset: (n_parameters,), theta - theta_0; lower, upper: (n_parameters,), box of the step;
+    noise: |z|^2_W that measurement deviations explain.
     """
 
     sensitivity: Floats
@@ -61,13 +69,15 @@ class StepProblem:
     offset: Floats
     lower: Floats
     upper: Floats
+    noise: float = float("nan")
 
     def __post_init__(self) -> None:
         n_residuals, n_parameters = self.sensitivity.shape
         if any(vector.shape != (n_residuals,) for vector in (self.residual, self.weights)):
             raise CampaignError(f"residual and weights must have {n_residuals} entries")
-        vectors = (self.parameter_weights, self.offset, self.lower, self.upper)
-        if any(vector.shape != (n_parameters,) for vector in vectors):
+        vectors = (self.offset, self.lower, self.upper)
+        full = self.parameter_weights.shape in ((n_parameters,), 2 * (n_parameters,))
+        if not full or any(vector.shape != (n_parameters,) for vector in vectors):
             raise CampaignError(f"parameter weights and bounds must have {n_parameters} entries")
         if not (np.isfinite(self.sensitivity).all() and np.isfinite(self.residual).all()):
             raise CampaignError("sensitivity and residual must be finite")
@@ -95,7 +105,8 @@ def parameter_step(
 ) -> Step:
     """The step of one of the five forms, within its box.
 
-    regularisation: the factor a of the last two forms, or "l_curve"; share: of it, that is used.
+    regularisation: the factor a of the last two forms, or how it is found; share: of it, that is
+    used.
     Source: thesis (34)-(53).
     """
     root_w = np.sqrt(problem.weights)
@@ -104,8 +115,7 @@ def parameter_step(
     rank = int(np.sum(singular > RANK_TOLERANCE * singular[0])) if singular.size else 0
     factor = 0.0
     if form in ("regularised", "pulled_to_initial"):
-        corner = l_curve(problem).corner if regularisation == "l_curve" else float(regularisation)
-        factor = share * corner
+        factor = share * _factor(problem, form, regularisation)
     change = _solve(problem, form, factor)
     smallest = singular[-1] if singular.size == problem.sensitivity.shape[1] else 0.0
     return Step(
@@ -117,8 +127,35 @@ def parameter_step(
     )
 
 
+def from_initial(problem: StepProblem) -> StepProblem:
+    """The problem of the whole change from the initial values, linear, without its box."""
+    free = np.full(problem.offset.size, np.inf)
+    return replace(
+        problem,
+        residual=problem.residual + problem.sensitivity @ problem.offset,
+        offset=np.zeros_like(problem.offset),
+        lower=-free,
+        upper=free,
+    )
+
+
+def _factor(problem: StepProblem, form: LinearForm, asked: Factor) -> float:
+    if asked not in ("l_curve", "discrepancy"):
+        return float(asked)
+    curve = l_curve(from_initial(problem) if form == "pulled_to_initial" else problem)
+    return curve.corner if asked == "l_curve" else curve.leaving(problem.noise)
+
+
+def weights_root(weights: Floats) -> Floats:
+    """R (n, n) with R^T R the weights, which are (n,) or (n, n)."""
+    if weights.ndim == 1:
+        return np.diag(np.sqrt(weights))
+    return np.asarray(np.linalg.cholesky(weights).T)
+
+
 def _solve(problem: StepProblem, form: LinearForm, factor: float) -> Floats:
-    root_t = np.sqrt(problem.parameter_weights)
+    known = problem.parameter_weights
+    root_t = np.sqrt(known if known.ndim == 1 else np.diag(known))
     used = problem.weights > 0.0
     plain, plain_target = problem.sensitivity[used], problem.residual[used]
     if form == "pseudo_inverse":
@@ -130,9 +167,9 @@ def _solve(problem: StepProblem, form: LinearForm, factor: float) -> Floats:
     if form == "minimum_norm":
         return _in_box(problem, plain, plain_target, root_t)
     pull = -problem.offset if form == "pulled_to_initial" else np.zeros_like(root_t)
-    penalty = np.sqrt(factor) * root_t
-    stacked = np.vstack([rows, np.diag(penalty)])
-    return _in_box(problem, stacked, np.concatenate([target, penalty * pull]), root_t)
+    penalty = np.sqrt(factor) * weights_root(known)
+    stacked = np.vstack([rows, penalty])
+    return _in_box(problem, stacked, np.concatenate([target, penalty @ pull]), root_t)
 
 
 def _in_box(problem: StepProblem, rows: Floats, target: Floats, scale: Floats) -> Floats:
@@ -165,7 +202,7 @@ class LCurve:
     """Fit against size over a range of regularisation factors.
 
     factors, misfits, sizes: (n,), |z - S d|_W and |d|_Wt; corner: the factor where the curve
-    turns from falling to level most sharply.
+    turns from falling to level most sharply. Factors and misfits ascend.
     """
 
     factors: Floats
@@ -173,12 +210,27 @@ class LCurve:
     sizes: Floats
     corner: float
 
+    def leaving(self, noise: float) -> float:
+        """The factor at which |z - S d|^2_W is this; the corner where no factor leaves so little,
+        the largest where all do."""
+        if not self.misfits[0] ** 2 < noise:
+            return self.corner
+        squares = np.maximum.accumulate(self.misfits**2)
+        return float(np.exp(np.interp(noise, squares, np.log(self.factors))))
+
 
 def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
-    """The L-curve of the free (unbounded) regularised problem. Source: Hansen 1992."""
-    root_t = np.sqrt(problem.parameter_weights)
-    root_w = np.sqrt(problem.weights)
-    u, s, _ = np.linalg.svd(root_w[:, None] * problem.sensitivity / root_t, full_matrices=False)
+    """The L-curve of the free (unbounded) regularised problem. Source: Hansen 1992.
+
+    Its corner is sought where no more is left than noise explains, if any factor leaves so little.
+    """
+    known, root_w = problem.parameter_weights, np.sqrt(problem.weights)
+    rows = root_w[:, None] * problem.sensitivity
+    if known.ndim == 1:
+        rows = rows / np.sqrt(known)
+    else:  # to standard form (Hansen 1998, 2.3)
+        rows = solve_triangular(weights_root(known), rows.T, trans="T").T
+    u, s, _ = np.linalg.svd(rows, full_matrices=False)
     target = root_w * problem.residual
     beta = u.T @ target
     outside = float(target @ target - beta @ beta)
@@ -194,8 +246,12 @@ def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
     curvature = (dx * np.gradient(dy, t) - dy * np.gradient(dx, t)) / (
         (dx**2 + dy**2) ** 1.5 + 1e-300
     )
-    # The ends of a gradient are one-sided and give false curvature.
-    corner = factors[2 + int(np.argmax(curvature[2:-2]))]
+    # The ends of a gradient are one-sided and give false curvature. A curve may have corners where
+    # most of the test is not yet explained: they are none of noise against fit.
+    inside = np.arange(2, n_factors - 2)
+    explained = inside[misfits[inside] ** 2 <= problem.noise]
+    inside = explained if explained.size else inside
+    corner = factors[inside[int(np.argmax(curvature[inside]))]]
     return LCurve(factors, misfits, sizes, float(corner))
 
 
@@ -205,17 +261,18 @@ def parameter_covariance(
     """Covariance of the parameters that measurement variances leave, (n, n), linear.
 
     variances: (n_residuals,), of the residuals; weights: (n_residuals,), by which the step
-    weighed them; prior_weights: (n_parameters,), reciprocal variances beforehand, where the step
-    was held by them. A parameter that nothing determines has an infinite variance. With
-    A = S^T W S + P it is A^-1 (S^T W V W S + P) A^-1, which is the familiar (S^T V^-1 S)^-1 where
-    the weights are the reciprocal variances. Source: error propagation through thesis (41), (52).
+    weighed them; prior_weights: (n_parameters,), reciprocal variances beforehand, or (n_parameters,
+    n_parameters), where the step was held by them. A parameter that nothing determines has an
+    infinite variance. With A = S^T W S + P it is A^-1 (S^T W V W S + P) A^-1, which is the familiar
+    (S^T V^-1 S)^-1 where the weights are the reciprocal variances. Source: error propagation
+    through thesis (41), (52).
     """
     weighted = weights[:, None] * sensitivity
     information = sensitivity.T @ weighted
     noise = weighted.T @ (variances[:, None] * weighted)
     if prior_weights is not None:
-        information = information + np.diag(prior_weights)
-        noise = noise + np.diag(prior_weights)
+        known = np.diag(prior_weights) if prior_weights.ndim == 1 else prior_weights
+        information, noise = information + known, noise + known
     values, vectors = np.linalg.eigh(information)
     null = values <= RANK_TOLERANCE * max(float(values[-1]), 0.0)
     inverse = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T

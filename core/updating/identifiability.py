@@ -26,6 +26,7 @@ small fault of the model does to the answer. 1 is orthogonal; 5 to 20 is where a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -146,12 +147,16 @@ def identifiability(
     deviations: Floats,
     values: Floats,
     factor: float = 1.0,
+    precision: Floats | None = None,
+    apart: Sequence[int] = (),
 ) -> Identifiability:
     """What measurements tell of parameters. Raises CampaignError.
 
     sensitivity: (n_residuals, n_parameters); weights: (n_residuals,), emphasis over variance;
     deviations, values: (n_parameters,), standard deviations beforehand and where the parameters
-    stand; factor: a, on the parameters' weights.
+    stand; factor: a, on the parameters' weights; precision: (n_parameters, n_parameters), these
+    where they are not D^-2; apart: zones of fields, of which thousands of combinations are unseen,
+    so that none is looked for.
     """
     scaled = scaled_sensitivity(sensitivity, weights, deviations)
     n = deviations.size
@@ -161,12 +166,19 @@ def identifiability(
     nothing = found <= RANK_TOLERANCE * max(float(found[0]), 1e-300)
     told = np.where(nothing, 0.0, squares / np.where(nothing, 1.0, squares + factor))
     resolution = deviations[:, None] * ((vectors * told) @ vectors.T) / deviations
+    if precision is not None:
+        information = sensitivity.T @ (weights[:, None] * sensitivity)
+        resolution = np.linalg.solve(information + factor * precision, information)
+    plain = scaled.copy()
+    plain[:, list(apart)] = 0.0
     return Identifiability(
         singular_values=found,
         vectors=vectors,
         resolution=resolution,
-        collinearity=collinearity(scaled),
-        unseen=_unseen(scaled, vectors[:, told < SEEN], deviations / np.abs(values)),
+        collinearity=collinearity(plain),
+        unseen=()
+        if len(apart)
+        else _unseen(scaled, vectors[:, told < SEEN], deviations / np.abs(values)),
     )
 
 

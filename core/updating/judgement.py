@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from modetune.core.modes import Floats
@@ -30,11 +32,13 @@ def judge_parameters(
     standard_errors: Floats,
     found: Identifiability,
     missing: tuple[int, ...] = (),
+    zones: Collection[int] = (),
 ) -> tuple[ParameterTrust, ...]:
     """Flags and half sentences of each parameter.
 
     updated, start, standard_errors: (n_parameters,), relative to the deck; missing: positions
-    whose sensitivity could not be computed.
+    whose sensitivity could not be computed; zones: of fields, which are judged as one
+    (`core/updating/fields`).
     """
     hidden = _companions([item.members for item in found.unseen])
     alike = _companions([subset for subset, _ in found.collinearity.above(ALIKE)])
@@ -45,7 +49,7 @@ def judge_parameters(
         said = _bound_clause(item, value)
         if place in missing:
             said["missing"] = "kept its value, because its sensitivity could not be computed"
-        else:
+        elif place not in zones:
             mixed, like = (
                 [parameters.names[other] for other in group.get(place, ())]
                 for group in (hidden, alike)
@@ -54,12 +58,17 @@ def judge_parameters(
         scale = None if item.values == "relative" else item.scale
         far = abs(value - 1.0) / item.standard_deviation
         where = "the deck" if scale is None else "its start"
-        if far > FAR:
+        if far > FAR and place not in zones:
             said["far"] = (
                 f"is {_change(scale, value - 1.0)} from {where}, {far:.1f} times the deviation it "
                 "was given: it may stand in for something else that is wrong"
             )
-        if not said and np.isfinite(error) and error > max(abs(change), NEGLIGIBLE):
+        if (
+            not said
+            and place not in zones
+            and np.isfinite(error)
+            and error > max(abs(change), NEGLIGIBLE)
+        ):
             said["uncertain"] = (
                 f"changed by {_change(scale, change)}, less than its standard error "
                 f"({_change(scale, error).replace('+', '±')}): the value it had fits as well"

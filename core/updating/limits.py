@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.modes import Floats
-from modetune.core.updating.estimation import Step, StepProblem
+from modetune.core.updating.estimation import Step, StepProblem, weights_root
 
 #: Share of the other equations in one that stands for a limit: rounding and conditioning of the
 #: least-squares problem keep their digits.
@@ -72,7 +72,7 @@ def _with_equations(
     slopes = sensitivity[rows]
     scale = np.linalg.norm(slopes, axis=1)
     root = np.sqrt(problem.weights)[:, None] * problem.sensitivity
-    others = np.vstack([root, np.diag(np.sqrt(problem.parameter_weights))])
+    others = np.vstack([root, weights_root(problem.parameter_weights)])
     weight = float(np.sum(others**2)) / LOOSE
     return replace(
         problem,

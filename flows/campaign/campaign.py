@@ -23,9 +23,11 @@ from modetune.core.parameters import Parameter, ParameterSet, Values, frequency_
 from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
 from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.fields import Field, prior_precision
 from modetune.core.updating.weighting import Weighting, weighting_side_by_side
 from modetune.flows.campaign.case import Case, whole_test
 from modetune.flows.campaign.configurations import configuration_files
+from modetune.flows.campaign.fields import with_fields
 from modetune.flows.campaign.measured import (
     frfs_on_model,
     held_out_modes,
@@ -77,6 +79,7 @@ class Campaign:
     report: ReportSection
     settings: tuple[str, ...] = ()
     begin: tuple[float, ...] | None = None
+    fields: tuple[Field, ...] = ()
 
     @property
     def case(self) -> Case:
@@ -131,6 +134,12 @@ class Campaign:
     def start(self) -> Floats:
         """Parameters (n_parameters,) that updating starts from."""
         return self.parameters.initial if self.begin is None else np.array(self.begin)
+
+    def precision(self, theta: Floats) -> Floats:
+        """Weights of the parameters at these values: (n_parameters,), reciprocals of variances; or
+        the inverse of their covariance (n_parameters, n_parameters), where there are fields."""
+        own = self.parameters
+        return prior_precision(self.fields, theta - own.initial, own.standard_deviations)
 
     @property
     def solver_name(self) -> str:
@@ -205,6 +214,7 @@ def load_campaign(
     file = campaign_form(source, settings, form)
     run = file.run.on_site()
     problems: list[str] = []
+    source, file, fields = with_fields(source, file, problems)
     parameters = file.parameter_set()
     cases = _read_cases(source, file, problems, solver)
     problems += core_problems(source, run, cores()) + licence_problems(source, file)
@@ -224,6 +234,7 @@ def load_campaign(
         store=Store(_store_folder(source, file)),
         report=file.report,
         settings=tuple(settings or ()),
+        fields=fields,
     )
 
 

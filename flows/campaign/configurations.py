@@ -72,7 +72,7 @@ def configuration_files(
             }
         )
         columns = tuple(free.index(place) for place in places if place in free)
-        found.append(ConfigurationFile(section, _moved(view, places), own, columns, place))
+        found.append(ConfigurationFile(section, moved(view, places), own, columns, place))
         used |= set() if section.hold_out else set(places)
     for column, parameter in enumerate(file.parameters):
         if column not in used and parameter.configurations is None:
@@ -176,7 +176,7 @@ def _view(source: YamlFile, place: Place) -> YamlFile:
     return replace(source, lines=lines)
 
 
-def _moved(source: YamlFile, columns: tuple[int, ...]) -> YamlFile:
+def moved(source: YamlFile, columns: Sequence[int]) -> YamlFile:
     """The file with the lines of these parameters where they are among themselves."""
     lines = {key: line for key, line in source.lines.items() if key[:1] != ("parameters",)}
     lines[("parameters",)] = source.lines.get(("parameters",), 1)

@@ -29,7 +29,8 @@ from modetune.core.parameters import (
     ValueKind,
     counted_from,
 )
-from modetune.core.updating.estimation import StepForm
+from modetune.core.updating.estimation import Found, StepForm
+from modetune.core.updating.fields import MOST_ZONES, Smoothing
 from modetune.flows.campaign.command_section import CommandSection
 from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.section import Finite, Name, NotNegative, Positive, Section, Share
@@ -136,6 +137,18 @@ class TestSection(Section):
         return self
 
 
+class FieldSection(Section):
+    """A value for each element or zone of what a parameter scales; neighbours go together."""
+
+    zones: Literal["elements"] | Annotated[int, Field(ge=2, le=MOST_ZONES)] = "elements"
+    """How many connected zones have a value of their own; `elements`: each element."""
+    smoothing: Smoothing = "neighbours"
+    """What is taken for likely beforehand: `neighbours` change alike; `total_variation`: patches
+    with few edges; `sparse`: few zones change."""
+    length: Positive = 3.0
+    """Over how many zones values go together; `sparse` knows no neighbours."""
+
+
 class ParameterSection(Section):
     """One updating parameter; bounds, deviation and initial are relative to the deck's value unless
     `values` says otherwise."""
@@ -171,6 +184,8 @@ class ParameterSection(Section):
     """How uncertain the value is beforehand: its standard deviation [of the deck's value]"""
     initial: Finite = 1.0
     """The value that updating starts from; of additive ones 0 unless given [of the deck's value]"""
+    field: FieldSection | None = None
+    """Elements or zones with a value each, in place of one value of all."""
     configurations: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
     """Names of the configurations it belongs to; without it all whose deck has what it scales."""
 
@@ -181,6 +196,12 @@ class ParameterSection(Section):
         if len(given) > 1 or any(key not in wanted for key in given):
             found = f"not {' and '.join(f'`{key}`' for key in given)}"
             raise ValueError(f"{self.quantity} needs {targets_of(self.quantity)}; {found}")
+        if self.field is not None and (self.expression or "element" not in wanted):
+            raise ValueError(
+                f"a field is of a quantity that elements have, not of {self.quantity}"
+                if "element" not in wanted
+                else "a field has values of its own, so `expression` would mean nothing"
+            )
         if self.expression is not None:
             self._check_expression(self.expression)
             return self
@@ -307,9 +328,10 @@ class UpdateSection(Section):
     """Seed of the starts that are drawn."""
     step: StepForm = "trust_region"
     """How the step follows from residual and sensitivity (see the theory)."""
-    regularisation: NotNegative | Literal["l_curve"] = 1.0
-    """Factor on the parameters' own weights, or the corner of the L-curve; with `trust_region` the
-    first step's."""
+    regularisation: NotNegative | Found = 1.0
+    """Factor on the parameters' own weights; the corner of the L-curve; or `discrepancy`, what
+    leaves as much as deviations explain. With `trust_region` the first step's. With fields
+    `l_curve` unless given."""
     e1: E1Section = E1Section()
     """Agreement that ends updating."""
     e2: NotNegative = 0.2
@@ -420,6 +442,23 @@ class CampaignFile(Section):
             return self
         update = self.update.model_copy(update={"e2": KEPT_E2})
         return self.model_copy(update={"update": update})
+
+    @model_validator(mode="after")
+    def _regularised(self) -> CampaignFile:
+        """Fields are hundreds of values: steps are pulled to the initial ones, from one start."""
+        if not any(item.field for item in self.parameters):
+            return self
+        given = self.update.model_fields_set
+        if self.configurations:
+            raise ValueError("a field is of one model; leave `configurations` out")
+        if "step" in given and self.update.step != "pulled_to_initial":
+            raise ValueError(
+                "a field has more values than a test tells, so its steps are `pulled_to_initial`; "
+                f"update.step: {self.update.step} knows nothing of neighbours: leave it out"
+            )
+        found = {"step": "pulled_to_initial", "regularisation": "l_curve", "starts": 1}
+        own = {key: value for key, value in found.items() if key not in given}
+        return self.model_copy(update={"update": self.update.model_copy(update=own)})
 
 
 #: Stands for the files of a test that is not there; the path of nothing.

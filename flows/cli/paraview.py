@@ -42,6 +42,7 @@ def paraview(
     from modetune.flows.studies.paraview.paraview import (
         open_source,
         states_of,
+        write_field_file,
         write_paraview,
         write_stored,
     )
@@ -49,20 +50,30 @@ def paraview(
     if stored:
         if settings or not place.is_dir():
             raise CampaignError(f"{place}: --stored requires a run folder, and takes no --set")
-        written, unrun = write_stored(place, state, out), False
+        written, unrun, fields = write_stored(place, state, out), False, None
     else:
         source = open_source(place, settings or [], runs)
         states = states_of(source, state)
         unrun = state == "both" and source.record is None
+        place = out or source.run_folder / "paraview"
         with stoppable():
-            written = write_paraview(source.campaign, states, out or source.run_folder / "paraview")
+            written = write_paraview(source.campaign, states, place)
+            fields = write_field_file(source, place)
     if as_json:
         typer.echo(
-            json.dumps({"status": "good", "series": [told_series(item) for item in written]})
+            json.dumps(
+                {
+                    "status": "good",
+                    "series": [told_series(item) for item in written],
+                    "fields": fields and str(fields),
+                }
+            )
         )
         return
     for item in written:
         typer.echo(f"{item.state:8}  {item.file}  {item.n_modes} modes{_cost(item)}")
+    if fields is not None:
+        typer.echo(f"fields    {fields}")
     if unrun:
         typer.echo("the campaign has not been run, so there is no updated model yet")
 

@@ -38,9 +38,12 @@ from modetune.flows.report.comparison import (
     scaled_test,
     sensor_agreement,
 )
+from modetune.flows.report.field_tables import FieldMap, brief_record, field_map
 from modetune.flows.report.mode_tables import mode_labels, mode_rows
 from modetune.flows.report.responses import UNITS, ResponseCurve, response_pairs
 
+#: From low to high (Okabe and Ito have no ramp: viridis in seven steps).
+FIELD_COLOURS = ("#440154", "#443a83", "#31688e", "#21908c", "#35b779", "#8fd744", "#fde725")
 PAIR = "test mode {column}, computed mode {row}: MAC {value:.3f}"
 #: Lines of a response function that are drawn; finer ones are left out evenly.
 MOST_LINES = 2000
@@ -62,11 +65,14 @@ def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
         for name in ("test_hz", "initial_hz", "updated_hz")
     ]
     yield "frequencies", frequencies(title, [row.label for row in rows], *hz)
-    yield "parameters", parameter_histories(record)
-    if len(record.parameters) > 1 and np.isfinite(record.correlation).any():
-        yield "estimates", estimates(record)
-    if matrices := fresh_matrices(record):
-        yield "sensitivities", sensitivities(record, matrices)
+    for place, item in enumerate(record.fields):
+        yield f"field_{place}", field_chart(field_map(record, item))
+    brief = brief_record(record)
+    yield "parameters", parameter_histories(brief)
+    if len(brief.parameters) > 1 and np.isfinite(brief.correlation).any():
+        yield "estimates", estimates(brief)
+    if matrices := fresh_matrices(brief):
+        yield "sensitivities", sensitivities(brief, matrices)
     yield "convergence", convergence(record)
     found = sensor_agreement(record)
     if found is not None and record.test.has_shapes:
@@ -184,6 +190,38 @@ def parameter_histories(record: CampaignRecord) -> Chart:
                 )
     panel = Panel(tuple(items), _iteration_axis(record), Axis("value relative to the deck"))
     return Chart(record.name, "parameters by iteration", (panel,), size=(6.4, 4.2))
+
+
+def field_chart(found: FieldMap) -> Chart:
+    """A field on its part, and its values with two standard errors, element by element."""
+    ends = np.linspace(found.values.min(), found.values.max() + 1e-12, len(FIELD_COLOURS) + 1)
+    classes = np.digitize(found.values, ends[1:-1])
+    told = [
+        f"element {number}: {value:.3f} ± {error:.3f}"
+        for number, value, error in zip(found.elements, found.values, found.errors, strict=True)
+    ]
+    apart = found.centres - found.centres.mean(axis=0)
+    along, across = np.linalg.svd(apart, full_matrices=False)[2][:2] @ apart.T
+    dots = []
+    for place, colour in enumerate(FIELD_COLOURS):
+        own = np.flatnonzero(classes == place)
+        if own.size:
+            said = tuple(told[row] for row in own)
+            name = f"{ends[place]:.3g} to {ends[place + 1]:.3g}"
+            dots.append(Curve(name, along[own], across[own], colour, "", "s", told=said))
+    order = np.argsort(found.elements, kind="stable")
+    x, y, reach = positions(order), found.values[order], 2.0 * found.errors[order]
+    curves = (
+        Curve("value", x, y, AFTER, "-", "o", size=4.0, told=tuple(told[row] for row in order)),
+        *(Curve("two standard errors", x, y + way * reach, GREY, ":") for way in (-1.0, 1.0)),
+    )
+    names = tuple(str(number) for number in found.elements[order])
+    values = "value relative to the deck"
+    panels = (
+        Panel(tuple(dots), Axis("along the part"), Axis("across it"), square=True),
+        Panel(curves, Axis("element", names, 40), Axis(values)),
+    )
+    return Chart(f"The field {found.name}", f"{values}, on the part", panels, 1, (7.2, 3.2))
 
 
 def estimates(record: CampaignRecord) -> Chart:

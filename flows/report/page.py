@@ -27,6 +27,7 @@ from modetune.core.updating.judgement import trust_sentences
 from modetune.flows.report.chart import Chart, told_chart
 from modetune.flows.report.charts import campaign_charts
 from modetune.flows.report.comparison import remarks, sensor_agreement
+from modetune.flows.report.field_tables import brief_record
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.headline import headline, number, percent
 from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
@@ -43,6 +44,8 @@ from modetune.flows.report.scene import Scene, scene, told_scene
 from modetune.flows.report.tables import signed
 
 HERE = Path(__file__).resolve().parent
+#: Singular values that are written out, the largest: a field has hundreds.
+MOST_NUMBERS = 40
 
 
 #: A hyphen that stands before a number.
@@ -78,7 +81,7 @@ def write_chart(path: Path, chart: Chart) -> Path:
 
 def page(record: CampaignRecord) -> str:
     """The report of a campaign as HTML."""
-    shown = scene(record)
+    shown, brief = scene(record), brief_record(record)
     charts, comac = _charts(record, shown), _comac(record, shown)
     scripts = tuple(_asset(name) for name in SCRIPTS)
     pairing = [pair_table(record, item) for item in record.iterations]
@@ -88,7 +91,7 @@ def page(record: CampaignRecord) -> str:
         .render(
             record=record,
             headline=headline(record),
-            points=remarks(record),
+            points=remarks(brief),
             tolerance=_tolerance(record),
             held_out_lines=held_out_lines(record.held_out),
             trust=_trust(record),
@@ -96,8 +99,8 @@ def page(record: CampaignRecord) -> str:
                 "modes": mode_table(record),
                 "responses": response_table(record),
                 "held_out": held_out_table(record.held_out),
-                "parameters": parameter_table(record, LONG_PARAMETERS),
-                "trust": record.trust and trust_table(record.trust),
+                "parameters": parameter_table(brief, LONG_PARAMETERS),
+                "trust": brief.trust and trust_table(brief.trust),
                 "starts": start_table(record),
                 "iterations": iteration_table(record.iterations),
                 "pairing": pairing,
@@ -195,10 +198,11 @@ def _trust(record: CampaignRecord) -> dict[str, Any] | None:
     found, form = trust.identifiability, record_verdict(record)
     if form is not None and form.sentence in (*trust.concerns, *trust.notes):
         form = None  # it is among the sentences
+    singular = ", ".join(number(value, ".3g") for value in found.singular_values[:MOST_NUMBERS])
     numbers = (
         "Singular values of the weighted sensitivity (standard deviations of the test by which one "
         "deviation of a combination of parameters moves it; below 1 the test knows less than was "
-        f"known beforehand): {', '.join(number(value, '.3g') for value in found.singular_values)}; "
+        f"known beforehand): {singular}; "
         f"condition {number(found.condition, '.3g')}; collinearity index of all parameters "
         f"{number(found.collinearity.whole, '.3g')}."
     )

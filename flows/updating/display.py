@@ -18,6 +18,7 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.judgement import trust_sentences
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.report.drawing import PAGE
+from modetune.flows.report.field_tables import brief_record
 from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row
 from modetune.flows.report.mode_tables import mode_label, mode_table, unmatched_sentence
@@ -134,7 +135,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
         *filter(None, (*pairing_lines(record), unmatched_sentence(record))),
         response_table(record),
         *held_out_parts(record.held_out),
-        parameter_table(record, BRIEF_PARAMETERS),
+        parameter_table(brief_record(record), BRIEF_PARAMETERS),
         *record.splits,
         *trust_lines(record),
         f"{record.status}: {record.reason}",

@@ -162,7 +162,10 @@ class Evaluator:
         """Whether the least misfit is worth going on to from an evaluation that meets e1.
 
         Steps on reduced models end there, and what was believed of them needs no other solution.
+        A field's answer is nothing else: one weak element is well within e1.
         """
+        if self.campaign.fields:
+            return True
         believed = self.foresight is not None and REDUCED in evaluation.solved_by
         return self.sets_cost_little and not believed
 

@@ -40,7 +40,9 @@ def evaluator_of(
         finder = by_solver(own, at) if case.aside else finder_of(own, at, demand, alike)
         states.append(CaseState(case, own, columns, at, finder, campaign_analysis(own)))
     evaluator = Evaluator(campaign, states, execution, engine.ledger)
-    if any(state.finder.name != state.case.solver.program.name for state in states):
+    # A reduced model has directions for each parameter: with a field it is no smaller.
+    by_matrices = any(state.finder.name != state.case.solver.program.name for state in states)
+    if by_matrices and not campaign.fields:
         from modetune.flows.updating.by_range import ReducedRanges
         from modetune.flows.updating.foresight import ReducedForesight
 

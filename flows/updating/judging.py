@@ -10,7 +10,8 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord, IterationRecord
-from modetune.core.updating.estimation import RANK_TOLERANCE, LCurve, StepProblem, l_curve
+from modetune.core.updating.estimation import RANK_TOLERANCE, LCurve, from_initial, l_curve
+from modetune.core.updating.fields import FieldAnswer, answer
 from modetune.core.updating.identifiability import identifiability
 from modetune.core.updating.judgement import (
     combination_sentences,
@@ -22,6 +23,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
+from modetune.flows.updating.stepping import step_problem
 
 #: Collinear subsets that the summary names.
 NAMED = 10
@@ -34,11 +36,12 @@ def campaign_trust(
     standard_errors: Floats,
     remaining: Floats,
     agrees: bool,
+    answers: Sequence[FieldAnswer] = (),
 ) -> Trust | None:
     """What the newest sensitivity and the test say of the parameters; None without a sensitivity.
 
     standard_errors, remaining: (n_parameters,), at the answer, and its way to the least misfit;
-    agrees: whether e1 is met.
+    agrees: whether e1 is met; answers: of the campaign's fields.
     """
     if matrix is None:
         return None
@@ -46,12 +49,15 @@ def campaign_trust(
     parameters, factor = campaign.parameters, 1.0
     if campaign.update.step == "pulled_to_initial" and np.isfinite(last.regularisation):
         factor = last.regularisation
+    zones = [column for field in campaign.fields for column in field.columns.tolist()]
     found = identifiability(
         last.residual.independent(matrix.values),
         last.residual.weights,
         parameters.standard_deviations,
         last.parameters,
         factor,
+        campaign.precision(last.parameters) if zones else None,
+        zones,
     )
     return Trust(
         parameters=judge_parameters(
@@ -61,12 +67,17 @@ def campaign_trust(
             standard_errors,
             found,
             matrix.missing,
+            set(zones),
         ),
         identifiability=found,
         agrees=agrees,
         remaining=remaining,
         freedom=_freedom(campaign, last, matrix),
-        unseen=combination_sentences(parameters.names, found),
+        unseen=(
+            *combination_sentences(parameters.names, found),
+            *(said for item in answers for said in item.doubts),
+        ),
+        notes=tuple(said for item in answers for said in item.sentences),
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,
@@ -115,22 +126,35 @@ def _curve(campaign: Campaign, iterations: Sequence[IterationRecord]) -> LCurve 
     kept = [iteration for iteration in iterations if iteration.accepted]
     if len(kept) < 2:
         return None
-    before, last = kept[-2].residual, kept[-1]
-    n = len(campaign.parameters)
-    fits = last.sensitivity.shape == (before.values.size, n)
-    if not fits or not last.sensitivity.any() or not before.values[before.weights > 0.0].any():
+    before, last = kept[-2], kept[-1]
+    found, theta = before.residual, before.parameters
+    fits = last.sensitivity.shape == (found.values.size, len(campaign.parameters))
+    if not fits or not last.sensitivity.any() or not found.values[found.weights > 0.0].any():
         return None
-    free = np.full(n, np.inf)
-    return l_curve(
-        StepProblem(
-            sensitivity=before.independent(last.sensitivity),
-            residual=before.independent(before.values),
-            weights=before.weights,
-            parameter_weights=campaign.parameters.standard_deviations**-2,
-            offset=np.zeros(n),
-            lower=-free,
-            upper=free,
+    problem = step_problem(campaign, theta, found, last.sensitivity)
+    pulled = campaign.update.step == "pulled_to_initial"
+    return l_curve(from_initial(problem) if pulled else problem)
+
+
+def field_answers(
+    campaign: Campaign, iterations: Sequence[IterationRecord], matrix: Matrix | None
+) -> tuple[FieldAnswer, ...]:
+    """What the test says of each field where updating stands; none without a sensitivity."""
+    last, own = [item for item in iterations if item.accepted][-1], campaign.parameters
+    found = last.residual
+    if matrix is None:
+        return ()
+    return tuple(
+        answer(
+            item,
+            found.independent(matrix.values),
+            found.independent(found.values),
+            found.weights,
+            last.parameters - own.initial,
+            own.standard_deviations,
+            own.names,
         )
+        for item in campaign.fields
     )
 
 

@@ -17,6 +17,7 @@ from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
 from modetune.core.updating.estimation import parameter_covariance
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.report.field_tables import told_fields
 from modetune.flows.report.form_verdict import verdict_summary
 from modetune.flows.report.held_out_tables import held_out_rows
 from modetune.flows.report.mode_tables import mode_rows, unmatched_modes
@@ -24,7 +25,7 @@ from modetune.flows.report.parameter_tables import parameter_rows
 from modetune.flows.report.response_tables import response_rows
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
-from modetune.flows.updating.judging import campaign_trust, trust_summary
+from modetune.flows.updating.judging import campaign_trust, field_answers, trust_summary
 from modetune.flows.updating.showing import sensor_places, shown_surface
 from modetune.flows.updating.stepping import prior_weights, used_weights, way_to_least_misfit
 
@@ -45,6 +46,7 @@ def campaign_record(
     accepted, only = [item for item in iterations if item.accepted], campaign.only
     own = campaign.parameters
     errors, correlation, remaining = _scatter(campaign, accepted[-1], matrix)
+    answers = () if status == "running" else field_answers(campaign, iterations, matrix)
     return CampaignRecord(
         name=campaign.name,
         campaign_text=campaign.text,
@@ -81,7 +83,10 @@ def campaign_record(
         deck_digest="" if status == "running" else _deck_digest(campaign),
         trust=None
         if status == "running"
-        else campaign_trust(campaign, iterations, matrix, errors, remaining, status == "converged"),
+        else campaign_trust(
+            campaign, iterations, matrix, errors, remaining, status == "converged", answers
+        ),
+        fields=answers,
     )
 
 
@@ -114,7 +119,8 @@ def _scatter(
     if matrix is None:
         return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan)
     remaining = way_to_least_misfit(campaign, last.parameters, found, matrix.values, factor)
-    weights, prior = used_weights(campaign, found), prior_weights(campaign, factor)
+    weights = used_weights(campaign, found)
+    prior = prior_weights(campaign, last.parameters, factor)
     rows = found.independent(matrix.values)
     covariance = parameter_covariance(rows, found.variances, weights, prior)
     covariance = covariance + np.outer(remaining, remaining)
@@ -139,6 +145,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         mean_error_updated=np.abs(record.best.frequency_errors).mean(),
         responses=response_rows(record),
         held_out=held_out_rows(record.held_out),
+        fields=told_fields(record),
         splits=record.splits,
         sensitivity_skipped=sum(item.sensitivity_skipped for item in record.iterations),
         wall_s=round(record.wall_s, 3),

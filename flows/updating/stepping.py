@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.modes import Floats
-from modetune.core.updating.estimation import Step, StepProblem, parameter_step
+from modetune.core.updating.estimation import Factor, Step, StepProblem, parameter_step
 from modetune.core.updating.identifiability import remaining_step
 from modetune.core.updating.limits import breach, step_within
 from modetune.core.updating.responses.response import Residual
@@ -29,6 +29,9 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator
 
+#: Steps in which a factor of regularisation is looked for; then it stays, or steps would go round
+#: between the answers of two factors.
+SETTLED = 4
 #: Parameters held back that a sentence names.
 NAMED = 4
 
@@ -44,15 +47,34 @@ def used_weights(campaign: Campaign, found: Residual) -> Floats:
     return np.asarray(used / np.mean(found.variances[used]))
 
 
-def prior_weights(campaign: Campaign, regularisation: float) -> Floats | None:
-    """The weights (n_parameters,) of the initial values in what the step brings down, or None.
+def prior_weights(campaign: Campaign, theta: Floats, regularisation: float) -> Floats | None:
+    """The weights of the initial values in what the step brings down, or None: (n_parameters,), or
+    (n_parameters, n_parameters) where there are fields.
 
     regularisation: of the last step, NaN where there was none.
     """
     if campaign.update.step != "pulled_to_initial":
         return None
     factor = regularisation if np.isfinite(regularisation) else 1.0
-    return np.asarray(factor * campaign.parameters.standard_deviations**-2)
+    return np.asarray(factor * campaign.precision(theta))
+
+
+def step_problem(campaign: Campaign, theta: Floats, found: Residual, rows: Floats) -> StepProblem:
+    """All that a step from a set depends on, within the parameters' bounds.
+
+    theta: (n_parameters,); found, rows: its residual, and sensitivity by items.
+    """
+    parameters = campaign.parameters
+    return StepProblem(
+        sensitivity=found.independent(rows),
+        residual=found.independent(found.values),
+        weights=found.weights,
+        parameter_weights=campaign.precision(theta),
+        offset=theta - parameters.initial,
+        lower=np.minimum(parameters.lower - theta, 0.0),
+        upper=np.maximum(parameters.upper - theta, 0.0),
+        noise=float(found.weights @ found.noise),
+    )
 
 
 def way_to_least_misfit(
@@ -62,20 +84,17 @@ def way_to_least_misfit(
 
     theta: (n_parameters,); found, sensitivity: there; regularisation: of the last step.
     """
-    parameters, residual = campaign.parameters, found.independent(found.values)
-    sensitivity = found.independent(sensitivity)
-    weights, prior = used_weights(campaign, found), prior_weights(campaign, regularisation)
-    if prior is not None:
-        sensitivity = np.vstack([sensitivity, np.eye(len(parameters))])
-        residual = np.concatenate([residual, parameters.initial - theta])
-        weights = np.concatenate([weights, prior])
+    problem = step_problem(campaign, theta, found, sensitivity)
+    if campaign.update.step == "pulled_to_initial":
+        factor = regularisation if np.isfinite(regularisation) else 1.0
+        return parameter_step(problem, "pulled_to_initial", factor).change
     return remaining_step(
-        sensitivity,
-        residual,
-        weights,
-        parameters.standard_deviations,
-        parameters.lower - theta,
-        parameters.upper - theta,
+        problem.sensitivity,
+        problem.residual,
+        used_weights(campaign, found),
+        campaign.parameters.standard_deviations,
+        problem.lower,
+        problem.upper,
     )
 
 
@@ -97,6 +116,7 @@ class Stepping:
         self.logarithmic = wide & self.adapts
         self.held: Counter[str] = Counter()
         self.taken = 0
+        self._factors: list[float] = []
 
     @property
     def first(self) -> TrustRegion:
@@ -110,41 +130,43 @@ class Stepping:
         room = np.ones(len(parameters))
         room[list(matrix.missing)] = 0.0  # nothing is known of what these would do
         found = current.residual
-        problem = StepProblem(
-            sensitivity=found.independent(matrix.values),
-            residual=found.independent(found.values),
-            weights=found.weights,
-            parameter_weights=parameters.standard_deviations**-2,
-            offset=current.theta - parameters.initial,
+        problem = replace(
+            step_problem(self.campaign, current.theta, found, matrix.values),
             lower=room * np.minimum(low - current.theta, 0.0),
             upper=room * np.maximum(high - current.theta, 0.0),
         )
 
         def solve(asked: StepProblem) -> Step:
             if settings.step != "trust_region":
-                return parameter_step(asked, settings.step, settings.regularisation)
+                return parameter_step(asked, settings.step, self._regularisation)
             return trust_region_step(asked, self._scale(current), region, settings.regularisation)
 
         step = step_within(solve, problem, found.values, matrix.values, found.limits)
+        self._factors.append(step.regularisation)
         own = step.predicted[: found.values.size]
         step = replace(step, predicted=found.of_items(own))
         return self.evaluator.refined(current, step, box) or step
 
+    @property
+    def _regularisation(self) -> Factor:
+        """What the next step's factor is, or how it is found."""
+        settings = self.campaign.update
+        settled = settings.step == "pulled_to_initial" and len(self._factors) >= SETTLED
+        return self._factors[-1] if settled else settings.regularisation
+
     def to_least_misfit(self, current: Evaluation, matrix: Matrix) -> Step:
         """The step to the least misfit as far as the test tells, from a set that is near it."""
-        asked = self.campaign.update.regularisation
-        factor = 0.0 if self.campaign.update.step != "pulled_to_initial" else 1.0
-        if factor and asked != "l_curve":
-            factor = asked
+        if self.campaign.update.step == "pulled_to_initial":
+            return self.step(current, matrix, TrustRegion(np.inf))
         way = way_to_least_misfit(
-            self.campaign, current.theta, current.residual, matrix.values, factor
+            self.campaign, current.theta, current.residual, matrix.values, 0.0
         )
         change = np.clip(way, self.lower - current.theta, self.upper - current.theta)
         predicted = current.residual.values - matrix.values @ change
         if breach(predicted, current.residual.limits).any():
             change = np.zeros_like(change)  # a limit stands before it
             predicted = current.residual.values
-        step = Step(change, predicted, factor, rank=0, condition=np.nan)
+        step = Step(change, predicted, 0.0, rank=0, condition=np.nan)
         return self.evaluator.refined(current, step, (self.lower, self.upper)) or step
 
     def halved(self, current: Evaluation, matrix: Matrix, step: Step) -> Step:
@@ -195,8 +217,9 @@ class Stepping:
         pull = 0.0
         if settings.step == "pulled_to_initial":
             theta = current.theta + share * step.change
-            offset = (theta - parameters.initial) / parameters.standard_deviations
-            pull = step.regularisation * float(offset @ offset)
+            offset, known = theta - parameters.initial, self.campaign.precision(current.theta)
+            pulled = known * offset if known.ndim == 1 else known @ offset
+            pull = step.regularisation * float(offset @ pulled)
         residual = current.residual.independent(residual)
         return float(residual @ (weights * residual)) + pull
 

@@ -16,7 +16,7 @@ from typing import Literal
 
 from modetune.adapters.calculix.frd import convert_frd
 from modetune.adapters.calculix.solver import JOB, CalculixDeck, CalculixProgram
-from modetune.adapters.paraview import check_series, mode_grids, write_series
+from modetune.adapters.paraview import check_series, mode_grids, write_fields, write_series
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import named
@@ -27,6 +27,7 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.job import Job
+from modetune.flows.report.field_tables import field_map
 from modetune.flows.updating.running import job_engine
 
 #: Which models of a campaign: as it started, as updating left it.
@@ -154,6 +155,25 @@ def write_paraview(
     for state in states:
         check_series(out, state)
     return tuple(_write_state(campaign, state, values, out) for state, values in states.items())
+
+
+def write_field_file(source: SeriesSource, out: Path) -> Path | None:
+    """Write fields.vtu with what updating found of fields; None where there are none.
+
+    Of each field its values relative to the deck, their standard errors, and by how many deviations
+    of the test a change of a zone alone is seen. Raises StorageUnavailable.
+    """
+    record = source.record
+    if record is None or not record.fields:
+        return None
+    named = {}
+    for item in record.fields:
+        found = field_map(record, item)
+        named[found.name] = (found.elements, found.values)
+        named[f"{found.name}_standard_error"] = (found.elements, found.errors)
+        named[f"{found.name}_seen"] = (found.elements, item.strengths[item.field.owners])
+    mesh = source.campaign.case.solver.deck.mesh()
+    return write_fields(out / "fields.vtu", mesh, named)
 
 
 def _write_state(campaign: Campaign, state: State, values: Values, out: Path) -> Series:
