@@ -49,6 +49,9 @@ Factor = float | Found
 
 #: Singular values below this share of the largest count as zero.
 RANK_TOLERANCE = 1e-10
+#: Deviations are taken to be right within a factor of ten: a fit beyond that is one of noise, or in
+#: a test without noise one of what the linear model leaves out.
+BELIEVED = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +225,8 @@ class LCurve:
 def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
     """The L-curve of the free (unbounded) regularised problem. Source: Hansen 1992.
 
-    Its corner is sought where no more is left than noise explains, if any factor leaves so little.
+    Its corner is sought where no more is left than noise explains, and no less than `BELIEVED` of
+    the deviations would leave, if there are such factors.
     """
     known, root_w = problem.parameter_weights, np.sqrt(problem.weights)
     rows = root_w[:, None] * problem.sensitivity
@@ -249,8 +253,12 @@ def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
     # The ends of a gradient are one-sided and give false curvature. A curve may have corners where
     # most of the test is not yet explained: they are none of noise against fit.
     inside = np.arange(2, n_factors - 2)
-    explained = inside[misfits[inside] ** 2 <= problem.noise]
-    inside = explained if explained.size else inside
+    for least in (BELIEVED**2 * problem.noise, 0.0):
+        left = misfits[inside] ** 2
+        explained = inside[(left >= least) & (left <= problem.noise)]
+        if explained.size:
+            inside = explained
+            break
     corner = factors[inside[int(np.argmax(curvature[inside]))]]
     return LCurve(factors, misfits, sizes, float(corner))
 

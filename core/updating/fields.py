@@ -277,8 +277,7 @@ def zones_of(centres: Floats, neighbours: Integers, n_zones: int) -> Integers:
     _, _, sources = dijkstra(
         graph, directed=False, indices=seeds, min_only=True, return_predecessors=True
     )
-    found: Integers = np.searchsorted(np.sort(seeds), sources)
-    return found
+    return np.asarray(np.searchsorted(np.sort(seeds), sources))
 
 
 def joined(neighbours: Integers, owners: Integers) -> Integers:

@@ -210,7 +210,7 @@ def field_chart(found: FieldMap) -> Chart:
             name = f"{ends[place]:.3g} to {ends[place + 1]:.3g}"
             dots.append(Curve(name, along[own], across[own], colour, "", "s", told=said))
     order = np.argsort(found.elements, kind="stable")
-    x, y, reach = positions(order), found.values[order], 2.0 * found.errors[order]
+    x, y, reach = positions(order.tolist()), found.values[order], 2.0 * found.errors[order]
     curves = (
         Curve("value", x, y, AFTER, "-", "o", size=4.0, told=tuple(told[row] for row in order)),
         *(Curve("two standard errors", x, y + way * reach, GREY, ":") for way in (-1.0, 1.0)),
