@@ -82,7 +82,7 @@ class RecordFile(Generic[R]):
             raise StoreDamaged(f"{path} is not {what}: {problem}") from problem
 
 
-CAMPAIGN = RecordFile(CampaignRecord, "campaign", "campaign.h5", 6)
+CAMPAIGN = RecordFile(CampaignRecord, "campaign", "campaign.h5", 7)
 
 
 def write_record(path: Path, record: CampaignRecord) -> None:

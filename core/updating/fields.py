@@ -283,4 +283,4 @@ def zones_of(centres: Floats, neighbours: Integers, n_zones: int) -> Integers:
 def joined(neighbours: Integers, owners: Integers) -> Integers:
     """Pairs of zones that have neighbouring elements, (n_pairs, 2); owners: zone of each."""
     pairs = np.sort(owners[neighbours], axis=1)
-    return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).reshape(-1, 2)
+    return np.asarray(np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).reshape(-1, 2))

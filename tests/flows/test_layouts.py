@@ -52,7 +52,7 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (6, "4439ce93ae66")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (7, "226e9721fb5d")),
         (SCREENING.kind, SCREENING.format, (5, "3977d39bdf92")),
         (SCATTER.kind, SCATTER.format, (1, "4857f5ed59a2")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),

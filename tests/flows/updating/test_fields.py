@@ -180,7 +180,7 @@ def test_a_soft_patch_of_a_plate_is_found_by_zones(tmp_path: Path) -> None:
     )
     (tmp_path / "true.inp").write_text(text.replace(section, soft + other + both))
     truth = calculix_solver(tmp_path / "true.inp", ())
-    measured(tmp_path, truth, 5, [2, 5, 7, 10, 11], [3])
+    measured(tmp_path, truth, 3, [2, 5, 7, 10, 11], [3])  # the fourth mode is in its plane
     field = "zones: 6, smoothing: total_variation"
     path = written(tmp_path, "plate.inp", "calculix", field, 1.0)
     campaign, record = updated(path)
