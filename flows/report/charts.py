@@ -42,8 +42,9 @@ from modetune.flows.report.field_tables import FieldMap, brief_record, field_map
 from modetune.flows.report.mode_tables import mode_labels, mode_rows
 from modetune.flows.report.responses import UNITS, ResponseCurve, response_pairs
 
-#: From low to high (Okabe and Ito have no ramp: viridis in seven steps).
+#: Of a field's map from low to high (viridis in seven steps), and its size in inches.
 FIELD_COLOURS = ("#440154", "#443a83", "#31688e", "#21908c", "#35b779", "#8fd744", "#fde725")
+MAP = (7.2, 3.2)
 PAIR = "test mode {column}, computed mode {row}: MAC {value:.3f}"
 #: Lines of a response function that are drawn; finer ones are left out evenly.
 MOST_LINES = 2000
@@ -202,6 +203,8 @@ def field_chart(found: FieldMap) -> Chart:
     ]
     apart = found.centres - found.centres.mean(axis=0)
     along, across = np.linalg.svd(apart, full_matrices=False)[2][:2] @ apart.T
+    reach_along = 1.1 * float(np.abs(along).max())
+    reach_across = max(1.1 * float(np.abs(across).max()), MAP[1] / MAP[0] * reach_along)
     dots = []
     for place, colour in enumerate(FIELD_COLOURS):
         own = np.flatnonzero(classes == place)
@@ -218,10 +221,14 @@ def field_chart(found: FieldMap) -> Chart:
     names = tuple(str(number) for number in found.elements[order])
     values = "value relative to the deck"
     panels = (
-        Panel(tuple(dots), Axis("along the part"), Axis("across it"), square=True),
+        Panel(
+            tuple(dots),
+            Axis("along the part", span=(-reach_along, reach_along)),
+            Axis("across it", span=(-reach_across, reach_across)),
+        ),
         Panel(curves, Axis("element", names, 40), Axis(values)),
     )
-    return Chart(f"The field {found.name}", f"{values}, on the part", panels, 1, (7.2, 3.2))
+    return Chart(f"The field {found.name}", f"{values}, on the part", panels, 1, MAP)
 
 
 def estimates(record: CampaignRecord) -> Chart:

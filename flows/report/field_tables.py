@@ -55,6 +55,7 @@ def brief_record(record: CampaignRecord) -> CampaignRecord:
         updated=record.updated[places],
         standard_errors=record.standard_errors[places],
         correlation=record.correlation[np.ix_(places, places)],
+        splits=(*record.splits[:SHOWN], *_more(len(record.splits) - SHOWN)),
         trust=trust and replace(trust, parameters=tuple(trust.parameters[n] for n in places)),
         iterations=tuple(
             replace(
@@ -68,6 +69,10 @@ def brief_record(record: CampaignRecord) -> CampaignRecord:
             for item in record.iterations
         ),
     )
+
+
+def _more(count: int) -> tuple[str, ...]:
+    return (f"and {count} cards more, each with a comment in the updated deck",) * (count > 0)
 
 
 def _shown_columns(record: CampaignRecord) -> list[int]:

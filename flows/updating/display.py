@@ -125,6 +125,7 @@ def held_out_parts(held: HeldOut | None) -> list[Table | Text]:
 def show_run(console: Console, run: CampaignRun) -> None:
     """The end of a campaign: tables, the reason it ended, its cost, and where the files are."""
     record, page = run.record, run.folder / PAGE
+    brief = brief_record(record)
     runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)
     by_e2 = f"; sensitivity skipped (e2) {skipped} time{'' if skipped == 1 else 's'}" * (
         skipped > 0
@@ -135,8 +136,8 @@ def show_run(console: Console, run: CampaignRun) -> None:
         *filter(None, (*pairing_lines(record), unmatched_sentence(record))),
         response_table(record),
         *held_out_parts(record.held_out),
-        parameter_table(brief_record(record), BRIEF_PARAMETERS),
-        *record.splits,
+        parameter_table(brief, BRIEF_PARAMETERS),
+        *brief.splits,
         *trust_lines(record),
         f"{record.status}: {record.reason}",
         f"iterations: {record.iterations[-1].number}; {runs.sentence}{by_e2}; "
