@@ -135,24 +135,23 @@ def write_edited(
             numbers = [line.number for line in include.lines]
             edits[holder].update(zip(numbers, texts, strict=True))
     behind: dict[Path, dict[int, list[str]]] = {file: {} for file in places}
+    pieces = {file: read_text(file).split("\n") for file in places}
     for position, line in enumerate(lines):
-        text = changed.get(position, line.text)
         if line.added:
+            text = changed.get(position, line.text)
             behind[line.file].setdefault(line.number, []).append(text)
-        else:
-            edits[line.file].setdefault(line.number, text)
-            if position in changed:  # of a file that is included twice
-                edits[line.file][line.number] = text
-    for file, texts_by_number in edits.items():
-        pieces = read_text(file).split("\n")
-        for number, text in texts_by_number.items():
-            end = "\r" if pieces[number - 1].endswith("\r") else ""
-            if text != pieces[number - 1].rstrip("\r"):
-                pieces[number - 1] = text + end
-            new = behind[file].get(number, ())
-            pieces[number - 1] += "".join(f"\n{line}{end}" for line in new)
+        elif position in changed:
+            edits[line.file][line.number] = changed[position]
+        elif line.text != pieces[line.file][line.number - 1].rstrip("\r"):
+            edits[line.file].setdefault(line.number, line.text)  # the file may be included twice
+    for file, texts in pieces.items():
+        for number in edits[file].keys() | behind[file].keys():
+            old, added = texts[number - 1], behind[file].get(number, ())
+            end = "\r" if old.endswith("\r") else ""
+            text = edits[file].get(number, old.removesuffix(end))
+            texts[number - 1] = f"{end}\n".join([text, *added]) + end
         with writing(folder / places[file]) as part:
-            part.write_bytes("\n".join(pieces).encode("utf-8", "surrogateescape"))
+            part.write_bytes("\n".join(texts).encode("utf-8", "surrogateescape"))
     return folder / main.name
 
 

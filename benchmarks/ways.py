@@ -183,6 +183,7 @@ def importing() -> dict[str, str]:
     path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     found = {**os.environ, "PYTHONPATH": path}
     found.pop(STORE_VARIABLE, None)
+    found.pop("PYTHONDONTWRITEBYTECODE", None)  # what is installed has its byte code
     return found
 
 

@@ -10,22 +10,17 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
-from modetune.configs.bracket import bracket, lab
-from modetune.configs.fixture import fixture
-from modetune.configs.garteur import aircraft, shell
-from modetune.configs.launcher import launcher
-from modetune.configs.mast import mast
-
-#: What writes the decks of each case into a folder, and the bracket's test.
-DECKS: dict[str, tuple[Callable[[Path], None], ...]] = {
-    "garteur": (aircraft.write_decks, shell.write_decks),
-    "bracket": (bracket.write_decks, lab.write_lab),
-    "fixture": (fixture.write_decks,),
-    "launcher": (launcher.write_decks,),
-    "mast": (mast.write_decks,),
+#: What writes the decks of each case into a folder, and the bracket's test: modules and functions,
+#: of which only the case's own are imported.
+DECKS: dict[str, tuple[tuple[str, str], ...]] = {
+    "garteur": (("garteur.aircraft", "write_decks"), ("garteur.shell", "write_decks")),
+    "bracket": (("bracket.bracket", "write_decks"), ("bracket.lab", "write_lab")),
+    "fixture": (("fixture.fixture", "write_decks"),),
+    "launcher": (("launcher.launcher", "write_decks"),),
+    "mast": (("mast.mast", "write_decks"),),
     # Models that are campaign data stand beside the campaign.
     "four_storey": (),
     "frame": (),
@@ -41,8 +36,8 @@ def write_case(case: str, folder: Path) -> None:
         for file in sorted(source.iterdir()):
             if file.suffix in (".yaml", ".csv", ".opensees"):
                 shutil.copyfile(file, folder / file.name)
-    for write_decks in DECKS[case]:
-        write_decks(folder)
+    for module, write in DECKS[case]:
+        getattr(import_module(f"modetune.configs.{module}"), write)(folder)
 
 
 if __name__ == "__main__":

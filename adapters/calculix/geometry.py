@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from modetune.adapters.calculix.deck import KeywordDeck
-from modetune.adapters.calculix.mesh import element_rows
+from modetune.adapters.calculix.mesh import CalculixMesh
 from modetune.adapters.calculix.model import read_number
 from modetune.core.errors import ModelError
 from modetune.core.mesh import NODES, CellKind, Cells, Mesh
@@ -51,7 +51,7 @@ def cell_kind(element_type: str) -> CellKind | None:
     return None
 
 
-def read_geometry(deck: KeywordDeck, result_nodes: frozenset[int]) -> Mesh:
+def read_geometry(deck: KeywordDeck, mesh: CalculixMesh, result_nodes: frozenset[int]) -> Mesh:
     """Nodes that belong to elements or carry results, and the elements between them.
 
     Elements of types without a shape (fluid networks, user elements) are left out, their nodes
@@ -59,18 +59,15 @@ def read_geometry(deck: KeywordDeck, result_nodes: frozenset[int]) -> Mesh:
     *TRANSFORM says. Raises ModelError with file and line.
     """
     places = read_places(deck)
-    elements: dict[int, tuple[CellKind | None, list[int]]] = {}
-    for card in deck.named("*ELEMENT"):
-        kind = cell_kind(card.option("TYPE"))
-        for _, (number, *nodes) in element_rows(deck, card):
-            elements[number] = kind, nodes  # given twice, the last one counts
-    blocks: dict[CellKind, list[list[int]]] = {}
+    kinds = {name: cell_kind(name) for name in {item.kind for item in mesh.elements.values()}}
+    blocks: dict[CellKind, list[tuple[int, ...]]] = {}
     used = set(result_nodes)
-    for number, (kind, nodes) in elements.items():
-        there = [node for node in nodes if node in places]
+    for number, element in mesh.elements.items():
+        there = [node for node in element.nodes if node in places]
         used.update(there)
-        if kind and len(there) == len(nodes) == NODES[kind]:
-            blocks.setdefault(kind, []).append([number, *nodes])
+        kind = kinds[element.kind]
+        if kind and len(there) == len(element.nodes) == NODES[kind]:
+            blocks.setdefault(kind, []).append((number, *element.nodes))
     numbers = np.array(sorted(used), dtype=np.int64)
     return Mesh(
         nodes=numbers,
@@ -79,7 +76,7 @@ def read_geometry(deck: KeywordDeck, result_nodes: frozenset[int]) -> Mesh:
     )
 
 
-def _cells(kind: CellKind, rows: list[list[int]]) -> Cells:
+def _cells(kind: CellKind, rows: list[tuple[int, ...]]) -> Cells:
     table = np.array(rows, dtype=np.int64)
     nodes = table[:, 1:]
     if kind in MIDDLE_SECOND:
@@ -96,7 +93,7 @@ def read_places(deck: KeywordDeck) -> dict[int, tuple[float, float, float]]:
     places = {}
     for card in deck.named("*NODE"):
         for position in card.data:
-            number, x, y, z = [*deck.fields(position), "", "", ""][:4]
+            number, x, y, z = [*deck.lines[position].text.split(","), "", "", ""][:4]
             try:
                 places[int(number)] = _number(x), _number(y), _number(z)
             except ValueError:
@@ -111,4 +108,4 @@ def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        return read_number(text) if text else 0.0
+        return read_number(text) if text.strip() else 0.0

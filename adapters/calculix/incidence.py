@@ -12,8 +12,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from modetune.adapters.calculix.deck import KeywordDeck
-from modetune.adapters.calculix.mesh import CalculixMesh, element_rows
+from modetune.adapters.calculix.mesh import CalculixMesh
 
 #: solid and point (springs, masses, dashpots): the node's own three translations. Of shells and
 #: beams linear, and quadratic with their corners or ends and their middle nodes.
@@ -46,7 +45,7 @@ class Incidence:
 
     def nodes(self, elements: Iterable[int]) -> frozenset[int]:
         """All nodes of these elements."""
-        return frozenset(node for number in elements for node in self.nodes_of[number])
+        return frozenset[int]().union(*map(self.nodes_of.__getitem__, elements))
 
     def roles(self, nodes: Collection[int]) -> dict[int, set[Role]]:
         """What each of these nodes is in its elements; nothing where it belongs to none."""
@@ -66,12 +65,3 @@ class Incidence:
 def roles_of(kind: str) -> tuple[Role, ...]:
     """Roles of an element type's nodes, `other` for types that are not followed."""
     return next((roles for pattern, roles in ROLES if pattern.fullmatch(kind)), ("other",))
-
-
-def read_incidence(deck: KeywordDeck, mesh: CalculixMesh) -> Incidence:
-    """Nodes of all elements. Raises ModelError with file and line."""
-    nodes_of: dict[int, tuple[int, ...]] = {}
-    for card in deck.named("*ELEMENT"):
-        for _, (number, *corners) in element_rows(deck, card):
-            nodes_of[number] = tuple(corners)  # given twice, the last one counts
-    return Incidence(nodes_of, mesh)

@@ -52,7 +52,8 @@ def job_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) 
         data, options["SOLVER"] = "1", "MATRIXSTORAGE"
     header = ", ".join(["*FREQUENCY", *(f"{name}={value}" for name, value in options.items())])
     lines = [*parts, *above, header, data, *below, "*END STEP"]
-    return "\n".join(line for line in lines if not line.lstrip().startswith(COMMENTS)) + "\n"
+    kept = [line for line in lines if "**" not in line or not line.lstrip().startswith(COMMENTS)]
+    return "\n".join([*kept, ""])
 
 
 def check_frequency_step(model: CalculixModel) -> list[str]:

@@ -17,10 +17,12 @@ RANGE = re.compile(r"(\d+)(?:-(\d+))?")
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """kind: the type's name (upper case); line: position of its first line in the deck."""
+    """kind: the type's name (upper case); line: position of its first line in the deck; nodes: in
+    the deck's order."""
 
     kind: str
     line: int
+    nodes: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,21 +55,22 @@ def read_mesh(deck: KeywordDeck) -> CalculixMesh:
         number
         for card in deck.named("*NODE")
         for position in card.data
-        for number in _whole(deck, position, [deck.lines[position].text.partition(",")[0].strip()])
+        for number in _whole(deck, position, deck.lines[position].text.split(",", 1)[:1])
     }
     sets: dict[str, set[int]] = {}
     elements: dict[int, Element] = {}
     used: set[int] = set()
     for card in deck.named("*ELEMENT"):
         fresh: dict[int, Element] = {}
-        for position, (number, *corners) in element_rows(deck, card):
-            fresh[number] = Element(card.option("TYPE"), position)
+        kind, is_known = card.option("TYPE"), _nodes_of(card) > 0
+        for position, (number, *corners) in _element_rows(deck, card):
+            fresh[number] = Element(kind, position, tuple(corners))
             used.update(corners)
-            if _nodes_of(card) and not nodes.issuperset(corners):
+            if is_known and not nodes.issuperset(corners):
                 lost = next(node for node in corners if node not in nodes)
                 where = deck.lines[position].where
                 raise ModelError(f"{where}: element {number} has node {lost}, which is not there")
-        elements |= fresh
+        elements |= fresh  # given twice, the last one counts
         if card.option("ELSET"):
             sets.setdefault(_set_name(deck, card), set()).update(fresh)
     for card in deck.named("*ELSET"):
@@ -95,7 +98,7 @@ def _nodes_of(card: KeywordCard) -> int:
     return int(family.group(1)) if family else 0
 
 
-def element_rows(deck: KeywordDeck, card: KeywordCard) -> Iterable[tuple[int, list[int]]]:
+def _element_rows(deck: KeywordDeck, card: KeywordCard) -> Iterable[tuple[int, list[int]]]:
     """Position of the first line, and number and nodes of each element of a card.
 
     As ccx does, lines are read on until an element has its nodes, trailing comma or not. Only
@@ -106,9 +109,9 @@ def element_rows(deck: KeywordDeck, card: KeywordCard) -> Iterable[tuple[int, li
     for position in card.data:
         if not row:
             start = position
-        fields = deck.fields(position)
+        fields = deck.lines[position].text.split(",")
         row += _whole(deck, position, fields)
-        if len(row) > count if count else fields[-1]:
+        if len(row) > count if count else fields[-1].strip():
             yield start, row
             row = []
     if row and count:
@@ -147,7 +150,11 @@ def _generated(deck: KeywordDeck, position: int, fields: list[str]) -> tuple[int
 
 def _whole(deck: KeywordDeck, position: int, fields: list[str]) -> list[int]:
     try:
-        return [int(field) for field in fields if field]
+        return [*map(int, fields)]
+    except ValueError:
+        pass  # a field may be blank
+    try:
+        return [int(field) for field in fields if field and not field.isspace()]
     except ValueError:
         line = deck.lines[position]
         raise ModelError(f"{line.where}: whole numbers expected, found {line.text!r}") from None

@@ -22,7 +22,7 @@ from modetune.adapters.calculix.damping import damped_materials, dampers
 from modetune.adapters.calculix.deck import read_deck, write_edited
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.geometry import read_geometry
-from modetune.adapters.calculix.incidence import Incidence, read_incidence
+from modetune.adapters.calculix.incidence import Incidence
 from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text
 from modetune.adapters.calculix.loads import load_case
 from modetune.adapters.calculix.model import CalculixModel, understand
@@ -127,7 +127,7 @@ class CalculixDeck(Deck):
 
     @cached_property
     def _mesh(self) -> Mesh:
-        return read_geometry(self.model.deck, self.summary.node_ids)
+        return read_geometry(self.model.deck, self.model.mesh, self.summary.node_ids)
 
     def mesh(self) -> Mesh:
         return self._mesh
@@ -169,7 +169,13 @@ class CalculixDeck(Deck):
 
     @cached_property
     def _incidence(self) -> Incidence:
-        return read_incidence(self.model.deck, self.model.mesh)
+        mesh = self.model.mesh
+        return Incidence({number: item.nodes for number, item in mesh.elements.items()}, mesh)
+
+    @cached_property
+    def _affected(self) -> dict[tuple[frozenset[Place], tuple[int, ...]], AffectedElements | None]:
+        """Elements by what they were asked for: several times in a campaign."""
+        return {}
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         if damps_only(parameter, self.parameters):
@@ -189,7 +195,12 @@ class CalculixDeck(Deck):
         self, places: Collection[Place], powers: tuple[int, ...] = (1,)
     ) -> AffectedElements | None:
         """What these numbers of the deck move, as one relative value of theirs."""
-        return affected_elements_of(self.model, self._incidence, self.mesh(), places, powers)
+        asked = frozenset(places), powers
+        if asked not in self._affected:
+            self._affected[asked] = affected_elements_of(
+                self.model, self._incidence, self.mesh(), places, powers
+            )
+        return self._affected[asked]
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers

@@ -24,8 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtri, fdtri
 
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
@@ -153,7 +152,7 @@ def _consistent(x: Floats, mean: Floats, covariance: Floats) -> Floats:
     """The covariance with which half of all rows are nearer than half of normal ones are."""
     counts = np.isfinite(x).sum(axis=1)
     there = counts > 0
-    ratio = _squares(x, mean, covariance)[there] / chi2.median(counts[there])
+    ratio = _squares(x, mean, covariance)[there] / chdtri(counts[there], 0.5)
     return np.asarray(covariance * np.median(ratio))
 
 
@@ -162,7 +161,7 @@ def _usual(x: Floats, mean: Floats, covariance: Floats) -> Mask:
     n, m = x.shape
     sizes = np.arange(1, m + 1)
     limits = np.zeros(m + 1)
-    limits[1:] = sizes * (n**2 - 1) / (n * (n - sizes)) * fisher.isf(FALSE / n, sizes, n - sizes)
+    limits[1:] = sizes * (n**2 - 1) / (n * (n - sizes)) * fdtri(sizes, n - sizes, 1.0 - FALSE / n)
     used = np.isfinite(x)
     for row, there in zip(x, used, strict=True):
         counted = int(there.sum())

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
@@ -40,6 +42,9 @@ from modetune.flows.updating.starting import is_unchanged, read_earlier, start_o
 from modetune.flows.updating.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
+
+#: Least time between records of a campaign that goes on: what less brings, the store has.
+WRITTEN_EVERY_S = 1.0
 
 
 def job_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> JobEngine:
@@ -137,12 +142,14 @@ def _update(
     earlier = read_earlier(folder)
     campaign = start_of(campaign, engine, earlier)
     # What an earlier run left stays until this one has come to its end.
-    unfinished, logged = folder / "campaign.unfinished.h5", 0
+    unfinished, logged, written_s = folder / "campaign.unfinished.h5", 0, -math.inf
 
     def keep(record: CampaignRecord) -> None:
-        nonlocal logged
-        write_record(unfinished, record)
-        logged = log_iterations(record, logged)
+        nonlocal logged, written_s
+        logged, now = log_iterations(record, logged), time.monotonic()
+        if record.status != "running" or now - written_s > WRITTEN_EVERY_S:
+            write_record(unfinished, with_first_cost(record, earlier))
+            written_s = now
 
     if pages is not None:
         engine = _counted(engine, campaign, pages)
@@ -175,14 +182,11 @@ def _update(
         engine_of(engine, campaign, case).keep_text()
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
-    kept = with_first_cost(record, earlier)
-    if kept is not record:
-        write_record(unfinished, kept)
     with storage_errors(unfinished):
         unfinished.replace(folder / "campaign.h5")
     if campaign.report.page:
         progress.working("drawing the report")
-        page = draw_report(kept, folder)
+        page = draw_report(with_first_cost(record, earlier), folder)
     else:
         page = None
     return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)

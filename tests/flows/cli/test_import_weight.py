@@ -12,7 +12,7 @@ import pytest
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 #: Packages that take a tenth of a second or more.
 HEAVY = ("prefect", "matplotlib", "pyNastran", "polars", "pypardiso", "h5py", "scipy.optimize",
-         "scipy.sparse", "numpy", "pydantic", "yaml", "rich.markdown", "dask")  # fmt: skip
+         "scipy.stats", "scipy.sparse", "numpy", "pydantic", "yaml", "rich.markdown", "dask")  # fmt: skip
 TELL = f"import json, sys; print(json.dumps([n for n in {HEAVY!r} if n in sys.modules]))"
 
 
@@ -32,7 +32,9 @@ def test_the_server_is_found_without_importing_prefect() -> None:
     assert "prefect" not in imported_by("import modetune.flows.jobs.prefect_server")
 
 
-@pytest.mark.parametrize("unused", ["prefect", "matplotlib", "pyNastran", "polars", "dask"])
+@pytest.mark.parametrize(
+    "unused", ["prefect", "matplotlib", "pyNastran", "polars", "dask", "scipy.stats"]
+)
 def test_checking_a_campaign_imports_what_it_uses(unused: str) -> None:
     code = (
         "from pathlib import Path; from modetune.flows.campaign.campaign import load_campaign; "
