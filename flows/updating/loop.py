@@ -126,7 +126,8 @@ class Loop:
 
     region: lower and upper values that it keeps to within the parameters' bounds, each
     (n_parameters,), where it may not go everywhere. around: an evaluation point that the
-    modes of the start are tracked from. first, title: number and name of the first set.
+    modes of the start are tracked from. first, title: number and name of the first set. confirms:
+    whether the end is looked at by the solver's own modes where it was found otherwise.
     """
 
     def __init__(
@@ -138,8 +139,10 @@ class Loop:
         around: Evaluation | None = None,
         first: int = 0,
         title: str = "initial model",
+        confirms: bool = True,
     ) -> None:
         self.around = around
+        self.confirms = confirms
         self.title = title
         self.campaign = campaign
         self.evaluator = evaluator
@@ -162,7 +165,9 @@ class Loop:
         state = self._start()
         while True:
             status, state = self._until(state)
-            confirmed = self.evaluator.confirmed(self.number, state.current)
+            confirmed = None
+            if self.confirms:
+                confirmed = self.evaluator.confirmed(self.number, state.current)
             if confirmed is not None:
                 self.watcher.confirmed(confirmed)
                 apart = float(np.max(np.abs(confirmed.errors - state.current.errors)))
