@@ -12,7 +12,8 @@ import pytest
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 #: Packages that take a tenth of a second or more.
 HEAVY = ("prefect", "matplotlib", "pyNastran", "polars", "pypardiso", "h5py", "scipy.optimize",
-         "scipy.stats", "scipy.sparse", "numpy", "pydantic", "yaml", "rich.markdown", "dask")  # fmt: skip
+         "scipy.stats", "scipy.sparse", "numpy", "pydantic", "yaml", "dask",
+         "rich.markdown")  # fmt: skip
 TELL = f"import json, sys; print(json.dumps([n for n in {HEAVY!r} if n in sys.modules]))"
 
 
