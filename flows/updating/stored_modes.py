@@ -58,7 +58,7 @@ logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are reduced to other numbers.
 REDUCED_VERSION = 4
-RANGE_VERSION = 2
+RANGE_VERSION = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
