@@ -20,8 +20,8 @@ to M + e diag(K), e so small that only vectors that move (nearly) no mass feel i
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -177,19 +177,67 @@ class _Metric:
         return found
 
 
-def with_directions(weight: Weight, basis: Floats, block: Floats, room: int) -> Floats:
+def widened_model(
+    affine: ParameterMatrices,
+    model: ReducedModel,
+    known: Sequence[Floats],
+    new: Floats,
+    observer: sparse.csr_array,
+) -> ReducedModel:
+    """A projected model with more vectors (n, k) behind those it is made of.
+
+    known: these, side by side (n, r), which are not projected again.
+    """
+
+    def bordered(square: Floats, upper: sparse.csr_array) -> Floats:
+        forces = upper_product(upper, new)
+        beside, corner = np.vstack([block.T @ forces for block in known]), new.T @ forces
+        return np.block([[square, beside], [beside.T, 0.5 * (corner + corner.T)]])
+
+    def parts(
+        given: tuple[ReducedPart, ...], own: tuple[ParameterMatrix, ...], upper: sparse.csr_array
+    ) -> tuple[ReducedPart, ...]:
+        return tuple(
+            replace(
+                part,
+                values=np.stack(
+                    [
+                        bordered(square, matrix.upper(upper, unit))
+                        for square, unit in zip(part.values, np.eye(len(part.powers)), strict=True)
+                    ]
+                ),
+            )
+            for part, matrix in zip(given, own, strict=True)
+        )
+
+    stiffness, mass = affine.base.upper_stiffness, affine.base.upper_mass
+    return replace(
+        model,
+        base_stiffness=bordered(model.base_stiffness, stiffness),
+        base_mass=bordered(model.base_mass, mass),
+        stiffness=parts(model.stiffness, affine.stiffness, stiffness),
+        mass=parts(model.mass, affine.mass, mass),
+        rows=np.hstack([model.rows, observer @ new]),
+    )
+
+
+def with_directions(
+    weight: Weight, basis: Floats, block: Floats, room: int, inner: Floats | None = None
+) -> Floats:
     """A basis with the directions that a block has outside it, the strongest first.
 
     weight: for the product of vectors; basis: (n, r); block: (n, k); room: how many of them the
-    basis takes.
+    basis takes; inner: (r, r), products of the basis with itself, where they are known.
     """
-    weighted, own = weight(basis), weight(block)
+    own = weight(block)
+    if inner is None:
+        inner = basis.T @ weight(basis)
     gram = block.T @ own
     moves = np.flatnonzero(gram.diagonal() > 0.0)
     scale = 1.0 / np.sqrt(gram.diagonal()[moves])
     gram = scale[:, None] * gram[np.ix_(moves, moves)] * scale
-    seen = (weighted.T @ block[:, moves]) * scale
-    inside = np.linalg.solve(basis.T @ weighted, seen)
+    seen = (basis.T @ own[:, moves]) * scale
+    inside = np.linalg.solve(inner, seen)
     squares, turned = np.linalg.eigh(gram - seen.T @ inside)
     kept = np.flatnonzero(squares > OLD_RANK)[::-1][: max(room, 0)]
     turned = turned[:, kept] / np.sqrt(squares[kept])

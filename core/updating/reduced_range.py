@@ -29,10 +29,10 @@ from modetune.core.algebra.matrices import upper_product
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel, ReducedPart, lowest
-from modetune.core.updating.reduced_basis import projected_model, with_directions
+from modetune.core.updating.reduced_basis import projected_model, widened_model, with_directions
 
 #: Random loads: the estimate of a length is good to a quarter.
 LOADS = 24
@@ -143,8 +143,9 @@ def reduce_over(
     room = int(np.clip(NUMBERS // basis.shape[0], LEAST_ROOM, MOST_ROOM))
     solved: list[Floats] = []
     errors: list[float] = []
+    grown = projected_model(affine, np.hstack([answers, basis]), model.shift, observer)
     while True:
-        whole = projected_model(affine, np.hstack([basis, answers]), model.shift, observer)
+        whole = of_vectors(grown, np.roll(np.arange(grown.size), -LOADS))
         at, (eigenvalues, combined, lacking) = _worst(
             whole, basis.shape[1], thetas, n_modes, n_rigid
         )
@@ -162,30 +163,38 @@ def reduce_over(
         widened = basis
         if errors[-1] > accuracy and len(solved) < min(SOLUTIONS, len(thetas)):
             shapes = found.shapes[:, n_rigid:]
-            widened = with_directions(energy, basis, shapes, room - basis.shape[1])
+            own = leading(whole, basis.shape[1])
+            inner = own.base_stiffness - model.shift * own.base_mass
+            widened = with_directions(energy, basis, shapes, room - basis.shape[1], inner)
         if widened.shape[1] == basis.shape[1]:  # good enough, or nothing can be added
             factor = errors[-1] / max(lacking, LEAST) ** 2
             seen = np.array(solved), np.array(errors)
             return ReducedRange(whole, basis.shape[1], n_rigid, *seen, factor)
+        new = widened[:, basis.shape[1] :]
+        grown = widened_model(affine, grown, (answers, basis), new, observer)
         basis = widened
 
 
 def leading(whole: ReducedModel, size: int) -> ReducedModel:
     """The model on the first so many vectors of its basis."""
+    return of_vectors(whole, np.arange(size))
+
+
+def of_vectors(whole: ReducedModel, places: Integers) -> ReducedModel:
+    """The model on these vectors of its basis, (n_places,), in their order."""
 
     def parts(given: tuple[ReducedPart, ...]) -> tuple[ReducedPart, ...]:
         return tuple(
-            replace(part, values=np.ascontiguousarray(part.values[:, :size, :size]))
-            for part in given
+            replace(part, values=part.values[:, places[:, None], places]) for part in given
         )
 
     return replace(
         whole,
-        base_stiffness=whole.base_stiffness[:size, :size],
-        base_mass=whole.base_mass[:size, :size],
+        base_stiffness=whole.base_stiffness[np.ix_(places, places)],
+        base_mass=whole.base_mass[np.ix_(places, places)],
         stiffness=parts(whole.stiffness),
         mass=parts(whole.mass),
-        rows=np.ascontiguousarray(whole.rows[:, :size]),
+        rows=np.ascontiguousarray(whole.rows[:, places]),
     )
 
 
