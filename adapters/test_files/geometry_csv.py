@@ -25,8 +25,8 @@ from modetune.adapters.test_files.tables import (
     TableRow,
     factor,
     heading,
-    number,
     read_tables,
+    row_values,
 )
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
@@ -147,16 +147,11 @@ def _add_point(
 
 def _numbers(row: TableRow, count: int, problems: list[str]) -> list[float]:
     """The numbers of a row behind its name; none where one is missing or is not a number."""
-    fields = row.fields[1:]
-    if len(fields) != count:
-        problems.append(f"{row.where}: {len(fields)} numbers where {count} must be")
+    if len(row.fields) != count + 1:
+        problems.append(f"{row.where}: {len(row.fields) - 1} numbers where {count} must be")
         return []
-    values = [number(field) for field in fields]
-    wrong = next((field for field in fields if math.isnan(number(field))), None)
-    if wrong is not None:
-        problems.append(f"{row.where}: {wrong!r} where a number must be")
-        return []
-    return values
+    values = row_values(row, problems)
+    return [] if any(map(math.isnan, values)) else values
 
 
 def _table(rows: list[list[int]], width: int) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from modetune.adapters.test_files.kinds import kind_of
 from modetune.adapters.test_files.modes_csv import sensor_of
-from modetune.adapters.test_files.tables import FileTable, number, read_tables
+from modetune.adapters.test_files.tables import FileTable, number, read_tables, row_values
 from modetune.adapters.test_files.universal.contents import Function
 from modetune.adapters.test_files.universal.file import read_file
 from modetune.adapters.test_files.universal.units import NEWTONS, motion_label
@@ -83,10 +83,10 @@ def _of_table(table: FileTable) -> list[Channel]:
                 f"{row.where}: {len(row.fields)} values under {len(head.fields)} headings"
             )
             break
-        values[place] = [number(field) for field in row.fields]
-        if np.isnan(values[place]).any():
-            field = row.fields[int(np.flatnonzero(np.isnan(values[place]))[0])]
-            problems.append(f"{row.where}: {field!r} where a number must be")
+        values[place] = [number(row.fields[0]), *row_values(row, problems)]
+        if np.isnan(values[place, 0]):
+            problems.append(f"{row.where}: {row.fields[0]!r} where a number must be")
+        if problems:
             break
     if problems:
         raise CampaignError(problems)

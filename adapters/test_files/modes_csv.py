@@ -29,8 +29,8 @@ from modetune.adapters.test_files.tables import (
     TableRow,
     factor,
     heading,
-    number,
     read_tables,
+    row_values,
 )
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredDeviations, Measurement
@@ -152,11 +152,7 @@ def _numbers(row: TableRow, count: int, problems: list[str]) -> list[float]:
     if len(fields) != count:
         commas = " (decimal commas? then separate the columns by `;`)" * (len(fields) == 2 * count)
         problems.append(f"{row.where}: `{name}` has {len(fields)} values for {count} modes{commas}")
-    values = [number(field) for field in fields]
-    for field, value in zip(fields, values, strict=True):
-        if math.isnan(value):
-            problems.append(f"{row.where}: `{name}` has {field!r} where a number must be")
-    return values
+    return row_values(row, problems)
 
 
 def _wrong(row: TableRow, meaning: str, values: list[float], computed: bool) -> list[str]:

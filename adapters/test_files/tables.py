@@ -117,6 +117,15 @@ def number(text: str) -> float:
     return value if math.isfinite(value) else math.nan
 
 
+def row_values(row: TableRow, problems: list[str]) -> list[float]:
+    """The numbers of a row behind its name; a problem for each that is none."""
+    values = [number(field) for field in row.fields[1:]]
+    for field, value in zip(row.fields[1:], values, strict=True):
+        if math.isnan(value):
+            problems.append(f"{row.where}: `{row.fields[0]}` has {field!r} where a number must be")
+    return values
+
+
 def _text_table(path: Path, data: bytes) -> FileTable:
     rows: list[TableRow] = []
     separator, first = "", ""

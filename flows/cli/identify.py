@@ -119,14 +119,14 @@ def _operational(
     as_json: bool,
 ) -> None:
     """Modes of responses alone: identified, written and told."""
-    from modetune.adapters.test_files.writing import write_test
+    from modetune.adapters.test_files.writing import write_modes
     from modetune.flows.studies.identify.operational import operational_modes
 
     found = operational_modes(outputs, settings)
     notes = (*measurement.notes, *found.notes)
     if out is not None:
         source = f"identified by modetune from {' '.join(names.split())}"
-        write_test(out, found.modes, measurement.geometry, (source, *notes))
+        write_modes(out, found.modes, measurement.geometry, (source, *notes))
     if as_json:
         modes = _modes(found)
         said = json_object(

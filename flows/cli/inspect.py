@@ -68,42 +68,17 @@ def inspect(
 
 
 def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path]:
-    """Write a test by the suffix of the path; as CSV, points go into a file beside the modes."""
-    from modetune.adapters.test_files.geometry_csv import write_geometry_csv
-    from modetune.adapters.test_files.hdf5 import write_test_hdf5
-    from modetune.adapters.test_files.measurements import CSV, HDF5, UNIVERSAL
-    from modetune.adapters.test_files.modes_csv import write_modes_csv
-    from modetune.adapters.test_files.universal.write import write_universal
+    from modetune.adapters.test_files.writing import write_test
     from modetune.core.errors import CampaignError
 
-    suffix = path.suffix.lower()
     if measurement.is_empty:
         raise CampaignError([f"nothing of the files can be written to {path}", *measurement.notes])
     if path.is_dir() or (path.parent.exists() and not path.parent.is_dir()):
         raise CampaignError(f"{path} cannot be written: it is a folder, or lies in what is none")
     if path.resolve() in [file.resolve() for file in files]:
         raise CampaignError(f"{path} is one of the files that are read; name another")
-    if suffix in HDF5:
-        write_test_hdf5(path, measurement)
-        return [path]
-    if suffix in UNIVERSAL:
-        write_universal(path, measurement)
-        return [path]
-    if suffix not in CSV:
-        raise CampaignError(f"{path}: a test is written as .csv, .h5 or .unv, by the suffix")
-    comment = [f"from {', '.join(file.name for file in files)}", *measurement.notes]
-    written = []
-    if measurement.modes is not None:
-        modes = measurement.modes
-        write_modes_csv(path, modes.numbers, modes.modes, comment, measurement.deviations)
-        written.append(path)
-    if measurement.geometry is not None:
-        points = path.with_name(f"{path.stem}-points.csv") if written else path
-        write_geometry_csv(points, measurement.geometry, comment[:1])
-        written.append(points)
-    if not written:
-        raise CampaignError(f"{path}: response functions are not written as CSV; name an .h5")
-    return written
+    names = ", ".join(file.name for file in files)
+    return write_test(path, measurement, [f"from {names}", *measurement.notes])
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.test_files.writing import check_out, write_test
+from modetune.adapters.test_files.writing import check_out, write_modes
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import MeasuredModes
@@ -61,7 +61,7 @@ def write_files(
             metres=METRES[campaign.case.units],
         )
         said = (f"modetune expand: {found.sentence}",)
-        write_test(out, MeasuredModes(found.numbers, modes), points if nodes.size else None, said)
+        write_modes(out, MeasuredModes(found.numbers, modes), points if nodes.size else None, said)
         written.append(out)
     if paraview is not None:
         from modetune.adapters.paraview import mode_grids, write_series

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modetune.adapters.test_files.writing import write_test
+from modetune.adapters.test_files import writing
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.flows.studies.identify.identify import Identification
 
@@ -13,7 +13,7 @@ def write_modes(
     path: Path, found: Identification, geometry: TestGeometry | None, source: str
 ) -> None:
     """Write the real modes. Raises StorageUnavailable, CampaignError for an unknown ending."""
-    write_test(path, found.modes, geometry, comments(found, source))
+    writing.write_modes(path, found.modes, geometry, comments(found, source))
 
 
 def comments(found: Identification, source: str) -> tuple[str, ...]:

@@ -225,7 +225,7 @@ ROWS = "".join(f"{0.01 * k:.2f},{k % 3},{k % 5}\n" for k in range(400))
     [
         ("time,1.z,2.z [m/s^2]\n" + ROWS, (), "bad.csv, line 1, column 2: '1.z' is not a channel"),
         ("time,1.z [bar]\n0,1\n", (), "line 1, column 2: '1.z [bar]' is not a channel"),
-        (HEAD + ROWS.replace("0.07,1,2", "0.07,x,2"), (), "bad.csv, line 9: 'x' where a number"),
+        (HEAD + ROWS.replace("0.07,1,2", "0.07,x,2"), (), "bad.csv, line 9: `0.07` has 'x'"),
         (HEAD + ROWS.replace("0.07,1,2", "0.07,1"), (), "bad.csv, line 9: 2 values under 3"),
         (HEAD + ROWS.replace("0.07,1,2\n", ""), (), "times are not evenly spaced"),
         (HEAD.replace("2.z", "1.x").replace("N", "m") + ROWS, (), "must be of one quantity"),
