@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
@@ -42,9 +40,6 @@ from modetune.flows.updating.starting import is_unchanged, read_earlier, start_o
 from modetune.flows.updating.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
-
-#: Least time between records of a campaign that goes on: what less brings, the store has.
-WRITTEN_EVERY_S = 1.0
 
 
 def job_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> JobEngine:
@@ -142,14 +137,13 @@ def _update(
     earlier = read_earlier(folder)
     campaign = start_of(campaign, engine, earlier)
     # What an earlier run left stays until this one has come to its end.
-    unfinished, logged, written_s = folder / "campaign.unfinished.h5", 0, -math.inf
+    unfinished, logged = folder / "campaign.unfinished.h5", 0
 
     def keep(record: CampaignRecord) -> None:
-        nonlocal logged, written_s
-        logged, now = log_iterations(record, logged), time.monotonic()
-        if record.status != "running" or now - written_s > WRITTEN_EVERY_S:
-            write_record(unfinished, with_first_cost(record, earlier))
-            written_s = now
+        nonlocal logged
+        ended = record.status != "running"
+        write_record(unfinished, with_first_cost(record, earlier) if ended else record)
+        logged = log_iterations(record, logged)
 
     if pages is not None:
         engine = _counted(engine, campaign, pages)
