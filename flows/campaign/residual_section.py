@@ -110,7 +110,9 @@ class ResidualSection(Section):
             said = section.problems(given)
             if "matrices" in section.response(given).needs:
                 if not solver.program.capabilities.matrices:
-                    said.append(((), f"{solver.program.name} gives no matrices, which it requires"))
+                    name = solver.program.name
+                    needs = "gives no matrices, which it requires; run the deck on CalculiX or "
+                    said.append(((), f"{name} {needs}MYSTRAN (`model.solver`), or leave it out"))
                 elif solver.deck.preload():
                     said.append(((), f"{solver.deck.preload()}: the stiffness depends on a state"))
             found += [

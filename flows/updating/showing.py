@@ -44,7 +44,7 @@ def shown_field(campaign: Campaign, evaluation: Evaluation) -> ModeSet:
     shapes = global_shapes(Mesh(surface.nodes, surface.coordinates, (), turned), paired)
     return mode_set(
         paired.frequencies_hz,
-        shapes.transpose(1, 2, 0).reshape(-1, paired.n_modes),
+        shapes.transpose(1, 2, 0).reshape(3 * surface.nodes.size, paired.n_modes),
         np.repeat(surface.nodes, 3),
         np.tile((1, 2, 3), surface.nodes.size),
     )
