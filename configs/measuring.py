@@ -29,11 +29,12 @@ def true_modes(
     parameters: tuple[Parameter, ...],
     truth: Mapping[str, float],
     analysis: ModalAnalysis,
+    rigid: bool = False,
 ) -> ModeSet:
     """The elastic modes of a model with its true values, by one run of CalculiX; mass-normalised.
 
-    write_deck: writes the deck into a file; truth: relative values by the parameters' names.
-    Raises SolverError.
+    write_deck: writes the deck into a file; truth: relative values by the parameters' names; rigid:
+    whether rigid modes stand before them. Raises SolverError.
     """
     with tempfile.TemporaryDirectory(prefix="modetune-") as name:
         folder = Path(name)
@@ -45,7 +46,7 @@ def true_modes(
         finished = run_process(solver.program.command(1), folder, TIMEOUT_S, threading.Event())
         result = solver.read(truth, analysis, folder, finished.return_code)
     assert isinstance(result, ModalResult)
-    return result.elastic
+    return result.modes if rigid else result.elastic
 
 
 def signed(modes: ModeSet) -> ModeSet:

@@ -46,10 +46,11 @@ def truth_modes(
     places: Iterable[tuple[float, float, float]] = SENSORS,
     n_modes: int = N_MEASURED,
     truth: Mapping[str, float] = TRUTH,
+    rigid: bool = False,
 ) -> ModeSet:
     """The first elastic modes of the aircraft with the true moduli, by CalculiX.
 
-    At the nodes next to these places, mm; mass-normalised.
+    At the nodes next to these places, mm; mass-normalised; rigid: after the six rigid ones.
     """
     parameters = tuple(
         Parameter(g, "youngs_modulus", "material", (g,), 0.5, 2.0, 0.2) for g in GROUPS
@@ -57,8 +58,8 @@ def truth_modes(
     nodes = tuple(sorted(set(node_at(aircraft(COARSE), places))))
     analysis = ModalAnalysis(6 + n_modes + 2, nodes)
     text = calculix_deck(COARSE)
-    modes = true_modes(lambda file: file.write(text.encode()), parameters, truth, analysis)
-    return modes.select(range(n_modes))
+    modes = true_modes(lambda file: file.write(text.encode()), parameters, truth, analysis, rigid)
+    return modes.select(range(n_modes + 6 * rigid))
 
 
 def write_twin(folder: Path) -> None:

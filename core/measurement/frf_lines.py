@@ -7,8 +7,9 @@ would tell the same, so a flank has few, at distances that grow away from the re
 
 Noise is known by coherence: with n averages log H has the variance (1 - g2) / (2 g2 n), of
 amplitude and of phase each (Bendat and Piersol 2010, 9.2). Without it, it is taken from the second
-differences of H over its lines, whose median peaks do not draw. Lines with more than NOISY are left
-out.
+differences of H over its lines, whose median over ALIKE lines resonances do not draw: of H as it
+was measured, since noise that is level in accelerations is not so in displacements. Lines with
+more than NOISY are left out.
 """
 
 from __future__ import annotations
@@ -25,18 +26,24 @@ NEXT = 0.5
 #: Second differences of complex noise have 6 times its variance; the median of a Rayleigh
 #: distribution is sqrt(ln 2) of its root mean square.
 DIFFERENCES = float(np.sqrt(6.0 * np.log(2.0)))
+#: Lines over which noise is taken for level: more than resonances hold, as a rule.
+ALIKE = 100
 
 
 def log_variances(values: Complexes, coherence: Floats, averages: int) -> Floats:
     """Variances of log |H| and of its phase, (n_lines,); infinite where nothing is known.
 
-    values: (n_lines,); coherence: (n_lines,), or empty.
+    values: (n_lines,), of the quantity that was measured; coherence: (n_lines,), or empty.
     """
     with np.errstate(divide="ignore"):
         if coherence.size:
             return np.asarray((1.0 - coherence) / (2.0 * averages * coherence))
-        apart = np.abs(values[2:] - 2.0 * values[1:-1] + values[:-2])
-        noise = np.median(apart) / DIFFERENCES if apart.size else 0.0
+        apart = np.abs(values[2:] - 2.0 * values[1:-1] + values[:-2]) / DIFFERENCES
+        if not apart.size:
+            return np.zeros(values.size)
+        parts = np.array_split(np.arange(1, values.size - 1), max(1, round(apart.size / ALIKE)))
+        levels = [np.median(apart[part - 1]) for part in parts]
+        noise = np.interp(np.arange(values.size), [part.mean() for part in parts], levels)
         return np.asarray(0.5 * noise**2 / np.abs(values) ** 2)
 
 

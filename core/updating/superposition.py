@@ -20,20 +20,30 @@ This is a function of the pencil, whose derivative has divided differences in pl
 
 entry by entry. Where modes of one damping ratio come together e has the limit
 2 zeta (1 - s (tau_r + tau_s)) / (u_r + u_s), so repeated modes need no care of their own.
+
+Next to a set the same Ritz vectors do, with the answers of its modes to each parameter beside
+them: a pencil of some hundred unknowns for all values of the parameters (`near`), whose H and dH
+are those of the set there and err by the square of a change beside it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, sparse
 
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import GUARD, ModeSolver
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import MatrixResult, projected, upper_product
 from modetune.core.measurement.frf import Complexes
 from modetune.core.modes import REPEATED, Floats, Integers, close_sets
+from modetune.core.updating.parameter_matrices import (
+    ParameterMatrices,
+    ParameterMatrix,
+    Powers,
+    parameter_matrices,
+)
 
 #: Modes are taken up to so many times the highest frequency: a mode there adds to the flexibility
 #: what its residual vectors have to (2 / 3)^4 of its amplitude and better.
@@ -63,12 +73,18 @@ class FrfModes:
 
     @classmethod
     def of(
-        cls, here: MatrixResult, dofs: sparse.csr_array, highest_hz: float, n_least: int
+        cls,
+        here: MatrixResult,
+        dofs: sparse.csr_array,
+        highest_hz: float,
+        n_least: int,
+        like: FrfModes | None = None,
     ) -> FrfModes:
-        """Without damping. dofs: (n_dofs, n_equations). Raises ModelError."""
+        """Without damping. dofs: (n_dofs, n_equations); n_least: modes to begin with; like: of a
+        similar model. Raises ModelError."""
         top = (2.0 * np.pi * highest_hz) ** 2
         shift = SHIFT * top
-        shapes = _lowest(here, REACH**2 * top, n_least)
+        shapes = _lowest(here, REACH**2 * top, n_least, like)
         shifted = here.stiffness + shift * here.mass
         factors = factorise(shifted)
         static = factors.solve(dofs.T.toarray())
@@ -77,11 +93,20 @@ class FrfModes:
         for block in (static, inertia):
             basis = np.hstack([basis, _beside(basis, block, shifted)])
         # once more, so that rounding of the first pass is none of the second
-        lower = linalg.cholesky(basis.T @ (shifted @ basis), lower=True)
-        basis = linalg.solve_triangular(lower, basis.T, lower=True).T
-        tau, turn = np.linalg.eigh(projected(here.upper_mass, basis))
-        tau, psi = np.maximum(tau[::-1], 0.0), basis @ turn[:, ::-1]
-        return cls(psi, tau, np.asarray(dofs @ psi), np.zeros(tau.size), shift)
+        found = cls.whole(
+            projected(here.upper_stiffness, basis),
+            projected(here.upper_mass, basis),
+            np.asarray(dofs @ basis),
+            shift,
+        )
+        return replace(found, shapes=basis @ found.shapes)
+
+    @classmethod
+    def whole(cls, stiffness: Floats, mass: Floats, dofs: Floats, shift: float) -> FrfModes:
+        """All modes of a small pencil (r, r), without damping; dofs: (n_dofs, r)."""
+        tau, psi = linalg.eigh(mass, stiffness + shift * mass)
+        tau, psi = np.maximum(tau[::-1], 0.0), psi[:, ::-1]
+        return cls(psi, tau, dofs @ psi, np.zeros(tau.size), shift)
 
     def damped(self, ratios: Floats) -> FrfModes:
         """With ratios (n_modes,) of the modes; of repeated ones their mean, of rigid ones none."""
@@ -90,22 +115,25 @@ class FrfModes:
         hz = np.sqrt(np.maximum(1.0 / np.maximum(self.tau, 1e-300) - self.shift, 0.0))
         for alike in close_sets(hz, REPEATED):
             own[alike] = own[alike].mean()
-        return FrfModes(self.shapes, self.tau, self.seen, own, self.shift)
+        return replace(self, damping=own)
 
     @property
     def root(self) -> Floats:
         """u, (n_modes,)."""
         return np.asarray(np.sqrt(np.maximum(self.tau - self.shift * self.tau**2, 0.0)))
 
-    def gained(self, omega: Floats, dof: int) -> Complexes:
-        """y of a degree of freedom at circular frequencies, (n_lines, n_modes)."""
+    def gained(self, omega: Floats, dofs: Integers | int) -> Complexes:
+        """y at circular frequencies (n_lines,), of one degree of freedom or at each its own
+        (n_lines,), rows of `seen`: (n_lines, n_modes)."""
         w = omega[:, None]
         d = 2.0 * self.damping * self.root
-        return np.asarray(self.seen[dof] / (1.0 - (w**2 + self.shift) * self.tau + 1j * w * d))
+        return np.asarray(self.seen[dofs] / (1.0 - (w**2 + self.shift) * self.tau + 1j * w * d))
 
-    def receptance(self, omega: Floats, output: int, force: int) -> Complexes:
-        """H of a sensor and a force, rows of `seen`, (n_lines,), in the deck's units."""
-        return np.asarray(self.gained(omega, output) @ self.seen[force])
+    def receptance(
+        self, omega: Floats, outputs: Integers | int, forces: Integers | int
+    ) -> Complexes:
+        """H of sensors and forces, as `gained` has them, (n_lines,), in the deck's units."""
+        return np.asarray(np.sum(self.gained(omega, outputs) * self.seen[forces], axis=1))
 
     def change(
         self, upper_stiffness: sparse.csr_array, upper_mass: sparse.csr_array
@@ -123,22 +151,68 @@ class FrfModes:
         return a, b, e * b + (2.0 * (zeta * u)[:, None] - e * tau[:, None]) * a
 
     def slope(
-        self, omega: Floats, output: int, force: int, change: tuple[Floats, Floats, Floats]
+        self,
+        omega: Floats,
+        outputs: Integers | int,
+        forces: Integers | int,
+        change: tuple[Floats, Floats, Floats],
     ) -> Complexes:
-        """dH of a sensor and a force, (n_lines,)."""
-        a, b, c = change
-        left, right = self.gained(omega, output), self.gained(omega, force)
-        stiff, mass, damp = (np.sum((left @ part) * right, axis=1) for part in (a, b, c))
+        """dH of sensors and forces, as `gained` has them, (n_lines,)."""
+        left, right = self.gained(omega, outputs), self.gained(omega, forces)
+        whole = np.hstack(change)  # real, at half the price of complex times real
+        real, imaginary = left.real @ whole, left.imag @ whole
+        stiff, mass, damp = (
+            np.sum((u + 1j * v) * right, axis=1)
+            for u, v in zip(np.split(real, 3, 1), np.split(imaginary, 3, 1), strict=True)
+        )
         return np.asarray((omega**2 + self.shift) * mass - stiff - 1j * omega * damp)
 
 
-def _lowest(here: MatrixResult, beyond: float, n_least: int) -> Floats:
+def near(
+    model: ParameterMatrices, theta: Floats, modes: FrfModes, highest_hz: float
+) -> tuple[ParameterMatrices, Floats]:
+    """A model of few unknowns for response functions next to a set, and its vectors (n, r).
+
+    modes: of the set theta (n_parameters,). Raises ModelError.
+    """
+    here = model.at(theta)
+    shifted = here.stiffness + modes.shift * here.mass
+    beyond = (2.0 * np.pi * REACH * highest_hz) ** 2 + modes.shift
+    own = np.flatnonzero(modes.tau * beyond >= 1.0)
+    moved = []
+    for column in range(theta.size):
+        stiff, heavy = model.products(theta, column, modes.shapes[:, own])
+        moved.append(stiff - heavy * (1.0 / modes.tau[own] - modes.shift))
+    answers = factorise(shifted).solve(np.hstack(moved))
+    vectors = np.hstack([modes.shapes, _beside(modes.shapes, answers, shifted)])
+
+    def small(upper: sparse.csr_array) -> sparse.csr_array:
+        return sparse.csr_array(np.triu(projected(upper, vectors)))
+
+    def parts(of: tuple[ParameterMatrix, ...], upper: sparse.csr_array) -> list[Powers]:
+        return [
+            Powers(
+                part.column,
+                part.powers,
+                tuple(small(part.upper(upper, one)) for one in np.eye(len(part.powers))),
+            )
+            for part in of
+        ]
+
+    base, numbers = model.base, np.arange(vectors.shape[1])
+    stiffness, mass = base.upper_stiffness, base.upper_mass
+    few = MatrixResult(small(stiffness), small(mass), numbers, np.ones_like(numbers))
+    found = parts(model.stiffness, stiffness), parts(model.mass, mass)
+    return parameter_matrices(few, model.reference, *found), vectors
+
+
+def _lowest(here: MatrixResult, beyond: float, n_least: int, like: FrfModes | None) -> Floats:
     """Mode shapes up to the first eigenvalue beyond a bound, at least n_least where there are."""
     size = int(np.count_nonzero(here.upper_mass.diagonal()))
-    n_modes = min(max(n_least, 8), size)
-    solver = ModeSolver()
+    n_modes, solver = min(max(n_least, 8), size), ModeSolver()
+    start = None if like is None else like.shapes[:, : n_modes + GUARD]
     while True:
-        found = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
+        found = solver.solve(here.upper_stiffness, here.upper_mass, n_modes, start=start)
         if n_modes == size or found.eigenvalues[-1] > beyond:
             return np.asarray(found.shapes)
         n_modes = min(2 * n_modes, size)

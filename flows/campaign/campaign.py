@@ -5,6 +5,7 @@ All problems are collected and told at once, each with file and line, before any
 
 from __future__ import annotations
 
+import logging
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -59,6 +60,8 @@ from modetune.flows.campaign.solvers import bind_solver
 from modetune.flows.campaign.tested_model import TestedModel
 from modetune.flows.campaign.units import KILOGRAMS, METRES
 from modetune.flows.campaign.weights import weighting_of
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -324,6 +327,9 @@ def _read_case(
         problems += file.residuals.problems(source, given, solver)
     if problems:
         return None
+    if file.residuals.frf is not None:
+        for said in file.residuals.frf.left_out(given):
+            logger.warning("%s: %s", source.where(("residuals", "frf")), said)
     parameters, strains = given.parameters, file.residuals.modal_strain
     gauged = strains.nodes(solver.deck) if strains else ()
     return Case(

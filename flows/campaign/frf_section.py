@@ -99,6 +99,33 @@ class FrfSection(Section):
             )  # fmt: skip
         return found
 
+    def left_out(self, given: TestedModel) -> list[str]:
+        """What of the test's functions is not compared, and why, for people."""
+        found = [note for note in given.notes if OF_FUNCTIONS in note]
+        frfs, seen = given.frfs, given.seen
+        if frfs is None or seen is None:
+            return found
+        places = set(zip(seen.nodes.tolist(), seen.components.tolist(), strict=True))
+        compared = {curve.name for curve in self._curves(given)}
+        low, high = self._band(given)
+        reasons: dict[str, list[str]] = {}
+        for column in range(frfs.nodes.size):
+            name, ends = _name(frfs, column), _ends(frfs, column)
+            lacking = [dof_name(end) for end in ends if end not in places]
+            if lacking:
+                said = f"{lacking[0]} is not a place of the model that is used"
+                reasons.setdefault(said, []).append(name)
+            elif name not in compared:
+                said = f"no line from {low:g} to {high:g} Hz stands out of the noise"
+                reasons.setdefault(said, []).append(name)
+        for reason, names in reasons.items():
+            listed = ", ".join(name.removeprefix("response function ") for name in names)
+            found.append(
+                f"{len(names)} of {frfs.nodes.size} response functions are not compared, since "
+                f"{reason}: {listed}"
+            )
+        return found
+
     def _band(self, given: TestedModel) -> tuple[float, float]:
         if self.band is not None:
             return self.band
@@ -125,7 +152,7 @@ class FrfSection(Section):
             usable = (hz > 0.0) & (hz >= low) & (hz <= high) & (np.abs(values) > 0.0)
             if coherence.size:
                 usable &= coherence >= self.coherence
-            variances = log_variances(values, coherence, self.averages)
+            variances = log_variances(frfs.values[:, column], coherence, self.averages)
             lines = chosen_lines(hz, values, variances, np.flatnonzero(usable), self.points)
             if lines.size:
                 ends, chosen = (rows[output], rows[force]), values[lines]

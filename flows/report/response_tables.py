@@ -10,7 +10,8 @@ import numpy as np
 
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.limits import breach
-from modetune.core.updating.responses.response import block_parts
+from modetune.core.updating.responses.frf import Frf, fracs
+from modetune.core.updating.responses.response import Residual, block_parts
 from modetune.flows.report.tables import Column, Table, table_of
 
 
@@ -38,6 +39,9 @@ def _rows(record: CampaignRecord) -> Iterator[ResponseRow]:
     first = block_parts(record.iterations[0].residual)
     for before, after in zip(first, block_parts(record.best.residual), strict=True):
         block = after.blocks[0]
+        if block.kind == Frf.kind:  # one number a function says more than all its lines
+            yield from _functions(before, after)
+            continue
         limits = after.limits
         outside = breach(after.values, limits) > 0.0
         for row, label in enumerate(after.labels if block.measured.size else ()):
@@ -54,6 +58,14 @@ def _rows(record: CampaignRecord) -> Iterator[ResponseRow]:
                 most=float(ends[0]),
                 breaks=bool(outside[row]),
             )
+
+
+def _functions(before: Residual, after: Residual) -> Iterator[ResponseRow]:
+    (block,) = after.blocks
+    of_both = zip(block.names, fracs(before).tolist(), fracs(after).tolist(), strict=True)
+    for name, first, last in of_both:
+        item = f"FRAC of {name.removeprefix('response function ')}"
+        yield ResponseRow(block.kind, item, 1.0, first, last, np.nan, np.nan, np.nan, False)
 
 
 def response_table(record: CampaignRecord) -> Table:

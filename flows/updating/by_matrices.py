@@ -133,7 +133,7 @@ class ByReduced:
 
     def assembled(self, theta: Floats) -> MatricesAt:
         assert self.around.matrices is not None
-        return replace(self.around.matrices, theta=theta)
+        return replace(self.around.matrices, theta=theta, around=self.around.theta)
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         return []

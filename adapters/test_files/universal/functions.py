@@ -55,7 +55,7 @@ def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | Non
             passed.setdefault(_again(first, function), []).append(function)
         group.setdefault(_dof(function), function)
     for reason, others in passed.items():
-        more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
+        more = f" (and {len(others) - 1} more{_records(others[1:])})" if len(others) > 1 else ""
         doubt = "doubtful: " if reason.startswith(UNNUMBERED) else ""
         notes.append(f"{doubt}{others[0].place}: a response function {reason}; passed over{more}")
     if not usable:
@@ -82,6 +82,12 @@ def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | Non
         reference_signs=np.sign(names[:, 3]).astype(np.float64),
         coherences=_coherences(group, functions, notes),
     )
+
+
+def _records(functions: Sequence[Function]) -> str:
+    """Where they stand, of the first few."""
+    lines = [str(function.place.line) for function in functions[:20]]
+    return f": line{'s' * (len(lines) > 1)} {', '.join(lines)}{', ...' * (len(functions) > 20)}"
 
 
 def _again(first: Function, second: Function) -> str:
@@ -118,7 +124,16 @@ def _coherences(
     of_all = {_dof(item)[:2]: item for item in functions if item.kind == MULTIPLE_COHERENCE}
     found = [coherent.get(dof) or of_all.get(dof[:2]) for dof in group]
     fitting = [item.values.real for item in found if item and item.values.size == first.values.size]
-    return np.column_stack(fitting) if len(fitting) == len(found) else np.zeros((0, 0))
+    if len(fitting) == len(found):
+        return np.column_stack(fitting)
+    if fitting:
+        lacking = [of for of, item in zip(group.values(), found, strict=True) if item is None]
+        notes.append(
+            f"{len(found) - len(fitting)} of {len(found)} response functions have no coherence at "
+            f"their frequencies{_records(lacking) if lacking else ''}; the coherences of the "
+            "others are not used"
+        )
+    return np.zeros((0, 0))
 
 
 def _note_others(functions: Sequence[Function], notes: list[str]) -> None:

@@ -13,16 +13,18 @@ less, moving a resonance away from it would pay.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
 from modetune.core.measurement.frf import Complexes, frac
 from modetune.core.modes import Floats, Integers
+from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.responses.response import (
     MatricesAt,
     ModelState,
@@ -31,7 +33,7 @@ from modetune.core.updating.responses.response import (
     StateDerivatives,
     residual_of,
 )
-from modetune.core.updating.superposition import FrfModes
+from modetune.core.updating.superposition import REACH, FrfModes, near
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,43 @@ class FrfCurve:
     variances: Floats
 
 
+@dataclass(slots=True)
+class KnownFrfModes:
+    """What was found before, as values and derivatives are asked for one after the other.
+
+    full: modes of the newest set that was looked at in full; few: of the newest of these that
+    others were near to, a model of few unknowns and what sensors and forces see of them.
+    """
+
+    full: tuple[MatricesAt, FrfModes] | None = None
+    few: tuple[MatricesAt, ParameterMatrices, Floats] | None = None
+
+    def at(
+        self,
+        given: MatricesAt,
+        observe: Callable[[MatrixResult], sparse.csr_array],
+        highest_hz: float,
+        n_least: int,
+    ) -> tuple[FrfModes, MatricesAt]:
+        """Modes of a set without damping, and the matrices that they are of."""
+        around = given if given.around is None else replace(given, theta=given.around, around=None)
+        if self.full is None or not self.full[0].same(around):
+            like = self.full[1] if self.full and self.full[0].model is given.model else None
+            here = around.here
+            found = FrfModes.of(here, observe(here), highest_hz, n_least, like)
+            self.full = around, found
+        modes = self.full[1]
+        if given.around is None:
+            return modes, given
+        if self.few is None or not self.few[0].same(around):
+            small, vectors = near(around.model, around.theta, modes, highest_hz)
+            self.few = around, small, np.asarray(observe(around.model.base) @ vectors)
+        _, small, dofs = self.few
+        own = MatricesAt(small, given.theta)
+        stiffness, mass = own.here.stiffness.toarray(), own.here.mass.toarray()
+        return FrfModes.whole(stiffness, mass, dofs, modes.shift), own
+
+
 @dataclass(frozen=True, slots=True)
 class Frf:
     """Response functions of a test.
@@ -68,90 +107,96 @@ class Frf:
     frac: float
     kind: ClassVar[str] = "frf"
     needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
-    #: Of the newest set, as values and derivatives are asked for one after the other.
-    _newest: list[tuple[MatricesAt, Integers, FrfModes]] = field(
-        default_factory=list, repr=False, compare=False
-    )
+    _known: KnownFrfModes = field(default_factory=KnownFrfModes, repr=False, compare=False)
 
     def residual(self, state: ModelState) -> Residual:
-        modes = self._modes(state)
-        ratios = [np.log(c.receptances / _computed(modes, c)) for c in self.curves]
-        sizes = np.array([2 * ratio.size for ratio in ratios])
-        noise = [np.tile(c.variances + self.deviation**2, 2) for c in self.curves]
+        ratios = np.log(self._each("receptances") / self._computed(self._modes(state)[0]))
+        variances = self._each("variances") + self.deviation**2
+        values = self._parts(ratios)
         return residual_of(
             self.kind,
             [curve.name for curve in self.curves],
-            sizes,
-            np.concatenate([_parts(ratio) for ratio in ratios]),
-            np.full(int(sizes.sum()), self.weight),
-            np.concatenate(noise),
+            np.array([2 * curve.receptances.size for curve in self.curves]),
+            values,
+            np.full(values.size, self.weight),
+            self._parts(variances + 1j * variances),
+            measured=self._parts(np.log(self._each("receptances"))),
         )
 
     def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
-        modes, given = self._modes(state), state.matrices
-        assert given is not None
-        rows = np.zeros((sum(2 * c.variances.size for c in self.curves), len(derivatives.columns)))
-        computed = [_computed(modes, curve) for curve in self.curves]
-        for place, column in enumerate(derivatives.columns):
-            change = modes.change(*given.change(column))
-            rows[:, place] = np.concatenate(
-                [
-                    _parts(modes.slope(_omega(c), c.output, c.force, change) / own)
-                    for c, own in zip(self.curves, computed, strict=True)
-                ]
-            )
-        return rows
+        modes, given = self._modes(state)
+        computed, (omega, outputs, forces) = self._computed(modes), self._lines
+        changes = (modes.change(*given.change(column)) for column in derivatives.columns)
+        rows = [
+            self._parts(modes.slope(omega, outputs, forces, change) / computed)
+            for change in changes
+        ]
+        return np.reshape(rows, (len(rows), -1)).T
+
+    @property
+    def _lines(self) -> tuple[Floats, Integers, Integers]:
+        """Circular frequency, sensor and force of each line of all functions, (n_lines,)."""
+        sizes = [curve.frequencies_hz.size for curve in self.curves]
+        outputs, forces = (
+            np.repeat([getattr(curve, name) for curve in self.curves], sizes)
+            for name in ("output", "force")
+        )
+        return 2.0 * np.pi * self._each("frequencies_hz"), outputs, forces
+
+    def _each(self, name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(curve, name) for curve in self.curves])
+
+    def _computed(self, modes: FrfModes) -> Complexes:
+        """H at all lines. Raises ModesError where the model does not answer."""
+        values = modes.receptance(*self._lines)
+        still = np.flatnonzero(values == 0.0)
+        if still.size:
+            place = np.cumsum([curve.frequencies_hz.size for curve in self.curves])
+            name = self.curves[int(np.searchsorted(place, still[0], side="right"))].name
+            raise ModesError(f"{name}: the model does not answer to this force there")
+        return values
+
+    def _parts(self, values: Complexes) -> Floats:
+        """Of each function real parts and then imaginary ones."""
+        ends = np.cumsum([curve.frequencies_hz.size for curve in self.curves])[:-1]
+        parts = [part for own in np.split(values, ends) for part in (own.real, own.imag)]
+        return np.concatenate(parts)
 
     def agrees(self, part: Residual) -> bool:
-        return bool((self.fracs(part) >= self.frac).all()) or not part.weights.any()
+        return bool((fracs(part) >= self.frac).all()) or not part.weights.any()
 
-    def fracs(self, part: Residual) -> Floats:
-        """FRAC of each function at its chosen frequencies, (n_curves,)."""
-        found = np.zeros(len(self.curves))
-        split = np.split(part.values, np.cumsum(part.blocks[0].sizes)[:-1])
-        for row, (curve, values) in enumerate(zip(self.curves, split, strict=True)):
-            real, imaginary = np.split(values, 2)
-            computed = curve.receptances * np.exp(-real - 1j * imaginary)
-            found[row] = frac(curve.receptances[:, None, None], computed[:, None, None]).item()
-        return found
-
-    def _modes(self, state: ModelState) -> FrfModes:
+    def _modes(self, state: ModelState) -> tuple[FrfModes, MatricesAt]:
+        """Modes with their damping, and the matrices that they are of."""
         given = state.matrices
         if given is None:
             raise ModesError("response functions need the matrices of the model")
         n_rigid = 0 if state.modal is None else state.modal.n_rigid
         paired = state.pairing.computed + n_rigid
-        for known, pairs, modes in self._newest:
-            if (
-                known.model is given.model
-                and np.array_equal(known.theta, given.theta)
-                and np.array_equal(pairs, paired)
-            ):
-                return modes
-        here = given.here
         highest = max(float(curve.frequencies_hz.max()) for curve in self.curves)
-        modes = FrfModes.of(here, self.observe(here), highest, int(paired.max(initial=-1)) + 1)
+        asked = int(paired.max(initial=-1)) + 1
+        if state.modal is not None:  # as many as reach beyond the band
+            beyond = (2.0 * np.pi * REACH * highest) ** 2
+            asked = max(asked, int(np.searchsorted(state.modal.eigenvalues, beyond)) + 1)
+        modes, given = self._known.at(given, self.observe, highest, asked)
         if np.isnan(self.damping):
             measured = state.test.modes.damping_ratios
             ratios = np.full(modes.tau.size, np.median(measured))
             ratios[paired] = measured[state.pairing.measured]
         else:
             ratios = np.full(modes.tau.size, self.damping)
-        self._newest[:] = [(given, paired, modes.damped(ratios))]
-        return self._newest[0][2]
+        return modes.damped(ratios), given
 
 
-def _omega(curve: FrfCurve) -> Floats:
-    return 2.0 * np.pi * curve.frequencies_hz
-
-
-def _computed(modes: FrfModes, curve: FrfCurve) -> Complexes:
-    """H of a curve. Raises ModesError where the model does not answer."""
-    values = modes.receptance(_omega(curve), curve.output, curve.force)
-    if not (np.abs(values) > 0.0).all():
-        raise ModesError(f"{curve.name}: the model does not answer to this force there")
-    return values
-
-
-def _parts(values: Complexes) -> Floats:
-    return np.concatenate([values.real, values.imag])
+def fracs(part: Residual) -> Floats:
+    """FRAC of each function at its chosen frequencies, (n_curves,); part: the block's residual."""
+    (block,) = part.blocks
+    found = np.zeros(block.sizes.size)
+    ends = np.cumsum(block.sizes)[:-1]
+    split = zip(np.split(block.measured, ends), np.split(part.values, ends), strict=True)
+    for row, (measured, values) in enumerate(split):
+        one, other = (
+            np.exp(real + 1j * imaginary)[:, None, None]
+            for real, imaginary in (np.split(measured, 2), np.split(measured - values, 2))
+        )
+        found[row] = frac(one, other).item()
+    return found

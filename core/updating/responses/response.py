@@ -44,17 +44,23 @@ class MatricesAt:
     """Stiffness and mass of a case at parameter values, and how they change there.
 
     theta: (n_parameters,), the case's own parameters. groups: of losses, where a response needs
-    them and the model has them.
+    them and the model has them. around: (n_parameters,), a set that was looked at in full, where
+    values need be exact only there, with their slopes; else None.
     """
 
     model: ParameterMatrices
     theta: Floats
     groups: GroupStiffness | None = None
+    around: Floats | None = None
 
     @property
     def here(self) -> MatrixResult:
         """K and M, made anew each time: keep them where they are needed twice."""
         return self.model.at(self.theta)
+
+    def same(self, other: MatricesAt) -> bool:
+        """Whether both are of one model and set."""
+        return self.model is other.model and np.array_equal(self.theta, other.theta)
 
     def change(self, column: int) -> tuple[sparse.csr_array, sparse.csr_array]:
         """Upper triangles of dK/dtheta and dM/dtheta of a parameter, exact."""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.measurement.frf import Complexes
 from modetune.core.modes import Floats
-from modetune.core.updating.superposition import FrfModes
+from modetune.core.updating.parameter_matrices import Powers, parameter_matrices
+from modetune.core.updating.superposition import FrfModes, near
 
 SIZE = 400
 DOFS = np.array([3, 100, 250])
@@ -102,3 +106,120 @@ def test_repeated_modes_have_finite_derivatives() -> None:
     wanted = -(gain**2) * (1.0 + 1j * omega * 0.05 / 2.0)
     assert modes.slope(omega, 0, 0, change) == pytest.approx(wanted, rel=1e-9)
     assert modes.slope(omega, 1, 1, change) == pytest.approx(np.zeros(2), abs=1e-9)
+
+
+def membrane(theta: Complexes) -> tuple[Complexes, Complexes]:
+    """Nine masses in a square net held around it, whose modes come in pairs; theta: stiffness of
+    all strings, and mass of one corner and stiffness of one string, which part the pairs."""
+    stiffness = np.zeros((25, 25), dtype=np.complex128)
+    for row in range(5):
+        for column in range(5):
+            for other in ((row, column + 1), (row + 1, column)):
+                if max(other) < 5:
+                    ends = np.array([5 * row + column, 5 * other[0] + other[1]])
+                    k = 4e3 * theta[0] * (theta[2] if (row, column) == (1, 1) else 1.0)
+                    stiffness[np.ix_(ends, ends)] += k * np.array([[1, -1], [-1, 1]])
+    inner = [5 * row + column for row in (1, 2, 3) for column in (1, 2, 3)]
+    masses = np.ones(9, dtype=np.complex128)
+    masses[0] = theta[1]
+    return stiffness[np.ix_(inner, inner)], masses
+
+
+def damped_membrane(theta: Complexes, omega: Floats) -> Complexes:
+    """H of sensors 0 and 5 by a force at 1, real parts and then imaginary ones, (n_lines, 4).
+
+    With one ratio of all modes C = 2 zeta R (R^-1 K R^-1)^(1/2) R, R^2 = M: analytic in theta also
+    where modes coincide, and so is Denman and Beavers' iteration for it. (A + i B)^-1 is that of a
+    real matrix of twice the size, so parts of a complex H can be stepped with a complex theta.
+    """
+    stiffness, masses = membrane(theta)
+    root = np.sqrt(masses)
+    square: NDArray[Any] = stiffness / np.outer(root, root)
+    inverse: NDArray[Any] = np.eye(9)
+    for _ in range(20):
+        square, inverse = (
+            0.5 * (square + np.linalg.inv(inverse)),
+            0.5 * (inverse + np.linalg.inv(square)),
+        )
+    damping = 2.0 * REST * root[:, None] * square * root
+    found = []
+    for w in omega:
+        a, b = stiffness - w**2 * np.diag(masses), w * damping
+        solved = np.linalg.solve(np.block([[a, -b], [b, a]]), np.eye(18)[:, 1])
+        found.append(solved[[0, 5, 9, 14]])
+    return np.array(found)
+
+
+def test_slopes_are_those_of_complex_steps_also_where_modes_coincide() -> None:
+    omega = 2.0 * np.pi * np.array([5.0, 8.5, 11.0, 14.0, 17.5])
+    start, step = np.ones(3), 1e-30
+    stiffness, masses = (part.real for part in membrane(start.astype(np.complex128)))
+    hz = np.sqrt(np.linalg.eigvalsh(stiffness)) / (2.0 * np.pi)
+    assert np.isclose(np.diff(hz), 0.0, atol=1e-9).sum() >= 3  # pairs, as the net is square
+    matrices = MatrixResult.of_full(
+        sparse.csr_array(stiffness),
+        sparse.csr_array(np.diag(masses)),
+        np.arange(9),
+        np.ones(9, int),
+    )
+    modes = FrfModes.of(matrices, sparse.csr_array(np.eye(9)), 20.0, 9).damped(np.full(9, REST))
+    for column in range(3):
+        stepped = start + 1j * step * np.eye(3)[column]
+        wanted = damped_membrane(stepped, omega).imag / step
+        changed = [part.imag / step for part in membrane(stepped)]
+        change = modes.change(
+            sparse.csr_array(np.triu(changed[0])), sparse.csr_array(np.diag(changed[1]))
+        )
+        for place, output in enumerate((0, 5)):
+            slope = modes.slope(omega, output, 1, change)
+            exact = wanted[:, place] + 1j * wanted[:, 2 + place]
+            # rounding: sums of nine modes, with resonances of 1 / (2 zeta) = 50
+            assert np.abs(slope - exact).max() < 1e-9 * np.abs(exact).max()
+
+
+def test_a_model_of_few_unknowns_has_the_values_and_slopes_of_the_whole_chain() -> None:
+    def uppers(theta: Floats) -> tuple[sparse.csr_array, sparse.csr_array]:
+        stiffness, masses = chain(theta, free=True)
+        return sparse.csr_array(np.triu(stiffness)), sparse.csr_array(np.diag(masses))
+
+    names = np.arange(SIZE), np.ones(SIZE, dtype=np.int64)
+    base = uppers(np.ones(2))
+    added = [uppers(np.ones(2) + np.eye(2)[column]) for column in range(2)]
+    model = parameter_matrices(
+        MatrixResult(*base, *names),
+        np.ones(2),
+        [Powers(0, (1,), (sparse.csr_array(added[0][0] - base[0]),))],
+        [Powers(1, (1,), (sparse.csr_array(added[1][1] - base[1]),))],
+    )
+    dofs = sparse.csr_array(np.eye(SIZE)[DOFS])
+    highest = 1e7**0.5 / SIZE / 2.0 * 7.5
+    omega = 2.0 * np.pi * highest * np.linspace(0.1, 1.0, 7)
+
+    def whole(theta: Floats) -> FrfModes:
+        found = FrfModes.of(model.at(theta), dofs, highest, 8)
+        return found.damped(np.full(found.tau.size, REST))
+
+    here = whole(THETA)
+    small, vectors = near(model, THETA, here, highest)
+
+    def few(theta: Floats) -> FrfModes:
+        at = small.at(theta)
+        pencil = at.stiffness.toarray(), at.mass.toarray()
+        found = FrfModes.whole(*pencil, dofs @ vectors, here.shift)
+        return found.damped(np.full(found.tau.size, REST))
+
+    def off(change: float) -> float:
+        theta = THETA * (1.0 + change)
+        exact = whole(theta).receptance(omega, 0, 1)
+        return float(np.abs(few(theta).receptance(omega, 0, 1) / exact - 1.0).max())
+
+    assert off(0.0) < 2e-4  # as above: the answers to parameters make the modes better
+    for column in range(2):
+        slopes = [
+            modes.slope(omega, 0, 1, modes.change(*of.change(THETA, column)))
+            for modes, of in ((few(THETA), small), (here, model))
+        ]
+        assert np.abs(slopes[0] - slopes[1]).max() < 1e-3 * np.abs(slopes[1]).max()
+    # Fixed shapes would err by the change itself, some percent of each resonance.
+    assert off(0.05) < 2e-4
+    assert off(0.2) < 1e-2

@@ -151,6 +151,20 @@ def test_what_cannot_be_compared_is_told_with_file_and_line(
     assert "campaign.yaml, line 9: residuals.frf: " in told
 
 
+def test_functions_that_are_not_compared_are_named(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    test = measurement()
+    assert test.frfs is not None
+    values = test.frfs.values.copy()
+    values[:, 1] = random.standard_normal((values.shape[0], 2)) @ [1.0, 1.0j]  # noise alone
+    path = campaign(tmp_path, without(test, values=values))
+    told = " ".join(run_command(tmp_path, "update", str(path)).stderr.split())
+    assert (
+        "campaign.yaml, line 9: 1 of 4 response functions are not compared, since no line" in told
+    )
+    assert "stands out of the noise: 3.x by 3.x" in told
+
+
 def test_a_test_without_damping_needs_a_ratio(tmp_path: Path) -> None:
     test = measurement()
     assert test.modes is not None
