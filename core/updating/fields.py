@@ -137,11 +137,13 @@ def answer(
     changes: Floats,
     deviations: Floats,
     names: Sequence[str],
+    noise: float = 0.0,
 ) -> FieldAnswer:
     """What a test says of a field.
 
     sensitivity: (n_residuals, n_parameters), residual, weights: (n_residuals,), where updating
-    ended; changes, deviations: (n_parameters,); names: of the parameters.
+    ended; changes, deviations: (n_parameters,); names: of the parameters; noise: chi^2
+    that deviations explain.
     """
     own, root = field.columns, np.sqrt(weights)
     rows = root[:, None] * sensitivity[:, own]
@@ -158,7 +160,7 @@ def answer(
     found = FieldAnswer(
         field, strengths, misfits, alone, float(left @ left), started, places, (), ()
     )
-    return _told(found, named, changes[own])
+    return _told(found, named, changes[own], max(noise, AS_WELL))
 
 
 def _places(field: Field, misfits: Floats, seen: NDArray[np.bool_]) -> tuple[Integers, ...]:
@@ -177,7 +179,7 @@ def _places(field: Field, misfits: Floats, seen: NDArray[np.bool_]) -> tuple[Int
     return tuple(sorted(found, key=lambda place: float(misfits[place[0]])))
 
 
-def _told(found: FieldAnswer, names: Sequence[str], changes: Floats) -> FieldAnswer:
+def _told(found: FieldAnswer, names: Sequence[str], changes: Floats, noise: float) -> FieldAnswer:
     """With sentences: doubts of what cannot be told, and what the test says."""
     name, n = found.field.name, len(names)
     unseen = np.flatnonzero(found.strengths < 1.0)
@@ -187,8 +189,12 @@ def _told(found: FieldAnswer, names: Sequence[str], changes: Floats) -> FieldAns
             f"{name}: {unseen.size} of {n} zones move no measured value by more than its "
             f"deviation ({_named(names, unseen)}): what stands there is their neighbours'."
         )
+    if found.started <= noise:
+        doubts.append(
+            f"{name}: the start explains the test as well as its deviations ask (chi-square "
+            f"{found.started:.3g}, {noise:.3g} expected): where they are smaller, state it."
+        )
     if found.started <= AS_WELL:
-        doubts.append(f"{name}: the start explains the test as well as noise allows.")
         return replace(found, doubts=tuple(doubts))
     if len(found.places) > 1:
         each = "; or ".join(_place(found, names, place) for place in found.places[:NAMED])

@@ -153,6 +153,7 @@ def field_answers(
             last.parameters - own.initial,
             own.standard_deviations,
             own.names,
+            float(found.weights @ found.noise),
         )
         for item in campaign.fields
     )
