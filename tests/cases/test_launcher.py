@@ -16,6 +16,7 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.form_verdict import record_verdict
+from modetune.flows.studies.localise.localise import localise
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
 
@@ -95,3 +96,13 @@ def test_another_model_is_met_as_far_as_the_thesis_meets_its_test(
     assert form.form.suspected
     assert record.trust is not None
     assert record.trust.verdict == "not to be trusted"
+    # And where: the truth's pads are between beam and fitting, 300 mm high, |x| below 100 mm. The
+    # bottom plate lies on the fitting as far as 150 mm, plus an element.
+    campaign = loaded(folder, "launcher")
+    found = localise(campaign, record.updated)
+    assert (found.runs.modal, found.runs.sensitivity) == (0, 0)
+    assert found.maps is not None
+    mesh = campaign.case.solver.deck.mesh()
+    worst = mesh.coordinates[np.argsort(-found.maps.strains)[:10]]
+    assert (np.abs(worst[:, 0]) <= 190.0).all()
+    assert (np.abs(worst[:, 2] - 300.0) <= 34.0).all()
