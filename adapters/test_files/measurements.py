@@ -31,6 +31,7 @@ from modetune.adapters.test_files.universal.axes import Axes
 from modetune.adapters.test_files.universal.file import read_universal
 from modetune.core.correlation.complexity import real_shapes
 from modetune.core.errors import CampaignError
+from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, MeasuredModes, ModeSet
 
@@ -206,8 +207,16 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
             whole.notes + part.notes,
             whole.deviations or part.deviations,
             whole.repeats or part.repeats,
+            _complex_shapes(whole, part),
         )
     return whole
+
+
+def _complex_shapes(first: Measurement, second: Measurement) -> Complexes | None:
+    """Those of the part that has the modes; of joined modes none."""
+    if first.modes is not None and second.modes is not None:
+        return None
+    return second.complex_shapes if first.modes is None else first.complex_shapes
 
 
 def _joined_modes(

@@ -44,10 +44,10 @@ def real_shapes(shapes: NDArray[np.complex128] | Floats) -> Floats:
     """
     if not np.iscomplexobj(shapes):
         return np.asarray(shapes, dtype=np.float64)
-    return np.ascontiguousarray(_turned(np.asarray(shapes, dtype=np.complex128)).real)
+    return np.ascontiguousarray(turned(np.asarray(shapes, dtype=np.complex128)).real)
 
 
-def _turned(phi: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def turned(phi: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Shapes turned by the phase that makes the real part largest."""
     angles = 0.5 * np.angle((_scaled(phi) ** 2).sum(axis=0))
     return np.asarray(phi * np.exp(-1j * angles))

@@ -164,6 +164,7 @@ class Measurement:
     modes: real shapes at the test's own nodes, in the directions of `geometry.frames`.
     notes: what the reader decided or left out, a sentence each, for people.
     deviations: of the modes, in their order; repeats: the tests that the modes are the mean of.
+    complex_shapes: (n_dof, n_modes), of the modes as measured, where they are not real.
     """
 
     modes: MeasuredModes | None = None
@@ -172,6 +173,7 @@ class Measurement:
     notes: tuple[str, ...] = ()
     deviations: MeasuredDeviations | None = None
     repeats: RepeatedTests | None = None
+    complex_shapes: Complexes | None = None
 
     __repr__ = brief
 

@@ -30,6 +30,7 @@ from modetune.flows.campaign.case import Case, whole_test
 from modetune.flows.campaign.configurations import configuration_files
 from modetune.flows.campaign.fields import with_fields
 from modetune.flows.campaign.measured import (
+    complex_shapes,
     frfs_on_model,
     held_out_modes,
     map_test,
@@ -322,6 +323,8 @@ def _read_case(
         METRES[file.model.units],
         *frfs_on_model(source, file, measurement, solver, problems, store),
         measurement.notes,
+        mapping.sensors,
+        complex_shapes(measurement, test),
     )
     if not problems:
         problems += file.residuals.problems(source, given, solver)

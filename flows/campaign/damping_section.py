@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pydantic import Field
 
 from modetune.adapters.yaml_file import Place
+from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.section import OTHERS, Positive, Section, Weights
 from modetune.flows.campaign.tested_model import TestedModel
@@ -33,7 +34,8 @@ class DampingSection(Section):
     def response(self, given: TestedModel) -> DampingRatios:
         """As a test and a model have it, without what `problems` tells of."""
         weights = {number: self._weight(number) for number in given.test.numbers}
-        return DampingRatios(weights, self.deviation, self.tolerance, given.deck.damping)
+        pairs = DampedPairs(given.deck.damping)
+        return DampingRatios(weights, self.deviation, self.tolerance, pairs)
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
-from scipy import sparse
 
-from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
-from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.errors import ModelError
 from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.frf_lines import chosen_lines, log_variances
 from modetune.core.measurement.measurement import MeasuredFrfs
-from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import dof_name
-from modetune.core.updating.observation import sensor_observation
 from modetune.core.updating.responses.frf import Frf, FrfCurve
+from modetune.flows.campaign.observing import nothing_seen, observer
 from modetune.flows.campaign.section import NotNegative, Positive, Section, Share
 from modetune.flows.campaign.tested_model import TestedModel
 
@@ -64,7 +58,9 @@ class FrfSection(Section):
     def response(self, given: TestedModel) -> Frf:
         """As a test and a model have it, without what `problems` tells of."""
         curves = self._curves(given)
-        observe = _observer(given.seen, given.deck) if given.seen is not None else _nothing
+        observe = (
+            observer("response functions", given.seen, given.deck) if given.seen else nothing_seen
+        )
         ratio = np.nan if self.damping is None else self.damping
         return Frf(curves, observe, ratio, self.deviation, self.weight, self.frac)
 
@@ -178,20 +174,3 @@ def _receptance(frfs: MeasuredFrfs, column: int) -> Complexes:
     sign = frfs.signs[column] * frfs.reference_signs[column]
     whole = np.zeros(rate.size, dtype=np.complex128)
     return np.asarray(np.divide(sign * frfs.values[:, column], rate, out=whole, where=rate != 0.0))
-
-
-def _observer(seen: SensorMap, deck: Deck) -> Callable[[MatrixResult], sparse.csr_array]:
-    def observe(here: MatrixResult) -> sparse.csr_array:
-        observed = sensor_observation(seen, partial(deck.observation, here))
-        for row in np.flatnonzero(observed.unknown)[:1].tolist():
-            dof = dof_name((int(seen.nodes[row]), int(seen.components[row])))
-            raise ModelError(
-                f"response functions: {dof} does not follow from the matrices' unknowns"
-            )
-        return observed.matrix
-
-    return observe
-
-
-def _nothing(here: MatrixResult) -> sparse.csr_array:
-    return sparse.csr_array((0, here.nodes.size))

@@ -10,6 +10,7 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import CampaignError, ModesError
+from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.repeated import check_alike, mean_of_tests
 from modetune.core.measurement.sensors import SensorMap
@@ -195,6 +196,18 @@ def map_test(
         where = source.where(("test",))
         problems += [f"{problem} (named in {where})" for problem in error.problems]
         return None
+
+
+def complex_shapes(measurement: Measurement, test: MeasuredModes) -> Complexes | None:
+    """Shapes as measured at these modes and sensors, (n_dof, n_modes); None where they are real."""
+    whole, found = measurement.modes, measurement.complex_shapes
+    if whole is None or found is None:
+        return None
+    named = zip(whole.modes.nodes.tolist(), whole.modes.components.tolist(), strict=True)
+    rows = {dof: row for row, dof in enumerate(named)}
+    wanted = zip(test.modes.nodes.tolist(), test.modes.components.tolist(), strict=True)
+    columns = [whole.numbers.index(number) for number in test.numbers]
+    return np.asarray(found[np.ix_([rows[dof] for dof in wanted], columns)])
 
 
 def frfs_on_model(

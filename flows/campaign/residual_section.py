@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.updating.responses.response import Response
+from modetune.flows.campaign.complex_section import ComplexSection
 from modetune.flows.campaign.damping_section import DampingSection
 from modetune.flows.campaign.frf_section import FrfSection
 from modetune.flows.campaign.mac_section import MacSection
@@ -33,7 +34,9 @@ SensorKey = Literal["sensor_weight", "sensor_deviation"]
 
 
 #: Keys of the kinds of responses beside frequencies and shapes, in the order of their rows.
-KINDS = ("mac", "modal_strain", "static", "damping", "mass_properties", "frf")
+KINDS = (
+    "mac", "modal_strain", "static", "damping", "complex_shapes", "mass_properties", "frf",
+)  # fmt: skip
 
 
 class KindSection(Protocol):
@@ -88,6 +91,8 @@ class ResidualSection(Section):
     """Static displacements and strains under load cases."""
     damping: DampingSection | None = None
     """Modal damping ratios."""
+    complex_shapes: ComplexSection | None = None
+    """Complex measured shapes beside those of the damped model."""
     mass_properties: MassSection | None = None
     """Mass, centre of gravity and inertia as targets and as limits."""
     frf: FrfSection | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from modetune.adapters.solver import Deck
+from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import MeasuredModes
@@ -18,7 +19,8 @@ class TestedModel:
 
     frfs: response functions of the test, where they are asked for; seen: where their sensors and
     forces are on the model. kilograms, metres: the model's units of mass and length. notes: what
-    readers said of the test.
+    readers said of the test. sensors: of the test's shapes on the model; complex_shapes:
+    (n_sensors, n_modes), as measured, where they are not real.
     """
 
     __test__ = False  # not a test of pytest's
@@ -32,3 +34,5 @@ class TestedModel:
     frfs: MeasuredFrfs | None = None
     seen: SensorMap | None = None
     notes: tuple[str, ...] = ()
+    sensors: SensorMap | None = None
+    complex_shapes: Complexes | None = None

@@ -81,7 +81,20 @@ def campaign_trust(
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,
+        notes=_real_parts(campaign),
     )
+
+
+def _real_parts(campaign: Campaign) -> tuple[str, ...]:
+    """A sentence where complex shapes are compared by their real parts alone."""
+    found = []
+    for case in campaign.used:
+        kinds = {item.kind for item in case.responses}
+        if case.measurement.complex_shapes is not None and "complex_shapes" not in kinds:
+            what = case.of("The measured shapes") + " are complex: their real parts are "
+            what += "compared" if kinds & {"shapes", "mac"} else "looked at"
+            found.append(f"{what}; `residuals.complex_shapes` compares them as they are.")
+    return tuple(found)
 
 
 def _freedom(campaign: Campaign, last: IterationRecord, matrix: Matrix) -> int:

@@ -203,7 +203,13 @@ def read_universal(paths: Sequence[Path], axes: Axes = "auto") -> UniversalTest:
         if lost.size:
             notes.append(f"doubtful: {lost.size} nodes have a shape and no place")
     return UniversalTest(
-        Measurement(measured, points, responses, tuple(notes)),
+        Measurement(
+            measured,
+            points,
+            responses,
+            tuple(notes),
+            complex_shapes=None if found is None else found.complex_shapes,
+        ),
         files,
         np.zeros(0) if found is None else found.collinearity,
         sum(isinstance(item, Function) for file in files for item in file.contents),

@@ -33,10 +33,12 @@ HIGH = 0.2
 
 @dataclass(frozen=True, slots=True)
 class FoundModes:
-    """Measured modes; of complex ones how collinear their phases are, (n_modes,), 0 to 1."""
+    """Measured modes; of complex ones how collinear their phases are, (n_modes,), 0 to 1, and the
+    shapes as they are, (n_dof, n_modes)."""
 
     measured: MeasuredModes
     collinearity: Floats
+    complex_shapes: Complexes | None
 
 
 def modes(files: Sequence[UniversalFile], notes: list[str]) -> FoundModes | None:
@@ -70,7 +72,8 @@ def modes(files: Sequence[UniversalFile], notes: list[str]) -> FoundModes | None
         damping_ratios=_damping_ratios(leaders, numbers, notes),
         normalisation="mass" if _unit_mass(shapes) else "unknown",
     )
-    return FoundModes(MeasuredModes(numbers, measured), collinearity)
+    as_measured = np.asarray(found, dtype=np.complex128) if np.iscomplexobj(found) else None
+    return FoundModes(MeasuredModes(numbers, measured), collinearity, as_measured)
 
 
 def _groups(shapes: Sequence[DatasetShape]) -> list[list[DatasetShape]]:
@@ -221,7 +224,10 @@ def _note_complex(
     each = ", ".join(
         f"mode {number} {value:.3f}" for number, value in zip(numbers, collinearity, strict=True)
     )
-    notes.append(f"complex shapes were made real; their modal phase collinearity: {each}")
+    notes.append(
+        "complex shapes were made real (`residuals.complex_shapes` compares them as they are with "
+        f"those of a damped model); their modal phase collinearity: {each}"
+    )
     low = [number for number, value in zip(numbers, collinearity, strict=True) if value < DOUBTFUL]
     if low:
         notes.append(

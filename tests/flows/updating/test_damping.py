@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import linalg
 
+from tests.adapters.test_files.universal_text import mode_55, save
 from tests.command_line import run_command
 
 MASSES = np.array([2.0, 1.5, 1.0, 1.2])
@@ -38,8 +40,8 @@ update: {e1: {frequency: 1.0e-5}}
 """
 
 
-def measured() -> str:
-    """By LAPACK on the whole state space; frequencies are those of the undamped truth."""
+def true_modes() -> tuple[Any, Any, Any]:
+    """Undamped frequencies, roots and shapes of the truth, by LAPACK on the whole state space."""
     stiffness = SPRINGS * [1.0, TRUTH["k2"], 1.0, 1.0]
     k, c, h = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
     for place in range(4):
@@ -54,7 +56,14 @@ def measured() -> str:
     state = np.block(
         [[np.zeros((4, 4)), np.eye(4)], [-linalg.solve(m, k + 1j * h), -linalg.solve(m, c)]]
     )
-    roots = np.array(sorted((s for s in linalg.eigvals(state) if s.imag > 0.0), key=abs))
+    roots, vectors = linalg.eig(state)
+    order = [place for place in np.argsort(np.abs(roots)) if roots[place].imag > 0.0]
+    return hz, roots[order], vectors[:4, order]
+
+
+def measured() -> str:
+    """Frequencies are those of the undamped truth."""
+    hz, roots, _ = true_modes()
     ratios = -roots.real / np.abs(roots)
     return "mode, 1, 2, 3, 4\n" + "".join(
         f"{name}, {', '.join(f'{value:.12g}' for value in values)}\n"
@@ -98,3 +107,49 @@ def test_what_is_missing_is_told(model: str, test: str, said: str, tmp_path: Pat
     ended = run_command(tmp_path, "update", "campaign.yaml")
     assert ended.returncode == 2
     assert said in " ".join(ended.stderr.split())
+
+
+def complex_test(folder: Path) -> None:
+    """The truth's modes as a test gives them, in any phase and scale."""
+    _, roots, shapes = true_modes()
+    modes = []
+    for mode, root in enumerate(roots):
+        values = (complex(2.0, -1.5) * shapes[:, mode]).tolist()
+        points = {node: [value, 0.0j, 0.0j] for node, value in enumerate(values, start=1)}
+        modes.append(mode_55(mode + 1, complex(root), points))
+    save(folder / "measured.unv", *modes)
+
+
+def test_dampers_are_found_from_complex_shapes_alone(tmp_path: Path) -> None:
+    text = CAMPAIGN.replace("measured.csv", "measured.unv").replace(
+        "  damping: {deviation: 0.01, tolerance: 1.0e-4}",
+        "  frequency_weight: 0\n  complex_shapes: {deviation: 0.001, mac: 0.9999999}",
+    )
+    files(tmp_path, text=text)
+    complex_test(tmp_path)
+    ended = run_command(tmp_path, "update", "campaign.yaml", "--json", "--set", "report.page=false")
+    assert ended.returncode == 0, ended.stderr
+    told = json.loads(ended.stdout)
+    updated = {item["name"]: item["updated"] for item in told["parameters"]}
+    # e1 leaves an angle of 3e-4 in a shape; imaginary parts are some hundredths of it.
+    assert updated == pytest.approx(TRUTH, rel=1e-2)
+    assert "real parts" not in " ".join(told["trust"]["sentences"])
+
+
+def test_it_is_told_that_complex_shapes_are_compared_by_their_real_parts(tmp_path: Path) -> None:
+    text = CAMPAIGN.replace("measured.csv", "measured.unv")
+    files(tmp_path, text=text.replace("  damping:", "  shape_weight: 1\n  damping:"))
+    complex_test(tmp_path)
+    ended = run_command(tmp_path, "update", "campaign.yaml", "--json", "--set", "report.page=false")
+    said = " ".join(json.loads(ended.stdout)["trust"]["sentences"])
+    assert "measured shapes are complex: their real parts are compared" in said
+    checked = run_command(tmp_path, "check", "campaign.yaml")
+    assert "residuals.complex_shapes" in checked.stdout.replace("\n", "")
+
+
+def test_complex_shapes_need_a_test_that_has_them(tmp_path: Path) -> None:
+    files(tmp_path, text=CAMPAIGN.replace("damping: {deviation: 0.01, tolerance: 1.0e-4}",
+                                          "complex_shapes: {}"))  # fmt: skip
+    ended = run_command(tmp_path, "check", "campaign.yaml")
+    assert ended.returncode == 2
+    assert "residuals.complex_shapes: the test's shapes are real" in " ".join(ended.stderr.split())
