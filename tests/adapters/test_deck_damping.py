@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -14,18 +12,12 @@ import pytest
 from scipy import sparse
 
 from modetune.adapters.calculix.solver import calculix_solver
-from modetune.adapters.nastran.dialect import MYSTRAN
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.parameters import Parameter
 from tests.adapters.damped_decks import damped_system, ratios, roots
-
-mystran = pytest.mark.skipif(
-    shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
-    reason="MYSTRAN is not here (tools/mystran.sh)",
-)
-ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not here")
+from tests.adapters.solved import needs_ccx, needs_mystran
 
 #: Two bricks of other materials on each other, one with a loss factor, and a slanting dashpot.
 STOOL = """*NODE, NSET=ALL
@@ -88,7 +80,7 @@ PU
 """
 
 
-@ccx
+@needs_ccx
 def test_loss_factor_and_dashpot_answer_as_ccx_does_in_steady_state(tmp_path: Path) -> None:
     (tmp_path / "stool.inp").write_text(STOOL)
     solver = calculix_solver(tmp_path / "stool.inp", ())
@@ -132,7 +124,7 @@ ENDDATA
 """
 
 
-@mystran
+@needs_mystran
 @pytest.mark.parametrize(
     ("ge", "more"),
     [(",,,0.08", ""), ("", "PARAM,G,0.08\n"), (",,,0.05", "PARAM,G,0.03\n")],
@@ -171,7 +163,7 @@ ENDDATA
 """
 
 
-@mystran
+@needs_mystran
 def test_a_box_on_all_kinds_of_dampers_is_the_one_assembled_by_hand(tmp_path: Path) -> None:
     deck = tmp_path / "box.bdf"
     deck.write_text(BOX.format(ge=",,GE,0.02,,0.04\n"))
@@ -206,7 +198,7 @@ def test_a_box_on_all_kinds_of_dampers_is_the_one_assembled_by_hand(tmp_path: Pa
     np.testing.assert_allclose(roots(system, 6), roots(wanted, 6), rtol=1e-8)
 
 
-@mystran
+@needs_mystran
 def test_ge1_alone_is_of_all_directions_of_a_bush(tmp_path: Path) -> None:
     deck = tmp_path / "box.bdf"
     bush = BOX.format(ge=",,GE,0.06\n").replace(",0.1\nEND", ",0.06\nEND")

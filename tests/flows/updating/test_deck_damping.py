@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +11,10 @@ import pytest
 from scipy import linalg
 
 from modetune.adapters.calculix.solver import calculix_solver
-from modetune.adapters.nastran.dialect import MYSTRAN
 from modetune.adapters.nastran.solver import mystran_solver
 from tests.adapters.damped_decks import damped_system, measured, roots
+from tests.adapters.solved import needs_ccx, needs_mystran
 from tests.command_line import run_command
-
-mystran = pytest.mark.skipif(
-    shutil.which(os.environ.get(MYSTRAN.variable, MYSTRAN.program)) is None,
-    reason="MYSTRAN is not here (tools/mystran.sh)",
-)
-ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not here")
 
 
 def sandwich() -> str:
@@ -135,7 +127,11 @@ N_MATRICES = {"sandwich": 2, "plate": 9, "mast": 3, "machine": 2}
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=ccx if name == "sandwich" else mystran) for name in CASES]
+    "name",
+    [
+        pytest.param(name, marks=needs_ccx if name == "sandwich" else needs_mystran)
+        for name in CASES
+    ],
 )
 def test_dampers_of_a_deck_are_found_from_ratios(name: str, tmp_path: Path) -> None:
     written, solver_of, suffix, changes, truth, parameters, n_modes = CASES[name]
