@@ -77,11 +77,10 @@ def campaign_trust(
             *combination_sentences(parameters.names, found),
             *(said for item in answers for said in item.doubts),
         ),
-        notes=tuple(said for item in answers for said in item.sentences),
+        notes=(*(said for item in answers for said in item.sentences), *_real_parts(campaign)),
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,
-        notes=_real_parts(campaign),
     )
 
 
