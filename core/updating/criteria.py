@@ -13,6 +13,10 @@ import numpy as np
 
 from modetune.core.correlation.pairing import Pairing
 from modetune.core.modes import Floats, ModeSet
+from modetune.core.updating.responses.response import Residual
+
+#: Of a relative eigenvalue, where no frequency is compared: twice the usual one of a frequency.
+EIGENVALUE_DEVIATION = 0.004
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,19 @@ def agrees(errors: Floats, mac: Floats, tolerances: Tolerances) -> bool:
     return bool((np.abs(errors) <= tolerances.frequency).all() and (shapes >= tolerances.mac).all())
 
 
-def slope(residual: Floats, previous: Floats, n_parameters: int) -> float:
-    """Change of the residual for each parameter, |z_j - z_(j-1)| / L. Source: thesis (4.2)."""
-    return float(np.linalg.norm(residual - previous)) / n_parameters
+def slope(residual: Residual, previous: Residual, n_parameters: int) -> float:
+    """Change of the residual for each parameter, |z_j - z_(j-1)| / L. Source: thesis (4.2).
+
+    Values with a unit (`Block.measured`) count by their deviations, one of which is as much as one
+    of an eigenvalue, so that the slope is the same in all units.
+    """
+    used, scales = previous.weights > 0.0, np.ones(previous.values.size)
+    own = [np.full(block.size, block.measured.size > 0) for block in previous.blocks]
+    with_unit = np.concatenate([np.zeros(0, dtype=bool), *own])
+    if with_unit.any():
+        rows = previous.rows("frequencies")
+        known = previous.noise[rows][used[rows]]
+        one = np.sqrt(known.mean()) if known.size else EIGENVALUE_DEVIATION
+        scales[with_unit] = one / np.sqrt(previous.noise[with_unit])
+    change = (residual.values - previous.values) * scales
+    return float(np.linalg.norm(change[used])) / n_parameters

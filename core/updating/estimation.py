@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import null_space, solve_triangular
 from scipy.optimize import lsq_linear
 
 from modetune.core.errors import CampaignError
@@ -264,16 +264,21 @@ def l_curve(problem: StepProblem, n_factors: int = 121) -> LCurve:
 
 
 def parameter_covariance(
-    sensitivity: Floats, variances: Floats, weights: Floats, prior_weights: Floats | None = None
+    sensitivity: Floats,
+    variances: Floats,
+    weights: Floats,
+    prior_weights: Floats | None = None,
+    held: Floats | None = None,
 ) -> Floats:
     """Covariance of the parameters that measurement variances leave, (n, n), linear.
 
     variances: (n_residuals,), of the residuals; weights: (n_residuals,), by which the step
     weighed them; prior_weights: (n_parameters,), reciprocal variances beforehand, or (n_parameters,
-    n_parameters), where the step was held by them. A parameter that nothing determines has an
-    infinite variance. With A = S^T W S + P it is A^-1 (S^T W V W S + P) A^-1, which is the familiar
-    (S^T V^-1 S)^-1 where the weights are the reciprocal variances. Source: error propagation
-    through thesis (41), (52).
+    n_parameters), where the step was held by them; held: (n_held, n_parameters), changes d that
+    bounds and limits hold, held d = 0, so that they have no variance. A parameter that nothing
+    determines has an infinite one. With A = S^T W S + P it is A^-1 (S^T W V W S + P) A^-1, which is
+    the familiar (S^T V^-1 S)^-1 where the weights are the reciprocal variances; in a basis of what
+    is not held the same. Source: error propagation through thesis (41), (52).
     """
     weighted = weights[:, None] * sensitivity
     information = sensitivity.T @ weighted
@@ -281,10 +286,15 @@ def parameter_covariance(
     if prior_weights is not None:
         known = np.diag(prior_weights) if prior_weights.ndim == 1 else prior_weights
         information, noise = information + known, noise + known
+    if held is not None and held.size:
+        free = null_space(held / np.linalg.norm(held, axis=1)[:, None])
+        information, noise = free.T @ information @ free, free.T @ noise @ free
+    else:
+        free = np.eye(sensitivity.shape[1])
     values, vectors = np.linalg.eigh(information)
-    null = values <= RANK_TOLERANCE * max(float(values[-1]), 0.0)
+    null = values <= RANK_TOLERANCE * max(float(values.max(initial=0.0)), 0.0)
     inverse = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T
-    covariance = inverse @ noise @ inverse
-    loose = np.any(np.abs(vectors[:, null]) > 1e-6, axis=1)
+    covariance = free @ (inverse @ noise @ inverse) @ free.T
+    loose = np.any(np.abs(free @ vectors[:, null]) > 1e-6, axis=1)
     covariance[loose, loose] = np.inf
     return np.asarray(covariance)

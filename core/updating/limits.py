@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 from modetune.core.updating.estimation import Step, StepProblem, weights_root
 
 #: Share of the other equations in one that stands for a limit: rounding and conditioning of the
@@ -36,8 +36,9 @@ def step_within(
     values: Floats,
     sensitivity: Floats,
     limits: Floats,
-) -> Step:
-    """The step of a problem that keeps its linear prediction within limits.
+) -> tuple[Step, Integers]:
+    """The step of a problem that keeps its linear prediction within limits, and the rows whose
+    limits hold it.
 
     values: (n_residuals,), sensitivity: (n_residuals, n_parameters), of the items, where the
     problem's own rows may be mixed; limits: (n_residuals, 2).
@@ -49,7 +50,7 @@ def step_within(
         there = values - sensitivity @ step.change
         broken = [row for row in held.tolist() if breach(there[[row]], limits[[row]])[0] > 0.0]
         if not broken:
-            return step
+            break
         for row in broken:
             low, high = limits[row].tolist()
             room = min(INSIDE * abs(there[row] - values[row]), 0.5 * (high - low))
@@ -57,7 +58,7 @@ def step_within(
             # Steps of logarithms bend away from what their equation says.
             ends[row] = ends.get(row, there[row]) + wanted - there[row]
         step = solve(_with_equations(problem, values, sensitivity, ends))
-    return step
+    return step, np.array(sorted(ends), dtype=np.int64)
 
 
 def breach(values: Floats, limits: Floats) -> Floats:

@@ -24,6 +24,10 @@ class DampingSection(Section):
     """Largest error that e1 allows [of the measured ratio]"""
 
     @property
+    def counts(self) -> bool:
+        return any(self.weight.values())
+
+    @property
     def mode_keys(self) -> tuple[str, ...]:
         return ("weight",)
 

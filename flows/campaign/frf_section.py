@@ -48,6 +48,10 @@ class FrfSection(Section):
     """Emphasis; 0 leaves them out."""
 
     @property
+    def counts(self) -> bool:
+        return self.weight > 0.0
+
+    @property
     def mode_keys(self) -> tuple[str, ...]:
         return ()
 

@@ -24,6 +24,10 @@ class MacSection(Section):
     shape's entries makes of it."""
 
     @property
+    def counts(self) -> bool:
+        return any(self.weight.values())
+
+    @property
     def mode_keys(self) -> tuple[str, ...]:
         return ("weight", "deviation")
 

@@ -109,6 +109,10 @@ class MassSection(Section):
         return {name: item.as_target() for name, item in given if item is not None}
 
     @property
+    def counts(self) -> bool:
+        return any(item.weight for item in self.targets.values())
+
+    @property
     def mode_keys(self) -> tuple[str, ...]:
         return ()
 

@@ -52,6 +52,11 @@ class KindSection(Protocol):
         """Its weights by mode, where it compares shapes."""
         ...
 
+    @property
+    def counts(self) -> bool:
+        """Whether any of its weights is above zero."""
+        ...
+
     def response(self, given: TestedModel) -> Response:
         """The kind as a test and a model have it, without what `problems` tells of."""
         ...

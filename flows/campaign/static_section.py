@@ -61,6 +61,10 @@ class StaticSection(Section):
     """Load cases, and what was measured under each."""
 
     @property
+    def counts(self) -> bool:
+        return any(case.weight for case in self.cases)
+
+    @property
     def mode_keys(self) -> tuple[str, ...]:
         return ()
 

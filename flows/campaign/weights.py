@@ -139,7 +139,7 @@ def _idle(
     where = source.where(("residuals",))
     weighting = weighting_of(section, measurement, test)
     weights = np.concatenate([weighting.frequency_weights, weighting.shape_weights])
-    if not weights.any() and not section.kinds:
+    if not weights.any() and not any(kind.counts for kind in section.kinds.values()):
         return [f"{where}: residuals: all weights are 0; one must be above zero"]
     found = []
     if test.has_shapes and not weighting.sensor_weights.any():
@@ -151,6 +151,13 @@ def _idle(
             f"{source.where(('residuals', 'sensor_weight', counted[0]))}: residuals.sensor_weight: "
             f"{counted[0]} has a weight, but no shapes are compared; give `shape_weight`"
         )
+    if step in UNWEIGHTED:
+        found += [
+            f"{source.where(('residuals', kind))}: residuals.{kind}: `step: {step}` knows no "
+            "deviations, without which this cannot stand beside frequencies; use trust_region, "
+            "weighted_least_squares or regularised"
+            for kind in section.kinds
+        ]
     if step in UNWEIGHTED and np.unique(weights[weights > 0.0]).size > 1:
         found.append(
             f"{where}: residuals: `step: {step}` knows no weights but 0, and those given differ; "

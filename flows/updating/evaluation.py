@@ -118,16 +118,20 @@ class Evaluation:
 
     def agrees(self, tolerances: Tolerances) -> bool:
         """Whether e1 holds; members of a cluster of close modes are judged by its space."""
-        return (
-            agrees(self.used_errors, self.pairing.judged_mac, tolerances)
-            and all(
-                responses_agree(
-                    [item for item in part.responses if item.kind not in BY_MODES], part.residual
-                )
-                for part in self.parts
-            )
-            and not breach(self.residual.values, self.residual.limits).any()
-        )
+        return agrees(self.used_errors, self.pairing.judged_mac, tolerances) and not self.unmet
+
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """What does not agree beside frequencies and shapes: kinds of response, limits."""
+        kinds = [
+            item.kind.replace("_", " ")
+            for part in self.parts
+            for item in part.responses
+            if item.kind not in BY_MODES and not responses_agree([item], part.residual)
+        ]
+        broken = breach(self.residual.values, self.residual.limits) > 0.0
+        limits = [f"the limit of {self.residual.labels[row]}" for row in np.flatnonzero(broken)]
+        return tuple(dict.fromkeys([*kinds, *limits]))
 
     @property
     def used_errors(self) -> Floats:

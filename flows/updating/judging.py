@@ -37,11 +37,13 @@ def campaign_trust(
     remaining: Floats,
     agrees: bool,
     answers: Sequence[FieldAnswer] = (),
+    held: Sequence[str] = (),
 ) -> Trust | None:
     """What the newest sensitivity and the test say of the parameters; None without a sensitivity.
 
     standard_errors, remaining: (n_parameters,), at the answer, and its way to the least misfit;
-    agrees: whether e1 is met; answers: of the campaign's fields.
+    agrees: whether e1 is met; answers: of the campaign's fields; held: responses that stand on a
+    limit.
     """
     if matrix is None:
         return None
@@ -81,6 +83,11 @@ def campaign_trust(
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,
+        concerns=tuple(
+            f"The test asks for more than the limit of {name} allows: the answer stands on the "
+            "limit, and standard errors are those of changes that keep to it."
+            for name in held
+        ),
     )
 
 

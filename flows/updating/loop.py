@@ -318,9 +318,7 @@ class Loop:
         )
         theta = current.theta + step.change
         evaluation, fresh = self.evaluator.evaluate(self.number, theta, current, alone)
-        used = current.residual.weights > 0.0
-        now, before = evaluation.residual.values[used], current.residual.values[used]
-        change = slope(now, before, theta.size)
+        change = slope(evaluation.residual, current.residual, theta.size)
         return Trial(step, evaluation, fresh, change, region)
 
     def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
@@ -395,4 +393,5 @@ def _distance(evaluation: Evaluation) -> str:
         worst = int(np.argmax(np.abs(errors)))
         text = f"largest frequency error {100 * errors[worst]:+z.2f} %"
     mac = evaluation.pairing.judged_mac
-    return text + (f", least MAC {mac.min():.3f}" if np.isfinite(mac).all() else "")
+    text += f", least MAC {mac.min():.3f}" if np.isfinite(mac).all() else ""
+    return text + (f"; not met: {', '.join(evaluation.unmet)}" if evaluation.unmet else "")

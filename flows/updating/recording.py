@@ -45,7 +45,7 @@ def campaign_record(
     """The record of a campaign as it stands; standard errors are by its newest matrix."""
     accepted, only = [item for item in iterations if item.accepted], campaign.only
     own = campaign.parameters
-    errors, correlation, remaining = _scatter(campaign, accepted[-1], matrix)
+    errors, correlation, remaining, held = _scatter(campaign, accepted[-1], matrix)
     answers = () if status == "running" else field_answers(campaign, iterations, matrix)
     return CampaignRecord(
         name=campaign.name,
@@ -84,7 +84,7 @@ def campaign_record(
         trust=None
         if status == "running"
         else campaign_trust(
-            campaign, iterations, matrix, errors, remaining, status == "converged", answers
+            campaign, iterations, matrix, errors, remaining, status == "converged", answers, held
         ),
         fields=answers,
     )
@@ -108,26 +108,31 @@ def _deck_digest(campaign: Campaign) -> str:
 
 def _scatter(
     campaign: Campaign, last: IterationRecord, matrix: Matrix | None
-) -> tuple[Floats, Floats, Floats]:
-    """Standard errors (n,) and correlation (n, n) of the parameters as they stand, and their way to
-    the least misfit (n,).
+) -> tuple[Floats, Floats, Floats, tuple[str, ...]]:
+    """Standard errors (n,) and correlation (n, n) of the parameters as they stand, their way to the
+    least misfit (n,), and what a limit holds there.
 
     Measurement variances leave the least misfit with a covariance C; the parameters, which stand d
-    before it, are off the truth by C + d d^T.
+    before it, are off the truth by C + d d^T. What bounds and limits hold does not scatter.
     """
     n, found, factor = len(campaign.parameters), last.residual, last.regularisation
     if matrix is None:
-        return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan)
-    remaining = way_to_least_misfit(campaign, last.parameters, found, matrix.values, factor)
+        return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan), ()
+    remaining, held, limits = way_to_least_misfit(
+        campaign, last.parameters, found, matrix.values, factor
+    )
     weights = used_weights(campaign, found)
     prior = prior_weights(campaign, last.parameters, factor)
     rows = found.independent(matrix.values)
-    covariance = parameter_covariance(rows, found.variances, weights, prior)
+    covariance = parameter_covariance(rows, found.variances, weights, prior, held)
     covariance = covariance + np.outer(remaining, remaining)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(errors, errors)
-    return errors, correlation, remaining
+    still = errors == 0.0
+    correlation[still], correlation[:, still] = 0.0, 0.0
+    correlation[still, still] = 1.0
+    return errors, correlation, remaining, tuple(found.labels[row] for row in limits.tolist())
 
 
 def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:

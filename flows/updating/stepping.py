@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 from modetune.core.updating.estimation import Factor, Step, StepProblem, parameter_step
 from modetune.core.updating.identifiability import remaining_step
 from modetune.core.updating.limits import breach, step_within
@@ -78,24 +78,37 @@ def step_problem(campaign: Campaign, theta: Floats, found: Residual, rows: Float
 
 
 def way_to_least_misfit(
-    campaign: Campaign, theta: Floats, found: Residual, sensitivity: Floats, regularisation: float
-) -> Floats:
-    """How far the least misfit of a campaign lies from a set, (n_parameters,), linear.
+    campaign: Campaign, theta: Floats, found: Residual, slopes: Floats, regularisation: float
+) -> tuple[Floats, Floats, Integers]:
+    """How far the least misfit of a campaign lies from a set, (n_parameters,), linear; the changes
+    that bounds and limits hold there, (n_held, n_parameters); and the rows of these limits.
 
-    theta: (n_parameters,); found, sensitivity: there; regularisation: of the last step.
+    theta: (n_parameters,); found, slopes: residual and sensitivity there; regularisation: of the
+    last step.
     """
-    problem = step_problem(campaign, theta, found, sensitivity)
-    if campaign.update.step == "pulled_to_initial":
-        factor = regularisation if np.isfinite(regularisation) else 1.0
-        return parameter_step(problem, "pulled_to_initial", factor).change
-    return remaining_step(
-        problem.sensitivity,
-        problem.residual,
-        used_weights(campaign, found),
-        campaign.parameters.standard_deviations,
-        problem.lower,
-        problem.upper,
-    )
+    problem = step_problem(campaign, theta, found, slopes)
+    problem = replace(problem, weights=used_weights(campaign, found))
+    pulled = campaign.update.step == "pulled_to_initial"
+    factor = regularisation if np.isfinite(regularisation) else 1.0
+    box = problem.lower, problem.upper
+
+    def solve(asked: StepProblem) -> Step:
+        if pulled:
+            return parameter_step(asked, "pulled_to_initial", factor)
+        given = asked.sensitivity, asked.residual, asked.weights
+        change = remaining_step(*given, campaign.parameters.standard_deviations, *box)
+        return Step(change, given[1] - given[0] @ change, 0.0, 0, np.nan)
+
+    step, active = step_within(solve, problem, found.values, slopes, found.limits)
+    way, prior = step.change, prior_weights(campaign, theta, regularisation)
+    left = problem.residual - problem.sensitivity @ way
+    pushed = problem.sensitivity.T @ (problem.weights * left)
+    if prior is not None:
+        known = np.diag(prior) if prior.ndim == 1 else prior
+        pushed -= known @ (problem.offset + way)
+    on = (pushed < 0.0) & np.isclose(way, problem.lower, atol=1e-9)
+    on |= (pushed > 0.0) & np.isclose(way, problem.upper, atol=1e-9)
+    return way, np.vstack([slopes[active], np.eye(theta.size)[on]]), active
 
 
 class Stepping:
@@ -141,7 +154,7 @@ class Stepping:
                 return parameter_step(asked, settings.step, self._regularisation)
             return trust_region_step(asked, self._scale(current), region, settings.regularisation)
 
-        step = step_within(solve, problem, found.values, matrix.values, found.limits)
+        step, _ = step_within(solve, problem, found.values, matrix.values, found.limits)
         self._factors.append(step.regularisation)
         own = step.predicted[: found.values.size]
         step = replace(step, predicted=found.of_items(own))
@@ -158,7 +171,7 @@ class Stepping:
         """The step to the least misfit as far as the test tells, from a set that is near it."""
         if self.campaign.update.step == "pulled_to_initial":
             return self.step(current, matrix, TrustRegion(np.inf))
-        way = way_to_least_misfit(
+        way, _, _ = way_to_least_misfit(
             self.campaign, current.theta, current.residual, matrix.values, 0.0
         )
         change = np.clip(way, self.lower - current.theta, self.upper - current.theta)

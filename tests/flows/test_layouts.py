@@ -53,7 +53,7 @@ def digest(kind: Any) -> str:
     ("kind", "number", "expected"),
     [
         (CAMPAIGN.kind, CAMPAIGN.format, (7, "226e9721fb5d")),
-        (SCREENING.kind, SCREENING.format, (5, "3977d39bdf92")),
+        (SCREENING.kind, SCREENING.format, (6, "102ac7d6aa9f")),
         (SCATTER.kind, SCATTER.format, (1, "4857f5ed59a2")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.screen.record import LocalSensitivity
 from modetune.flows.updating.evaluation import Evaluation, Matrix, part_rows
@@ -27,9 +28,11 @@ def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -
     measured = campaign.test.modes.eigenvalues[pairing.measured]
     ratio = measured / nominal.seen.eigenvalues[pairing.computed]
     root, rows = np.sqrt(residual.weights), residual.independent(matrix.values)
+    others = other_rows(residual)
     return LocalSensitivity(
         frequencies=0.5 * ratio[:, None] * matrix.values[:n] * theta,
         mac=_mac(nominal, matrix.values),
+        others=rows[others] / np.sqrt(residual.noise[others])[:, None],
         weighted=root[:, None] * rows * campaign.parameters.standard_deviations,
         weighted_residual=root * residual.independent(residual.values),
         methods=matrix.methods_had,
@@ -38,6 +41,14 @@ def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -
             for column in range(theta.size)
         ),
     )
+
+
+def other_rows(found: Residual) -> Integers:
+    """Rows that are compared beside frequencies and shapes."""
+    beside = np.ones(found.values.size, dtype=bool)
+    for kind in ("frequencies", "shapes"):
+        beside[found.rows(kind)] = False
+    return np.flatnonzero(beside & (found.weights > 0.0))
 
 
 def _mac(nominal: Evaluation, sensitivity: Floats) -> Floats:

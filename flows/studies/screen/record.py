@@ -27,13 +27,15 @@ class LocalSensitivity:
     """Sensitivities at the deck's values.
 
     frequencies: (n_modes, n_parameters), (df/f) / (dp/p). mac: likewise dMAC / (dp/p), without
-    rows where shapes are not compared. weighted, weighted_residual: as `core/updating/subset`
-    requires them. methods: how each column was computed; missing: why a column was unavailable, or
-    empty.
+    rows where shapes are not compared. others: (n_others, n_parameters), of what is compared
+    beside, in standard deviations of the test, for a change by the deck's value. weighted,
+    weighted_residual: as `core/updating/subset` requires them. methods: how each column was
+    computed; missing: why a column was unavailable, or empty.
     """
 
     frequencies: Floats
     mac: Floats
+    others: Floats
     weighted: Floats
     weighted_residual: Floats
     methods: tuple[str, ...]
@@ -45,7 +47,9 @@ class Responses:
     """What the points gave.
 
     frequencies_hz, mac: (n_points, n_modes), of the modes paired with the test's; NaN where a
-    point failed, mac without columns where no shape was measured. failures: a sentence a point,
+    point failed, mac without columns where no shape was measured. others: (n_points, n_others), of
+    other kinds of response what is measured minus computed, in standard deviations of the test;
+    other_kinds, other_names: of which kind each is, and of what. failures: a sentence a point,
     empty where it is good. keys: of the modal jobs.
     """
 
@@ -53,6 +57,9 @@ class Responses:
     mac: Floats
     failures: tuple[str, ...]
     keys: tuple[str, ...]
+    others: Floats
+    other_kinds: tuple[str, ...]
+    other_names: tuple[str, ...]
 
     @property
     def n_failed(self) -> int:
@@ -108,11 +115,12 @@ class Screening:
 
     @property
     def response_names(self) -> tuple[str, ...]:
-        """Of the rows of the indices: frequencies of all modes, then their MAC."""
+        """Of the rows of the indices: frequencies of all modes, their MAC, then the others."""
         modes = [name.removeprefix("mode ") for name in self.modes]
         frequencies = tuple(f"frequency {name}" for name in modes)
         macs = tuple(f"MAC {name}" for name in modes)
-        return frequencies + (macs if self.responses.mac.shape[1] else ())
+        found = self.responses
+        return frequencies + (macs if found.mac.shape[1] else ()) + found.other_names
 
 
 def mode_names(numbers: Sequence[int], configurations: Sequence[str]) -> tuple[str, ...]:
@@ -120,4 +128,4 @@ def mode_names(numbers: Sequence[int], configurations: Sequence[str]) -> tuple[s
     return tuple(map(mode_name, numbers, configurations or [""] * len(numbers)))
 
 
-SCREENING = RecordFile(Screening, "screening", "screening.h5", 5)
+SCREENING = RecordFile(Screening, "screening", "screening.h5", 6)

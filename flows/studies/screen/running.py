@@ -26,7 +26,7 @@ from modetune.flows.studies.screen.choice import CandidateParameters, choose_par
 from modetune.flows.studies.screen.design import Design, Method, make_design
 from modetune.flows.studies.screen.importance import importance, loudest
 from modetune.flows.studies.screen.indices import Indices, design_indices
-from modetune.flows.studies.screen.local import local_sensitivity
+from modetune.flows.studies.screen.local import local_sensitivity, other_rows
 from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening, mode_names
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluators import evaluator_of
@@ -139,7 +139,14 @@ def _screening(
     candidates = CandidateParameters(
         campaign.parameters.names,
         values,
-        loudest(campaign, mode_names(numbers, configurations), design, local, found),
+        loudest(
+            campaign,
+            mode_names(numbers, configurations),
+            responses.other_names,
+            design,
+            local,
+            found,
+        ),
         local.missing,
         local.weighted,
         local.weighted_residual,
@@ -174,9 +181,9 @@ def _screening(
 
 
 def _relative(responses: Responses, nominal: Evaluation) -> Floats:
-    """Responses of the analysis, (n_points, n_responses): f / f_nominal - 1, and MAC."""
+    """Responses of the analysis, (n_points, n_responses): f / f_nominal - 1, MAC, and others."""
     here = nominal.seen.frequencies_hz[nominal.pairing.computed]
-    return np.hstack([responses.frequencies_hz / here - 1.0, responses.mac])
+    return np.hstack([responses.frequencies_hz / here - 1.0, responses.mac, responses.others])
 
 
 def _responses(
@@ -192,6 +199,8 @@ def _responses(
     n_modes = nominal.pairing.measured.size
     shaped = n_modes if campaign.test.has_shapes else 0
     frequencies, macs = np.full((n, n_modes), np.nan), np.full((n, shaped), np.nan)
+    beside = other_rows(nominal.residual)
+    others = np.full((n, beside.size), np.nan)
     failures, keys = [""] * n, [""] * n
     for place, item in enumerate(points):
         if isinstance(item, Evaluation):
@@ -199,7 +208,19 @@ def _responses(
             found = item.pairing.judged_mac[:shaped]
             # A mode whose test has no shapes, beside others that have some, keeps its own.
             macs[place] = np.where(np.isnan(found), 1.0, found)
+            found = item.residual.independent(item.residual.values)[beside]
+            others[place] = found / np.sqrt(item.residual.noise[beside])
             keys[place] = item.key
         else:
             failures[place] = str(item)
-    return Responses(frequencies, macs, tuple(failures), tuple(keys))
+    blocks, labels = nominal.residual.blocks, nominal.residual.labels
+    kinds = [block.kind for block in blocks for _ in range(block.size)]
+    return Responses(
+        frequencies,
+        macs,
+        tuple(failures),
+        tuple(keys),
+        others,
+        tuple(kinds[row] for row in beside.tolist()),
+        tuple(labels[row] for row in beside.tolist()),
+    )

@@ -79,7 +79,8 @@ class InteractionRow:
 class CandidateRow:
     """A candidate parameter; chosen: in what place, 0 where it is left out; rank: by importance.
 
-    frequencies, mac: its normalised sensitivities, by mode; indices: of the design's method, lists
+    frequencies, mac: its normalised sensitivities, by mode; others: by response of other kinds;
+    indices: of the design's method, lists
     over its responses.
     """
 
@@ -92,6 +93,7 @@ class CandidateRow:
     sensitivity: str
     frequencies: Floats
     mac: Floats
+    others: dict[str, list[float]]
     indices: dict[str, Any]
 
 
@@ -107,8 +109,18 @@ def _parameter(screening: Screening, place: int) -> CandidateRow:
         sensitivity=local.methods[place],
         frequencies=local.frequencies[:, place],
         mac=local.mac[:, place],
+        others=_others(screening, place),
         indices=_indices(screening, place),
     )
+
+
+def _others(screening: Screening, place: int) -> dict[str, list[float]]:
+    """Sensitivities of one parameter by the kind of response, in standard deviations."""
+    found: dict[str, list[float]] = {}
+    columns = screening.responses.other_kinds, screening.local.others[:, place].tolist()
+    for kind, value in zip(*columns, strict=True):
+        found.setdefault(kind, []).append(value)
+    return found
 
 
 def _indices(screening: Screening, place: int) -> dict[str, Any]:
@@ -146,6 +158,8 @@ def tables(screening: Screening) -> list[Table]:
     made = [_local_table(screening, "frequencies, (df/f) / (dp/p)", local.frequencies)]
     if local.mac.size:
         made.append(_local_table(screening, "MAC, dMAC / (dp/p)", local.mac))
+    if local.others.size:
+        made.append(_other_table(screening))
     if screening.indices is not None:
         made.append(_index_table(screening))
         if screening.indices.interactions.size and len(screening.names) > 1:
@@ -173,6 +187,31 @@ def _local_table(screening: Screening, what: str, rows: Floats) -> Table:
         for place in screening.choice.ranking
     )
     return Table(f"At the deck's values: {what} of test modes", columns, lines)
+
+
+def _other_table(screening: Screening) -> Table:
+    """How far parameters move other kinds of response over their bounds, root of the squares."""
+    found, local, design = screening.indices, screening.local, screening.design
+    rows = local.others * (design.upper - design.lower) if found is None else found.moves
+    squares = rows[len(rows) - len(local.others) :] ** 2
+    kinds = np.array(screening.responses.other_kinds)
+    names = tuple(dict.fromkeys(kinds.tolist()))
+    lines = tuple(
+        (
+            screening.names[place],
+            *(float(np.sqrt(squares[kinds == name, place].sum())) for name in names),
+        )
+        for place in screening.choice.ranking
+    )
+    columns = (
+        Column("parameter", words=True),
+        *(Column(name.replace("_", " "), form=".3g") for name in names),
+    )
+    return Table(
+        "Moved over the bounds beside frequencies, in standard deviations of the test",
+        columns,
+        lines,
+    )
 
 
 #: The measure that a terminal shows of each method, and what may stand behind it.

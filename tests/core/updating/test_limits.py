@@ -42,7 +42,7 @@ def test_a_step_is_the_least_within_limits_and_box(seed: int) -> None:
     limits = np.tile([-np.inf, np.inf], (7, 1))
     limits[:2, 0] = given.residual[:2] - 0.1  # both can move by little one way
     limits[:2, 1] = given.residual[:2] + 0.05
-    step = step_within(regularised, given, given.residual, given.sensitivity, limits)
+    step, _ = step_within(regularised, given, given.residual, given.sensitivity, limits)
     there = given.residual - given.sensitivity @ step.change
     assert not breach(there, limits).any()
 
@@ -67,7 +67,7 @@ def test_a_step_is_the_least_within_limits_and_box(seed: int) -> None:
 def test_without_limits_the_step_is_the_plain_one() -> None:
     given = problem(9)
     free = np.tile([-np.inf, np.inf], (7, 1))
-    found = step_within(regularised, given, given.residual, given.sensitivity, free)
+    found, _ = step_within(regularised, given, given.residual, given.sensitivity, free)
     np.testing.assert_array_equal(found.change, regularised(given).change)
 
 
@@ -75,7 +75,7 @@ def test_a_limit_that_is_broken_draws_the_step_back() -> None:
     given = problem(5)
     limits = np.tile([-np.inf, np.inf], (7, 1))
     limits[3] = [given.residual[3] - 0.3, given.residual[3] - 0.1]
-    step = step_within(regularised, given, given.residual, given.sensitivity, limits)
+    step, _ = step_within(regularised, given, given.residual, given.sensitivity, limits)
     there = given.residual - given.sensitivity @ step.change
     assert breach(given.residual, limits)[3] == pytest.approx(0.1)
     assert not breach(there, limits).any()

@@ -51,8 +51,10 @@ def screening(names: tuple[str, ...], chosen: tuple[str, ...]) -> Screening:
         design=Design(
             "lhs", np.ones((20, count)), np.arange(20), np.zeros(count), np.ones(count), 0
         ),
-        responses=Responses(np.ones((20, 1)), np.zeros((20, 0)), ("",) * 20, ("",) * 20),
-        local=LocalSensitivity(none, none, none, np.zeros(0), ("",) * count, ("",) * count),
+        responses=Responses(
+            np.ones((20, 1)), np.zeros((20, 0)), ("",) * 20, ("",) * 20, np.zeros((20, 0)), (), ()
+        ),
+        local=LocalSensitivity(none, none, none, none, np.zeros(0), ("",) * count, ("",) * count),
         indices=None,
         importance=np.ones(count),
         choice=ChosenParameters(verdicts, tuple(range(count)), (), ()),
