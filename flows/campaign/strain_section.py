@@ -51,6 +51,10 @@ class ModalStrainSection(Section):
         return self
 
     @property
+    def counts(self) -> bool:
+        return self.weight > 0.0
+
+    @property
     def mode_keys(self) -> tuple[str, ...]:
         return ("modes",)
 

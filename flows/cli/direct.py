@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.flows.cli.ending import Page, StudyEnd
 from modetune.flows.cli.options import (
     AsJson,
     At,
@@ -21,7 +21,7 @@ from modetune.flows.cli.options import (
     condensed,
     stoppable,
 )
-from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -53,6 +53,7 @@ def direct(
     out: Annotated[
         Path | None, typer.Option(help="Corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml.")
     ] = None,
+    page: Page = None,
     solver: SolverChoice = None,
     units: UnitsChoice = None,
     settings: Settings = None,
@@ -65,23 +66,24 @@ def direct(
         condensed("direct", model, test, at, solver, units, settings, no_prefect) as on,
     ):
         from modetune.adapters.matrices.exchange import check_form, write_matrices
+        from modetune.flows.report.study_page import check_page
         from modetune.flows.studies.condensation.direct import (
             correct_directly,
             filling_named,
             method_named,
         )
 
+        check_page(page)
         if out is not None:
             check_form(out)
         ways = method_named(method), filling_named(filling)
         found = correct_directly(on.campaign, on.values, *ways, mass_normalised, on.pages)
         written = write_matrices(out, found.matrices) if out is not None else ()
-        on.done(found.sentence, _tables(found), written)
-    if as_json:
-        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
-        return
-    said = *found.notes, found.sentence, *(f"written: {path}" for path in written)
-    show([*_tables(found), *said])
+        lines = [*found.notes, found.sentence]
+        told_so = "direct", on.campaign.name, found.sentence, told(found)
+        end = StudyEnd(*told_so, _tables(found), lines, written)
+        files = end.reported(on.pages, page)
+    end.tell(files, as_json)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.flows.cli.ending import Page, StudyEnd
 from modetune.flows.cli.options import (
     AsJson,
     At,
@@ -22,7 +22,7 @@ from modetune.flows.cli.options import (
     condensed,
     stoppable,
 )
-from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -51,6 +51,7 @@ def expand(
         Path | None, typer.Option(help="Folder for expanded.pvd, which ParaView opens.")
     ] = None,
     figures: Figures = None,
+    page: Page = None,
     solver: SolverChoice = None,
     units: UnitsChoice = None,
     settings: Settings = None,
@@ -62,20 +63,27 @@ def expand(
         stoppable(),
         condensed("expand", model, test, at, solver, units, settings, no_prefect) as on,
     ):
+        from modetune.flows.report.study_page import check_page
         from modetune.flows.studies.condensation.expand import expand_shapes
-        from modetune.flows.studies.condensation.expanded_files import check_files, write_files
+        from modetune.flows.studies.condensation.expanded_files import (
+            check_files,
+            error_chart,
+            write_files,
+        )
 
+        check_page(page)
         check_files(on.campaign, out, paraview)
         found = expand_shapes(on.campaign, on.values, method, modes, on.pages)
-        written = write_files(on.campaign, found, out, paraview, figures)
-        on.done(found.sentence, [_table(found)], written)
-    if as_json:
-        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
-        return
-    lines = [f"{item.method}: {item.unavailable}" for item in found.methods if item.unavailable]
-    if found.left_out:
-        lines.append(f"held in place in the model, so left out: {', '.join(found.left_out)}")
-    show([_table(found), *lines, found.sentence, *(f"written: {path}" for path in written)])
+        written = write_files(on.campaign, found, out, paraview)
+        lines = [f"{item.method}: {item.unavailable}" for item in found.methods if item.unavailable]
+        if found.left_out:
+            lines.append(f"held in place in the model, so left out: {', '.join(found.left_out)}")
+        told_so = "expand", on.campaign.name, found.sentence, told(found)
+        charts = {"held_out": error_chart(found)}
+        lines.append(found.sentence)
+        end = StudyEnd(*told_so, [_table(found)], lines, written, charts)
+        files = end.reported(on.pages, page, figures)
+    end.tell(files, as_json)
 
 
 @dataclass(frozen=True, slots=True)

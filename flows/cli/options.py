@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -17,7 +17,6 @@ from modetune.core.errors import CampaignStopped
 if TYPE_CHECKING:
     from modetune.core.storage.store import Store
     from modetune.flows.campaign.campaign import Campaign
-    from modetune.flows.report.tables import Table
     from modetune.flows.updating.prefect import Pages
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
@@ -142,11 +141,6 @@ class Condensed:
     campaign: Campaign
     values: Mapping[str, float]
     pages: Pages | None
-
-    def done(self, said: str, tables: Sequence[Table], written: Sequence[Path]) -> None:
-        """It has come to its end."""
-        if self.pages is not None:
-            self.pages.done(said, tables, written)
 
 
 @contextmanager

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.flows.cli.ending import Page, StudyEnd
 from modetune.flows.cli.options import (
     AsJson,
     At,
@@ -21,7 +21,7 @@ from modetune.flows.cli.options import (
     condensed,
     stoppable,
 )
-from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -54,6 +54,7 @@ def reduce(
             help="Matrices: .npz, .op4, .bdf (DMIG), or .yaml, a model that modetune takes."
         ),
     ] = None,
+    page: Page = None,
     solver: SolverChoice = None,
     units: UnitsChoice = None,
     settings: Settings = None,
@@ -66,26 +67,26 @@ def reduce(
         condensed("reduce", model, test, at, solver, units, settings, no_prefect) as on,
     ):
         from modetune.adapters.matrices.exchange import check_form, write_matrices
+        from modetune.core.modes import dof_name
+        from modetune.flows.report.study_page import check_page
         from modetune.flows.studies.condensation.reduce import (
             ReductionRequest,
             method_named,
             reduce_model,
         )
 
+        check_page(page)
         if out is not None:
             check_form(out)
         request = ReductionRequest(method_named(method), masters, modes)
         found = reduce_model(on.campaign, on.values, request, on.pages)
         written = write_matrices(out, found.matrices) if out is not None else ()
-        on.done(found.sentence, [_table(found)], written)
-    if as_json:
-        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
-        return
-    from modetune.core.modes import dof_name
-
-    held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
-    lines = [held] if found.held else []
-    show([_table(found), *lines, found.sentence, *(f"written: {path}" for path in written)])
+        held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
+        lines = [*([held] if found.held else []), found.sentence]
+        told_so = "reduce", on.campaign.name, found.sentence, told(found)
+        end = StudyEnd(*told_so, [_table(found)], lines, written)
+        files = end.reported(on.pages, page)
+    end.tell(files, as_json)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from modetune.flows.cli.ending import Page, StudyEnd
 from modetune.flows.cli.options import (
     AsJson,
     CampaignPath,
@@ -42,6 +42,7 @@ def scatter(
     points: Points = None,
     seed: Seed = 1,
     figures: Figures = None,
+    page: Page = None,
     settings: Settings = None,
     runs: Runs = Path("runs"),
     no_prefect: NoPrefect = False,
@@ -56,9 +57,13 @@ def scatter(
         from modetune.core.storage.files import check_writable
         from modetune.core.storage.record_file import read_record
         from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.report.study_page import check_page
+        from modetune.flows.studies.scatter.figures import scatter_charts
         from modetune.flows.studies.scatter.record import SCATTER
         from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
         from modetune.flows.studies.scatter.telling import findings, scatter_tables, summary, told
+
+        check_page(page)
 
         campaign = load_campaign(campaign_file, settings or [])
     folder = runs / campaign.name
@@ -74,28 +79,19 @@ def scatter(
     ):
         found = scatter_campaign(campaign, request, working, earlier, pages)
         SCATTER.write(folder / SCATTER.file, found)
-        written = [folder / SCATTER.file]
-        if figures is not None:
-            from modetune.flows.report.matplotlib_charts import save_all
-            from modetune.flows.studies.scatter.figures import scatter_charts
-
-            written += save_all(scatter_charts(found), figures)
-        judged, tables = findings(found), scatter_tables(found)
-        doubts = [finding.text for finding in judged if finding.red]
-        if pages is not None:
-            status = "unreliable" if doubts else "completed"
-            said = "; ".join(doubts) or "scatter found"
-            pages.done(said, tables, written, status, good=not doubts)
-    if as_json:
-        typer.echo(json.dumps(told(found, written)))
-    else:
-        from rich.text import Text
-
-        from modetune.flows.report.tables import show
-
         runs_said = f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}"
         model = [found.reduced_model.sentence] if found.reduced_model else []
-        lines = [Text(item.text, style="red" if item.red else "") for item in judged]
-        files = [f"written: {path}" for path in written]
-        show([*tables, *summary(found), *model, runs_said, *lines, *files])
-    raise typer.Exit(3 if doubts else 0)
+        judged = findings(found)
+        end = StudyEnd(
+            "scatter",
+            campaign.name,
+            "scatter found",
+            told(found),
+            scatter_tables(found),
+            [*summary(found), *model, runs_said, *(finding.text for finding in judged)],
+            [folder / SCATTER.file],
+            scatter_charts(found),
+            [finding.text for finding in judged if finding.red],
+        )
+        files = end.reported(pages, page, figures)
+    end.tell(files, as_json)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from modetune.flows.cli.ending import Page, StudyEnd
 from modetune.flows.cli.options import Figures, NoPrefect, Runs, Settings, begun, paged, stoppable
-
-if TYPE_CHECKING:
-    from modetune.flows.studies.screen.record import Screening
 
 CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML) with all candidates.")]
 MethodName = Annotated[str, typer.Option(help="local, morris, sobol, lhs or factorial.")]
@@ -37,6 +35,7 @@ def screen(
     choose: Choose = None,
     out: Out = None,
     figures: Figures = None,
+    page: Page = None,
     settings: Settings = None,
     runs: Runs = Path("runs"),
     no_prefect: NoPrefect = False,
@@ -50,13 +49,22 @@ def screen(
     """
     with begun(f"reading {campaign_file}"):
         from modetune.core.near_names import named
-        from modetune.core.storage.files import check_writable
+        from modetune.core.storage.files import check_writable, writing
         from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.report.study_page import check_page
         from modetune.flows.studies.screen.design import METHODS
+        from modetune.flows.studies.screen.figures import screening_charts
         from modetune.flows.studies.screen.proposal import check_out, write_proposal
         from modetune.flows.studies.screen.record import SCREENING
         from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
-        from modetune.flows.studies.screen.telling import proposed, tables
+        from modetune.flows.studies.screen.telling import (
+            lines,
+            proposed,
+            tables,
+            told,
+        )
+
+        check_page(page)
 
         known = named("--method", method, METHODS)
         campaign = load_campaign(campaign_file, settings or [])
@@ -73,30 +81,14 @@ def screen(
         screening = screen_campaign(campaign, request, working, pages)
         SCREENING.write(folder / SCREENING.file, screening)
         written = [folder / SCREENING.file]
-        if figures is not None:
-            from modetune.flows.report.matplotlib_charts import save_all
-            from modetune.flows.studies.screen.figures import screening_charts
-
-            written += save_all(screening_charts(screening), figures)
         if out is not None:
             written.append(write_proposal(campaign_file, screening, out))
-        if pages is not None:
-            pages.done(proposed(screening), tables(screening), written)
-    _tell(screening, folder, written, as_json)
-
-
-def _tell(screening: Screening, folder: Path, written: list[Path], as_json: bool) -> None:
-    from modetune.flows.studies.screen.telling import lines, tables, told
-
+        charts = screening_charts(screening) if figures or page else {}
+        made, said = tables(screening), lines(screening)
+        told_so = "screen", campaign.name, proposed(screening), told(screening)
+        end = StudyEnd(*told_so, made, said, written, charts)
+        files = end.reported(pages, page, figures)
     if as_json:
-        from modetune.core.storage.files import writing
-
-        shown = {**told(screening), "written": [str(path) for path in written]}
         with writing(folder / "screening.json") as part:
-            part.write_text(json.dumps(shown, indent=1), encoding="utf-8")
-        typer.echo(json.dumps(shown))
-        return
-    from modetune.flows.report.tables import show
-
-    said = [*lines(screening), *(f"written: {path}" for path in written)]
-    show([*tables(screening), *said])
+            part.write_text(json.dumps(end.json(files), indent=1), encoding="utf-8")
+    end.tell(files, as_json)

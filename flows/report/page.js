@@ -76,5 +76,5 @@
       links.get(entry.target.id).classList.add("here");
     }
   }, { rootMargin: "-10% 0px -80% 0px" });
-  document.querySelectorAll("main section").forEach((section) => reader.observe(section));
+  document.querySelectorAll("main section[id]").forEach((section) => reader.observe(section));
 })();

@@ -12,6 +12,7 @@ import base64
 import hashlib
 import re
 import shlex
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -64,17 +65,18 @@ def write_page(record: CampaignRecord, path: Path) -> Path:
 
 def write_chart(path: Path, chart: Chart) -> Path:
     """Write one chart as a page that answers the pointer. Raises StorageUnavailable."""
-    scripts = tuple(_asset(name) for name in ("space.js", "charts.js", "chart_page.js"))
-    text = (
-        _templates()
-        .get_template("chart.html")
-        .render(
-            heading=chart.title,
-            data=told_chart(chart),
-            **_frame(f"{chart.title} - modetune", scripts),
-        )
-    )
-    with writing(path) as part:
+    return written_page(path, "chart.html", f"{chart.title} - modetune", {"chart": chart})
+
+
+def written_page(
+    path: Path, template: str, title: str, charts: Mapping[str, Chart], **shown: Any
+) -> Path:
+    """Write a page of charts and what its template shows beside. Raises StorageUnavailable."""
+    scripts = tuple(_asset(name) for name in ("space.js", "charts.js", "page.js"))
+    data = {"charts": {name: told_chart(chart) for name, chart in charts.items()}}
+    made = _templates().get_template(template)
+    text = made.render(charts=charts, data=data, **shown, **_frame(title, scripts))
+    with writing(path, "name another place for it") as part:
         part.write_text(text.lstrip(), encoding="utf-8")
     return path
 

@@ -37,11 +37,7 @@ def check_files(campaign: Campaign, out: Path | None, paraview: Path | None) -> 
 
 
 def write_files(
-    campaign: Campaign,
-    found: Expansions,
-    out: Path | None,
-    paraview: Path | None,
-    figures: Path | None,
+    campaign: Campaign, found: Expansions, out: Path | None, paraview: Path | None
 ) -> list[Path]:
     """Write what was asked for of the chosen method. Raises StorageUnavailable."""
     written: list[Path] = []
@@ -68,10 +64,6 @@ def write_files(
 
         grids = mode_grids(mesh, modes)
         written.append(write_series(paraview, SERIES, grids, modes.frequencies_hz))
-    if figures is not None:
-        from modetune.flows.report.matplotlib_charts import save
-
-        written.append(save(error_chart(found), figures / "held_out.png"))
     return written
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -244,7 +243,25 @@ def posterior_table(record: PosteriorRecord) -> Table:
     return table_of("Posterior, relative to the deck", posterior_rows(record), PosteriorRow)
 
 
-def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
+def summary(record: PosteriorRecord) -> list[str]:
+    """What was done, in sentences."""
+    by_model = record.by_reduced_model
+    called = "reduced model" if by_model else "surrogate"
+    left_out = "" if by_model else f"{record.left_out.max():.2g} with a set left out, "
+    density = "" if by_model else f"; log density within {record.density_error:.2g}"
+    return [
+        *([record.points_by] if record.points_by else []),
+        f"solver runs: {record.runs.modal}, {record.runs.reused} answered by the store; the "
+        f"{called} rests on {record.near.size} sets, {int(record.near.sum())} of them near the "
+        f"posterior; sets left out: {len(record.failures)}",
+        f"{called}, in standard deviations of the test: worst response {left_out}"
+        f"{record.check_errors.max():.2g} at {len(record.check_keys)} checks{density}",
+        f"samples: {record.walkers} walkers, {record.steps - record.burned} steps kept, effective "
+        f"sample size {record.effective_sizes.min():.0f}, R-hat {record.r_hat.max():.3f}",
+    ]
+
+
+def told(record: PosteriorRecord) -> dict[str, Json]:
     """The `--json` object of `modetune sample`."""
     said = findings(record)
     errors = zip(record.training.names, record.left_out, record.check_errors, strict=True)
@@ -267,5 +284,4 @@ def told(record: PosteriorRecord, written: list[Path]) -> dict[str, Json]:
         solver_runs=record.runs,
         failed_runs=len(record.failures),
         wall_s=round(record.wall_s, 3),
-        written=written,
     )

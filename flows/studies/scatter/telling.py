@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -145,7 +144,7 @@ def _of_answer(record: ScatterRecord, answer: ScatterAnswer) -> list[tuple[bool,
     return found
 
 
-def told(record: ScatterRecord, written: list[Path]) -> dict[str, Json]:
+def told(record: ScatterRecord) -> dict[str, Json]:
     """The `--json` object of `modetune scatter`."""
     said = findings(record)
     return json_object(
@@ -163,5 +162,4 @@ def told(record: ScatterRecord, written: list[Path]) -> dict[str, Json]:
         ],
         solver_runs=record.runs,
         wall_s=round(record.wall_s, 3),
-        written=written,
     )

@@ -147,7 +147,7 @@ def test_checks_that_the_surrogate_fails_are_red(record: PosteriorRecord) -> Non
     spoiled = replace(record, check_errors=np.array([0.1, 2.5, 0.2]))
     (text,) = red(spoiled)
     assert "frequency of mode 2 by 2.5 standard deviations of the test" in text
-    assert told(spoiled, [])["status"] == "doubtful"
+    assert told(spoiled)["status"] == "doubtful"
 
 
 def test_chains_that_are_too_short_are_red(record: PosteriorRecord) -> None:
@@ -221,7 +221,7 @@ def test_the_record_reads_as_it_was_written_and_is_drawn(
 ) -> None:
     POSTERIOR.write(tmp_path / "posterior.h5", record)
     read = POSTERIOR.read(tmp_path / "posterior.h5")
-    assert told(read, []) == told(record, [])
+    assert told(read) == told(record)
     for name in ("samples", "log_densities", "near", "check_points", "peaks"):
         np.testing.assert_array_equal(getattr(read, name), getattr(record, name))
     assert read.training.names == record.training.names

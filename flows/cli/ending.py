@@ -1,0 +1,83 @@
+"""How studies end: their page, figures and Prefect's tables; on a terminal, or as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.flows.report.tables import Table, show
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.text import Text
+
+    from modetune.core.storage.keys import Json
+    from modetune.flows.report.chart import Chart
+    from modetune.flows.updating.prefect import Pages
+
+Page = Annotated[
+    Path | None, typer.Option(help="HTML page with its tables and charts, one file (.html).")
+]
+
+
+@dataclass(frozen=True)
+class StudyEnd:
+    """What a study came to.
+
+    said: in a sentence; told: its `--json` object; lines: below the tables; charts: by name of
+    their files; written: its own files; doubts: why it cannot be relied on, sentences among lines.
+    """
+
+    study: str
+    name: str
+    said: str
+    told: Mapping[str, Json]
+    tables: Sequence[Table]
+    lines: Sequence[str]
+    written: Sequence[Path] = ()
+    charts: Mapping[str, Chart | Figure | None] = field(default_factory=dict)
+    doubts: Sequence[str] = ()
+
+    def reported(
+        self, pages: Pages | None, page: Path | None = None, figures: Path | None = None
+    ) -> list[Path]:
+        """Its figures and its page written, its end told to Prefect's pages; all files of it."""
+        charts = {name: chart for name, chart in self.charts.items() if chart is not None}
+        written = list(self.written)
+        if figures is not None:
+            from modetune.flows.report.matplotlib_charts import save_all
+
+            written += save_all(charts, figures)
+        if page is not None:
+            from modetune.flows.report.study_page import write_study
+
+            written.append(write_study(page, self, charts))
+        if pages is not None:
+            status = "unreliable" if self.doubts else "completed"
+            said = "; ".join(self.doubts) or self.said
+            pages.done(said, self.tables, written, status, good=not self.doubts)
+        return written
+
+    def json(self, written: Sequence[Path]) -> dict[str, Json]:
+        """What machines are told."""
+        return {**self.told, "written": [str(path) for path in written]}
+
+    def tell(self, written: Sequence[Path], as_json: bool) -> None:
+        """To people or as JSON; ends with exit code 3 where it cannot be relied on."""
+        if as_json:
+            typer.echo(json.dumps(self.json(written)))
+        else:
+            files = (f"written: {path}" for path in written)
+            show([*self.tables, *map(self._marked, self.lines), *files])
+        if self.doubts:
+            raise typer.Exit(3)
+
+    def _marked(self, line: str) -> Text:
+        from rich.text import Text
+
+        return Text(line, style="red" if line in self.doubts else "")
