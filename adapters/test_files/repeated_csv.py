@@ -4,25 +4,29 @@
     1,    15.538,         44.660,         0.0064,    0.0112
     2,    15.558,         ,               0.0067,              (an empty value: not found)
 
-Modes are numbered by their headings; the first column may name the tests. Values may be in the
+Modes are numbered by their headings; the first column may name the tests. More columns may hold
+what else each test measured, under the response's name (`mass`, `displacement 6.x of load case 1`),
+in the deck's units. Values may be in the
 units of `tables`, and missing ones also be written as -, nan, n/a.
 """
 
 from __future__ import annotations
 
 import re
+from itertools import product
 
 import numpy as np
 
 from modetune.adapters.test_files.tables import FileTable, factor, heading, number
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.measurement import Measurement, RepeatedTests
+from modetune.core.measurement.measurement import Measurement, OtherValues, RepeatedTests
 from modetune.core.measurement.repeated import APART, measurement_of
 from modetune.core.modes import Floats
 
 NAMED = ("test", "run", "repetition", "specimen", "sample", "measurement")
 MISSING = ("", "-", "nan", "na", "n/a")
 QUANTITIES = ("frequency_hz", "damping_ratio")
+OTHERS = re.compile(r"(mass|centre|inertia|displacement|strain)\b|(centre|inertia)_", re.IGNORECASE)
 _OF_MODE = re.compile(r"(?:mode )?([^\d]+?) ?([0-9]{1,6})(?: hz)?|mode ([0-9]{1,6}) ([^\d]+)")
 
 
@@ -40,11 +44,14 @@ def repeated_of(table: FileTable) -> Measurement:
     columns = [_column(field) for field in header.fields]
     first = heading(header.fields[0])[0] in NAMED
     places: dict[tuple[str, int], tuple[int, float]] = {}
+    others: dict[str, int] = {}
     for place, (field, column) in enumerate(zip(header.fields, columns, strict=True)):
-        if column is None and not (place == 0 and first):
+        if column is None and OTHERS.match(field.strip()):
+            others[re.sub(r"[\s_]+", " ", field.strip())] = place
+        elif column is None and not (place == 0 and first):
             problems.append(
                 f"{header.where}: column `{field}` is neither a frequency nor a damping of a mode, "
-                "such as frequency_1_hz or damping_1"
+                "such as frequency_1_hz or damping_1, nor a mass, displacement or strain"
             )
         elif column is not None:
             meaning, mode, unit = column
@@ -73,13 +80,25 @@ def repeated_of(table: FileTable) -> Measurement:
                     "zero must be, or nothing"
                 )
             values[QUANTITIES.index(meaning), test, numbers.index(mode)] = value
+    beside = np.full((len(rows), len(others)), np.nan)
+    for (test, row), (at, own) in product(enumerate(rows), enumerate(others.values())):
+        field = row.fields[own].casefold() if own < len(row.fields) else ""
+        beside[test, at] = number(field)
+        if field not in MISSING and np.isnan(beside[test, at]):
+            problems.append(f"{row.where}: `{header.fields[own]}` has {field!r}, not a number")
     if not problems:
         problems = _apart(table, numbers, values[0])
     if problems:
         raise CampaignError(problems)
     try:
         return measurement_of(
-            RepeatedTests(tuple(row.where for row in rows), tuple(numbers), *values)
+            RepeatedTests(
+                tuple(row.where for row in rows),
+                tuple(numbers),
+                values[0],
+                values[1],
+                others=OtherValues(tuple(others), beside) if others else None,
+            )
         )
     except ModesError as error:
         raise CampaignError(f"{table.start}: {error}") from error

@@ -133,13 +133,25 @@ class MeasuredDeviations:
                 raise ModesError("each mode of a test needs deviations above zero")
 
 
+@dataclass(frozen=True, slots=True)
+class OtherValues:
+    """Values of repeated tests beside those of modes, in the deck's units.
+
+    names: as reports call the responses, "mass"; values: (n_tests, n_names), NaN where missing.
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class RepeatedTests:
     """What tests of one structure found, each on its own.
 
     places: of each test, its file, or file and line; numbers: of the modes. frequencies_hz,
     damping_ratios: (n_tests, n_modes), NaN where not found. used: (n_tests, n_modes), which
-    frequencies count, None where nobody looked yet; worth: how much of an independent test each is.
+    frequencies count, None where nobody looked yet; worth: how much of an independent test each is;
+    others: what else they measured.
     """
 
     places: tuple[str, ...]
@@ -148,6 +160,7 @@ class RepeatedTests:
     damping_ratios: Floats
     used: NDArray[np.bool_] | None = None
     worth: float = 1.0
+    others: OtherValues | None = None
 
     __repr__ = brief
 

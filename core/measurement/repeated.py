@@ -221,6 +221,21 @@ def _left_out(repeats: RepeatedTests, scatter: Scatter) -> list[str]:
     return said
 
 
+def damping_covariance(repeats: RepeatedTests, numbers: Sequence[int]) -> Floats:
+    """Covariance (n, n) of the mean damping ratios of these modes, as robust as the mean is.
+
+    (0, 0) where a mode has fewer than two, or all are alike.
+    """
+    columns = [repeats.numbers.index(number) for number in numbers]
+    ratios = repeats.damping_ratios[:, columns]
+    counts = np.isfinite(ratios).sum(axis=0)
+    if (counts < 2).any() or (np.nanstd(ratios, axis=0) == 0.0).any():
+        return np.zeros((0, 0))
+    found = scatter_of(ratios)
+    sizes = found.deviations / np.sqrt(found.used.sum(axis=0) * repeats.worth)
+    return np.asarray(_correlation(found.covariance, int(counts.min())) * np.outer(sizes, sizes))
+
+
 def _damping(repeats: RepeatedTests) -> Floats:
     """Mean damping ratios (n_modes,), none where a mode has fewer than two."""
     if (np.isfinite(repeats.damping_ratios).sum(axis=0) < 2).any():

@@ -325,6 +325,7 @@ def _read_case(
         measurement.notes,
         mapping.sensors,
         complex_shapes(measurement, test),
+        measurement.repeats,
     )
     if not problems:
         problems += file.residuals.problems(source, given, solver)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pydantic import Field
 
 from modetune.adapters.yaml_file import Place
+from modetune.core.measurement.repeated import damping_covariance
 from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.section import OTHERS, Positive, Section, Weights
@@ -19,7 +20,8 @@ class DampingSection(Section):
     weight: Weights = Field(default=1.0, validate_default=True)
     """Emphasis, of all modes or by mode; 0 leaves them out."""
     deviation: Positive = 0.1
-    """Standard deviation of measured ratios [of the ratio]"""
+    """Standard deviation of measured ratios; without it that of repeated tests, with what their
+    errors have in common [of the ratio]"""
     tolerance: Positive = 0.2
     """Largest error that e1 allows [of the measured ratio]"""
 
@@ -38,8 +40,10 @@ class DampingSection(Section):
     def response(self, given: TestedModel) -> DampingRatios:
         """As a test and a model have it, without what `problems` tells of."""
         weights = {number: self._weight(number) for number in given.test.numbers}
-        pairs = DampedPairs(given.deck.damping)
-        return DampingRatios(weights, self.deviation, self.tolerance, pairs)
+        own = weights, self.deviation, self.tolerance, DampedPairs(given.deck.damping)
+        if given.repeats is None or "deviation" in self.model_fields_set:
+            return DampingRatios(*own)
+        return DampingRatios(*own, damping_covariance(given.repeats, given.test.numbers))
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""

@@ -146,11 +146,11 @@ def _templates() -> Environment:
 
 
 def prose(text: str) -> Markup:
-    """A sentence as prose: a capital first (but of e1 and e2), a stop last, a real minus.
+    """A sentence as prose: a capital first (but of e1, e2 and files), a stop last, a real minus.
 
     A percent sign stays on the line of its number; what stands between backticks is code.
     """
-    if not text[1:2].isdigit():
+    if not text[1:2].isdigit() and "." not in text.partition(" ")[0].rstrip(".,:"):
         text = text[:1].upper() + text[1:]
     text = MINUS.sub("\N{MINUS SIGN}", text).replace(" %", "\N{NO-BREAK SPACE}%")
     if text[-1:] not in ".?!:":

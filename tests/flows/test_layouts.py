@@ -54,7 +54,7 @@ def digest(kind: Any) -> str:
     [
         (CAMPAIGN.kind, CAMPAIGN.format, (7, "226e9721fb5d")),
         (SCREENING.kind, SCREENING.format, (6, "102ac7d6aa9f")),
-        (SCATTER.kind, SCATTER.format, (1, "4857f5ed59a2")),
+        (SCATTER.kind, SCATTER.format, (2, "abe5ba0d35f1")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),
         (store.KINDS["matrices"], store.FORMAT, (4, "2a942894df94")),

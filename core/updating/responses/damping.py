@@ -7,7 +7,7 @@ M; a mode is the damped one that its real mode becomes (`core/updating/damped_pa
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -29,13 +29,15 @@ class DampingRatios:
     """Modal damping ratios of the pairs.
 
     weights: by number of the test's modes, 0 of those whose ratio is not above 0; deviation,
-    tolerance: of the measured ratio.
+    tolerance: of the measured ratio. covariance: (n_modes, n_modes), of the test's mean ratios;
+    (0, 0) where the deviation counts.
     """
 
     weights: Mapping[int, float]
     deviation: float
     tolerance: float
     pairs: DampedPairs
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     kind: ClassVar[str] = "damping"
     needs: ClassVar[frozenset[Need]] = frozenset({"matrices", "losses"})
 
@@ -49,7 +51,9 @@ class DampingRatios:
             None,
             measured - self.pairs.of(state).modes.damping_ratios,
             np.array([self.weights[number] for number in numbers]),
-            (self.deviation * np.where(measured > 0.0, measured, 1.0)) ** 2,
+            self.covariance[np.ix_(pairs, pairs)]
+            if self.covariance.size
+            else (self.deviation * np.where(measured > 0.0, measured, 1.0)) ** 2,
             measured=measured,
         )
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats, Integers
+from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training
 from modetune.flows.updating.evaluation import Evaluation
@@ -82,6 +83,11 @@ class PointSolver:
         self.failures: list[str] = []
         self._known: list[Evaluation] = []
         self._misfits: list[float] = []
+
+    @property
+    def residual(self) -> Residual:
+        """Of the first set that was solved."""
+        return self._known[0].residual
 
     def reduced(self) -> ReducedFeatures | None:
         """The residual by a reduced model between the bounds, modes tracked from the sets solved so

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from modetune.core.modes import Floats
 from modetune.flows.report.chart import PARAMETER_COLOURS, TEST, Axis, Chart, Curve, Panel
 from modetune.flows.studies.scatter.record import ScatterRecord
+from modetune.flows.studies.scatter.telling import is_frequency
 
 #: Pairs of neighbours that are drawn, at most; points of an ellipse.
 SHOWN, POINTS = 9, 181
@@ -27,7 +28,7 @@ def scatter_chart(record: ScatterRecord) -> Chart | None:
     what each answer predicts. None of one mode."""
     panels = []
     measured = np.nanmean(record.tests, axis=0)
-    for x, y in list(pairwise(range(len(record.modes))))[:SHOWN]:
+    for x, y in list(pairwise(range(len(record.measured))))[:SHOWN]:
         both = [x, y]
         dots = 100.0 * record.tests[:, both]
         ring = _ellipse(measured[both], record.covariance[np.ix_(both, both)])
@@ -42,8 +43,8 @@ def scatter_chart(record: ScatterRecord) -> Chart | None:
         panels.append(
             Panel(
                 tuple(items),
-                Axis(f"mode {record.modes[x]}: % of {record.means_hz[x]:.5g} Hz"),
-                Axis(f"mode {record.modes[y]}: % of {record.means_hz[y]:.5g} Hz"),
+                Axis(_told(record, x)),
+                Axis(_told(record, y)),
             )
         )
     return _chart(record, "frequencies from test to test", panels)
@@ -67,6 +68,11 @@ def answers_chart(record: ScatterRecord) -> Chart | None:
         ]
         panels.append(Panel(tuple(items), Axis(record.names[x]), Axis(record.names[y])))
     return _chart(record, "means of the parameters, relative to the deck", panels)
+
+
+def _told(record: ScatterRecord, place: int) -> str:
+    name, unit = record.measured[place], " Hz" if is_frequency(record.measured[place]) else ""
+    return f"{name.removeprefix('frequency of ')}: % of {record.sizes[place]:.5g}{unit}"
 
 
 def _chart(record: ScatterRecord, told: str, panels: list[Panel]) -> Chart | None:

@@ -1,8 +1,8 @@
 """The record of a scatter study, scatter.h5: what repeated tests say of the parameters' scatter.
 
 The file is the dataclass ScatterRecord below as `core/storage/codec` writes it, behind a seal.
-Values of parameters are relative to the deck's, frequencies to their measured means; covariances
-are of one test. Several answers that explain the mean of the tests stand side by side.
+Values of parameters are relative to the deck's, measured ones to their means; covariances are of
+one test. Several answers that explain the mean of the tests stand side by side.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class ScatterAnswer:
     share: of the posterior of the mean (Laplace). mean: (n_parameters,); covariance: (n_free,
     n_free), of the parameters that scatter, by sampling; linear_covariance: by perturbation.
     mean_interval: (2, n_parameters), deviation_interval: (2, n_free), noise_interval: (2,): 95 %.
-    draws: (n, n_parameters) of the mean; deviation_draws: (n, n_free). predicted: (n_modes,),
-    predicted_covariance: (n_modes, n_modes), of frequencies with the measurement's own scatter;
+    draws: (n, n_parameters) of the mean; deviation_draws: (n, n_free). predicted: (m,),
+    predicted_covariance: (m, m), of the measured values with the measurement's own scatter;
     noise: its deviation. lack: how likely the tests scatter so where this is right; cut: what of
     the covariance was negative; rounds: until nothing moved, 0: not reached. off: how much of the
     measured scatter full solutions at drawn sets are away from what the answer was found by, NaN
@@ -53,9 +53,10 @@ class ScatterAnswer:
 class ScatterRecord:
     """A scatter study from its tests to its judgement.
 
-    names: of the parameters; free: of those that scatter; modes: numbers of the test's modes.
-    tests: (n_tests, n_modes), relative to the mean, NaN where missing or left out; covariance:
-    (n_modes, n_modes), measured; worth: independent tests that they are worth. noise_told: whether
+    names: of the parameters; free: of those that scatter; measured: names of the measured values;
+    means: (m,), of the tests, in their units. tests: (n_tests, m), less the means and over `sizes`
+    (m,), which are the means of frequencies, NaN where missing or left out; covariance: (m, m),
+    measured, across all kinds; worth: independent tests that they are worth. noise_told: whether
     the measurement's own scatter was given. notes: of the tests.
     """
 
@@ -68,8 +69,9 @@ class ScatterRecord:
     wall_s: float
     names: tuple[str, ...]
     free: tuple[str, ...]
-    modes: tuple[int, ...]
-    means_hz: Floats
+    measured: tuple[str, ...]
+    means: Floats
+    sizes: Floats
     tests: Floats
     covariance: Floats
     worth: float
@@ -82,4 +84,4 @@ class ScatterRecord:
     __repr__ = brief
 
 
-SCATTER = RecordFile(ScatterRecord, "scatter study", "scatter.h5", 1)
+SCATTER = RecordFile(ScatterRecord, "scatter study", "scatter.h5", 2)

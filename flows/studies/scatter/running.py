@@ -10,7 +10,7 @@ that check it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from modetune import __version__
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import RepeatedTests
 from modetune.core.measurement.scatter import scatter_of
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.parameter_scatter import (
@@ -34,6 +34,7 @@ from modetune.core.updating.parameter_scatter import (
     noise_outside,
     normal_draws,
 )
+from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.studies.sample.running import Known, SamplingRequest, learned_posterior
@@ -102,18 +103,18 @@ def scatter_campaign(
         raise CampaignError(problems)
     free = tuple(name for name in names if name in request.of) or names
     sampling = SamplingRequest(points=request.points, seed=request.seed)
-    n_modes = int(campaign.case.weighting.frequencies_used.sum())
-    if len(free) > n_modes:
+    n_values = len(_names_of(campaign))
+    if len(free) > n_values:
         raise CampaignError(
-            f"{n_modes} frequencies do not tell how {len(free)} parameters differ from test to "
-            f"test: name at most {n_modes} of them with --of (others are the same in all)"
+            f"{n_values} measured values do not tell how {len(free)} parameters differ from test "
+            f"to test: name at most {n_values} of them with --of (others are the same in all)"
         )
     wide = _of_one_test(campaign)
     with learned_posterior(wide, sampling, working, earlier, watcher) as known:
-        modes = _modes(known)
+        values = _values(known)
         if known.reduced is None:
             known = _nearer(known, np.random.default_rng(request.seed))
-        means, tests = _tests(known, modes, request.deviation)
+        tests = _tests(known, values, request.deviation)
         columns = np.array([names.index(name) for name in free], dtype=np.int64)
         parameters = known.campaign.parameters
         before = Beforehand(parameters.initial, parameters.standard_deviations, columns)
@@ -121,7 +122,7 @@ def scatter_campaign(
         for place in range(known.learned.peaks.n_peaks):
             working(f"scatter around answer {place + 1} of {known.learned.peaks.n_peaks}")
             with one_thread():
-                answers.append(_answer(known, place, tests, before, request, len(modes)))
+                answers.append(_answer(known, place, tests, before, request, values))
         evaluator, shares = known.solver.evaluator, _shares(answers, tests, before)
         return ScatterRecord(
             name=campaign.name,
@@ -133,12 +134,13 @@ def scatter_campaign(
             wall_s=time.monotonic() - started,
             names=names,
             free=free,
-            modes=modes,
-            means_hz=means,
+            measured=values.names,
+            means=values.means,
+            sizes=values.sizes,
             tests=tests.values,
             covariance=tests.covariance,
             worth=tests.n,
-            noise_told=_noise_told(request, len(modes), len(free)),
+            noise_told=_noise_told(request, len(values.names), len(free)),
             notes=campaign.case.measurement.notes,
             answers=tuple(
                 replace(answers[place][0], share=float(shares[place]))
@@ -165,7 +167,11 @@ def _of_one_test(campaign: Campaign) -> Campaign:
         frequency_deviations=np.maximum(found.deviations / found.mean, LEAST),
         frequency_correlation=np.zeros((0, 0)),
     )
-    return replace(campaign, cases=(replace(case, weighting=weighting),))
+    compared = tuple(
+        replace(item, covariance=np.zeros((0, 0))) if isinstance(item, DampingRatios) else item
+        for item in case.compared
+    )
+    return replace(campaign, cases=(replace(case, weighting=weighting, compared=compared),))
 
 
 def _used_hz(repeats: RepeatedTests) -> Floats:
@@ -191,47 +197,119 @@ def _noise_told(request: ScatterRequest, n_modes: int, n_free: int) -> bool:
     return request.deviation is not None or n_modes == n_free
 
 
-def _modes(known: Known) -> tuple[int, ...]:
-    """Numbers of the modes whose frequencies are compared. Raises CampaignError."""
-    there = known.learned.training.names
-    numbers = known.campaign.case.test.numbers
-    found = tuple(number for number in numbers if f"frequency of mode {number}" in there)
-    if not found:
-        raise CampaignError("no frequency is compared, so nothing tells how tests scatter")
-    return found
+@dataclass(frozen=True, slots=True)
+class MeasuredValues:
+    """Values that tests were repeated for, as a campaign compares them.
+
+    names: of the responses; columns: (m,), of them in a standardised residual; means: (m,), of the
+    tests, in their units; sizes: (m,), by which the tests' values are divided: means of
+    frequencies; of others what makes the measurement err alike, as the campaign's deviations say.
+    deviations, targets: (m,), that residuals are standardised by, and measured from. root:
+    (n_modes, n_modes), of the frequencies, which come first.
+    """
+
+    names: tuple[str, ...]
+    columns: Integers
+    means: Floats
+    sizes: Floats
+    deviations: Floats
+    targets: Floats
+    root: Floats
+
+    @property
+    def n_modes(self) -> int:
+        """How many are frequencies."""
+        return len(self.root)
+
+    def of(self, standardised: Floats) -> Floats:
+        """What the model has (n, m), less the tests' means and over the sizes."""
+        own = standardised[:, self.columns]
+        eigenvalues = 1.0 - own[:, : self.n_modes] @ self.root.T
+        found = self.targets - own * self.deviations
+        found[:, : self.n_modes] = (
+            np.sqrt(np.maximum(eigenvalues, 0.0)) * self.means[: self.n_modes]
+        )
+        return np.asarray((found - self.means) / self.sizes)
 
 
-def _tests(
-    known: Known, modes: tuple[int, ...], deviation: float | None
-) -> tuple[Floats, TestScatter]:
-    """Means (n_modes,) in Hz that tests are relative to, and what the tests measured."""
-    case = known.campaign.case
-    repeats = case.measurement.repeats
+def _names_of(campaign: Campaign) -> list[str]:
+    """Responses that the tests were repeated for and the campaign compares. Raises CampaignError
+    where a table has more."""
+    case, repeats = campaign.case, campaign.case.measurement.repeats
     assert repeats is not None
-    columns = [repeats.numbers.index(number) for number in modes]
-    means = case.test.modes.frequencies_hz[[case.test.numbers.index(n) for n in modes]]
-    values = _used_hz(repeats)[:, columns] / means - 1.0
-    values = values[np.isfinite(values).any(axis=1)]
-    found = scatter_of(values)
-    noise = (deviation or 0.0) ** 2 * np.eye(len(modes))
-    kept = np.where(found.used, values, np.nan)
-    worth = repeats.worth * len(values)
-    return means, TestScatter(kept, found.mean, found.covariance, noise, worth)
+    used = zip(case.test.numbers, case.weighting.frequencies_used.tolist(), strict=True)
+    found = [f"frequency of mode {number}" for number, counts in used if counts]
+    if "damping" in campaign.residuals.kinds and np.isfinite(repeats.damping_ratios).any():
+        found += [f"damping of mode {number}" for number in case.test.numbers]
+    return found + list(() if repeats.others is None else repeats.others.names)
 
 
-def _model(known: Known, n_modes: int) -> Model:
-    """Frequencies (n, n_modes) at sets, relative to the measured means, by what was learned."""
-    surrogate, root = known.reduced or known.learned.surrogate, _root_of(known)
+def _values(known: Known) -> MeasuredValues:
+    """The values that were repeated. Raises CampaignError where one is not compared."""
+    campaign = known.campaign
+    case, repeats, there = campaign.case, campaign.case.measurement.repeats, known.solver.residual
+    assert repeats is not None
+    labels = [label for label, weight in zip(there.labels, there.weights, strict=True) if weight]
+    wanted = [name for name in _names_of(campaign) if name in labels or " mode " not in name]
+    lost = [name for name in wanted if name not in labels]
+    if lost:
+        raise CampaignError(
+            f"{repeats.places[0]}: the tests have a column `{lost[0]}`, but the campaign compares "
+            f"no such response; it compares {', '.join(dict.fromkeys(labels))}: name it under "
+            "`residuals`, or leave the column out"
+        )
+    if not wanted or not wanted[0].startswith("frequency"):
+        raise CampaignError("no frequency is compared, so nothing tells how tests scatter")
+    numbers = [int(name.split()[-1]) for name in wanted if name.startswith("frequency")]
+    columns = np.array([labels.index(name) for name in wanted], dtype=np.int64)
+    used = np.flatnonzero(there.weights > 0.0)[columns]
+    deviations, n = np.sqrt(there.noise[used]), len(numbers)
+    own = case.weighting.modes([case.test.numbers.index(number) for number in numbers])
+    covariance = 4.0 * own.frequency_covariance
+    root = np.linalg.cholesky(covariance if covariance.ndim == 2 else np.diag(covariance))
+    told = np.concatenate(
+        [np.zeros(0)]
+        + [b.measured if b.measured.size else np.full(b.size, np.nan) for b in there.blocks]
+    )
+    means = np.nanmean(_of_tests(repeats, wanted), axis=0)
+    means[:n] = [
+        case.test.modes.frequencies_hz[case.test.numbers.index(number)] for number in numbers
+    ]
+    sizes = means.copy()
+    sizes[n:] = deviations[n:] / campaign.residuals.of_others("frequency_deviation")
+    return MeasuredValues(tuple(wanted), columns, means, sizes, deviations, told[used], root)
 
-    def frequencies(sets: Floats) -> Floats:
-        return _relative(surrogate.residuals(sets)[:, :n_modes], root)
 
-    return frequencies
+def _of_tests(repeats: RepeatedTests, names: Sequence[str]) -> Floats:
+    """What each test measured (n_tests, m), NaN where missing or left out."""
+    columns = []
+    for name in names:
+        kind, _, number = name.partition(" of mode ")
+        if kind in ("frequency", "damping") and number:
+            table = _used_hz(repeats) if kind == "frequency" else repeats.damping_ratios
+            columns.append(table[:, repeats.numbers.index(int(number))])
+        else:
+            assert repeats.others is not None
+            columns.append(repeats.others.values[:, repeats.others.names.index(name)])
+    return np.stack(columns, axis=1)
 
 
-def _relative(standardised: Floats, root: Floats) -> Floats:
-    """Frequencies over the measured ones, less 1: the residual is of eigenvalues."""
-    return np.asarray(np.sqrt(np.maximum(1.0 - standardised @ root.T, 0.0)) - 1.0)
+def _tests(known: Known, values: MeasuredValues, deviation: float | None) -> TestScatter:
+    """What the tests measured, less the means and over the sizes."""
+    repeats = known.campaign.case.measurement.repeats
+    assert repeats is not None
+    measured = (_of_tests(repeats, values.names) - values.means) / values.sizes
+    measured = measured[np.isfinite(measured).any(axis=1)]
+    found = scatter_of(measured)
+    noise = (deviation or 0.0) ** 2 * np.eye(len(values.names))
+    kept = np.where(found.used, measured, np.nan)
+    return TestScatter(kept, found.mean, found.covariance, noise, repeats.worth * len(measured))
+
+
+def _model(known: Known, values: MeasuredValues) -> Model:
+    """The values (n, m) at sets, as the tests' are told, by what was learned."""
+    surrogate = known.reduced or known.learned.surrogate
+    return lambda sets: values.of(surrogate.residuals(sets))
 
 
 def _answer(
@@ -240,15 +318,15 @@ def _answer(
     tests: TestScatter,
     before: Beforehand,
     request: ScatterRequest,
-    n_modes: int,
+    values: MeasuredValues,
 ) -> tuple[ScatterAnswer, ParameterScatter]:
-    peaks, model = known.learned.peaks, _model(known, n_modes)
+    peaks, model, m = known.learned.peaks, _model(known, values), len(values.names)
     start, width = peaks.points[place], np.sqrt(np.diag(peaks.covariances[place]))
     reach = REACH * width
-    told = _noise_told(request, n_modes, before.free.size)
+    told = _noise_told(request, m, before.free.size)
     linear = match_scatter(tests, model, reach, before, start)
     if not told:
-        tests = replace(tests, noise=noise_outside(tests, linear, before.free) * np.eye(n_modes))
+        tests = replace(tests, noise=noise_outside(tests, linear, before.free) * np.eye(m))
         linear = match_scatter(tests, model, reach, before, start)
     draws = normal_draws(DRAWS, before.free.size, request.seed)
     found = match_scatter(tests, model, reach, before, linear.mean, draws)
@@ -256,7 +334,7 @@ def _answer(
     sets = np.tile(found.mean, (CHECKS, 1))
     spread = rng.multivariate_normal(np.zeros(before.free.size), found.covariance, CHECKS - 1)
     sets[1:, before.free] += spread
-    missed = _missed(known, sets, n_modes)
+    missed = _missed(known, sets, values)
     found = _corrected(found, tests, before, missed[0])
     drawn = draw_scatter(tests, found, before, rng, SWEEPS, told)
     deviations = np.sqrt(np.diagonal(drawn.covariances, axis1=1, axis2=2))
@@ -301,23 +379,15 @@ def _shares(
     return np.asarray(shares / shares.sum())
 
 
-def _missed(known: Known, sets: Floats, n_modes: int) -> Floats:
-    """What full solutions have more than what was learned, (n, n_modes), relative frequencies."""
+def _missed(known: Known, sets: Floats, values: MeasuredValues) -> Floats:
+    """What full solutions have more than what was learned, (n, m)."""
     parameters = known.campaign.parameters
     inside = np.clip(sets, parameters.lower, parameters.upper)
     solved = known.solver.solve("checks", inside)
     if len(solved.keys) < len(sets):
         raise CampaignError("a set of an answer cannot be solved; narrow the parameters' bounds")
-    missed = known.learned.missed(solved.training)[:, :n_modes]
-    return np.asarray(-0.5 * missed @ _root_of(known).T)
-
-
-def _root_of(known: Known) -> Floats:
-    """What standardised residuals of frequencies are multiplied by."""
-    case = known.campaign.case
-    own = case.weighting.modes([case.test.numbers.index(number) for number in _modes(known)])
-    covariance = 4.0 * own.frequency_covariance
-    return np.linalg.cholesky(covariance if covariance.ndim == 2 else np.diag(covariance))
+    truth = solved.training.values
+    return values.of(truth) - values.of(truth - known.learned.missed(solved.training))
 
 
 def _corrected(

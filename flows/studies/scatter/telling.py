@@ -76,11 +76,18 @@ def _which(place: int, answer: ScatterAnswer, several: bool) -> str:
     return f": answer {place + 1} ({share} of the posterior)" if several else ""
 
 
+def is_frequency(name: str) -> bool:
+    """Whether a measured value is a frequency."""
+    return name.startswith("frequency of ")
+
+
 def summary(record: ScatterRecord) -> list[str]:
     """What was done, in sentences."""
-    n_modes, n_tests = len(record.modes), len(record.tests)
+    n_modes, n_tests = sum(map(is_frequency, record.measured)), len(record.tests)
+    more = len(record.measured) - n_modes
     left = int(np.isnan(record.tests).sum())
     said = f"{n_tests} tests of {n_modes} frequencies"
+    said += f" and {more} other values" if more else ""
     said += f", {left} values missing or left out" if left else ""
     said += f", worth {record.worth:.0f} independent ones" if record.worth < n_tests - 0.5 else ""
     noise = record.answers[0].noise
@@ -149,7 +156,7 @@ def told(record: ScatterRecord) -> dict[str, Json]:
     said = findings(record)
     return json_object(
         record,
-        "names free modes means_hz covariance worth noise_told notes reduced_model",
+        "names free measured means sizes covariance worth noise_told notes reduced_model",
         status="doubtful" if any(finding.red for finding in said) else "done",
         findings=said,
         answers=[
