@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -186,3 +187,18 @@ def test_shapes_and_values_are_checked_at_the_door() -> None:
         replace(p, residual=np.full(4, np.nan))
     with pytest.raises(CampaignError, match="above its upper"):
         replace(p, lower=np.full(2, 2e6))
+
+
+@pytest.mark.parametrize("prior", [None, np.array([2.0, 1.0, 3.0, 0.5])])
+def test_what_is_held_has_no_variance_and_the_rest_that_of_the_condition(prior: Any) -> None:
+    random = np.random.default_rng(4)
+    slopes, variances = random.standard_normal((9, 4)), random.uniform(0.5, 2.0, 9)
+    held = np.array([[1.0, 0.5, 0.0, -0.3], [0.0, 0.0, 1.0, 0.0]])
+    free = parameter_covariance(slopes, variances, 1.0 / variances, prior)
+    found = parameter_covariance(slopes, variances, 1.0 / variances, prior, held)
+    # Of a normal distribution under the condition held d = 0.
+    across = free @ held.T
+    wanted = free - across @ np.linalg.solve(held @ across, across.T)
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+    unseen = parameter_covariance(slopes * [0.0, 1.0, 1.0, 1.0], variances, 1.0 / variances)
+    assert np.isinf(unseen[0, 0])

@@ -110,6 +110,12 @@ def test_a_limit_between_start_and_truth_is_where_updating_ends(
     assert all(value <= 4.7 for value in masses(record))
     # As far inside as INSIDE of the last changes leaves it.
     assert masses(record)[-1] == pytest.approx(4.7, rel=1e-4)
+    # The limit alone decides the one parameter: nothing is left that could scatter.
+    assert record.standard_errors[0] < 1e-3
+    assert record.trust is not None
+    assert record.trust.verdict != "trusted"
+    assert any("more than the limit of mass allows" in said for said in record.trust.concerns)
+    assert "not met: the limit" not in record.reason
 
 
 def test_a_start_beyond_a_limit_comes_back_into_it(tmp_path: Path, watcher: Any) -> None:
