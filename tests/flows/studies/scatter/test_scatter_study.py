@@ -119,7 +119,7 @@ def test_the_campaign_weighs_by_the_whole_covariance(row: Path) -> None:
     [
         (("--of", "k2"), "--of k2: the campaign has no such parameter"),
         (("--measurement-deviation", "-1"), "--measurement-deviation -1: expected 0 or more"),
-        (("--set", "test.use=[1]"), "1 frequencies do not tell how 2 parameters differ"),
+        (("--set", "test.use=[1]"), "1 measured values do not tell how 2 parameters differ"),
         (("--set", "test.modes=one.csv"), "campaign.yaml: the test was not repeated"),
     ],
 )
