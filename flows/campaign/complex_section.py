@@ -27,6 +27,10 @@ class ComplexSection(Section):
     """Least MAC of complex shapes that e1 allows."""
 
     @property
+    def counts(self) -> bool:
+        return any(self.weight.values())
+
+    @property
     def mode_keys(self) -> tuple[str, ...]:
         return ("weight",)
 
