@@ -68,8 +68,9 @@ class Dampers:
 
 
 def damps_only(parameter: Parameter, parameters: Iterable[Parameter]) -> bool:
-    """Whether a parameter, and what follows from it, moves damping alone."""
-    return all(item.quantity in DAMPING for item in (parameter, *driven_by(parameter, parameters)))
+    """Whether a parameter, and what follows from it, moves no stiffness and no mass."""
+    moved = {item.quantity for item in (parameter, *driven_by(parameter, parameters))}
+    return moved <= DAMPING | {"variable"}
 
 
 def group(by: TargetKind, target: str) -> Parameter:

@@ -84,11 +84,13 @@ class MatrixDeck(Deck):
         )
 
     def numbers(self, parameter: Parameter) -> list[Number]:
-        if parameter.expression or parameter.quantity == "variable":
+        if parameter.expression:
             raise ModelError(
                 "relations between parameters are unavailable for a model of matrices; update its "
                 "parts themselves"
             )
+        if parameter.quantity == "variable":
+            return []
         parts = zip(parameter.targets, self.model.targets(parameter), strict=True)
         found = []
         for target, part in parts:
@@ -104,7 +106,7 @@ class MatrixDeck(Deck):
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         parts = self.model.targets(parameter)
         own = parameter.proportional and all(part.mass is None for part in parts)
-        return parameter.targets if own else ()
+        return parameter.targets if parts and own else ()
 
     def is_linear(self, parameter: Parameter) -> bool:
         return True

@@ -83,7 +83,7 @@ class MatrixModel:
     def targets(self, parameter: Parameter) -> list[MatrixPart]:
         """The parts of a parameter. Raises ModelError with the first reason why it has none."""
         found = []
-        for name in parameter.targets:
+        for name in () if parameter.quantity == "variable" else parameter.targets:
             part = self.part(name)
             if part.quantity != parameter.quantity:
                 raise ModelError(
@@ -121,7 +121,7 @@ class MatrixModel:
         columns = {
             names.index(target): column
             for column, parameter in enumerate(parameters)
-            for target in parameter.targets
+            for target in self.factors(parameter, 1.0)
         }
         stiffness, mass = (
             tuple(
@@ -161,7 +161,7 @@ class MatrixModel:
         return {
             name: shown if plain else parameter.number(part.value, value) / part.value
             for name in parameter.targets
-            if (part := self.parts.get(name)) is not None
+            if (part := self.parts.get(name)) is not None and parameter.quantity != "variable"
         }
 
     def assembled(self, factors: Factors) -> MatrixResult:

@@ -167,6 +167,13 @@ class FrfModes:
         )
         return np.asarray((omega**2 + self.shift) * mass - stiff - 1j * omega * damp)
 
+    def slope_by_damping(
+        self, omega: Floats, outputs: Integers | int, forces: Integers | int, ratios: Floats
+    ) -> Complexes:
+        """The same where the modes' ratios change by these, (n_modes,), as `damped` takes them."""
+        both = self.gained(omega, outputs) * self.gained(omega, forces)
+        return np.asarray(-2j * omega * (both @ (self.root * self.damped(ratios).damping)))
+
 
 def near(
     model: ParameterMatrices, theta: Floats, modes: FrfModes, highest_hz: float

@@ -6,22 +6,34 @@ from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from modetune.adapters.yaml_file import Place
 from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.frf_lines import chosen_lines, log_variances
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.modes import dof_name
+from modetune.core.parameters import DAMPING
+from modetune.core.updating.damping import Linear
 from modetune.core.updating.responses.frf import Frf, FrfCurve
 from modetune.flows.campaign.observing import nothing_seen, observer
-from modetune.flows.campaign.section import NotNegative, Positive, Section, Share
+from modetune.flows.campaign.section import (
+    OTHERS,
+    Name,
+    NotNegative,
+    Positive,
+    Section,
+    Share,
+    by_mode,
+)
 from modetune.flows.campaign.tested_model import TestedModel
 
 #: Of the lowest and the highest frequency of the used modes: where the band ends by itself.
 BELOW, ABOVE = 0.7, 1.1
 #: What readers' notes on functions without reference, or units, have in them.
 OF_FUNCTIONS = "response function"
+#: A damping ratio, or the name of a variable that is one.
+Ratio = Annotated[float, Field(gt=0.0, lt=1.0)] | Name
 
 
 class FrfSection(Section):
@@ -39,9 +51,12 @@ class FrfSection(Section):
     """Averages behind the coherence, by which it tells the noise."""
     coherence: Share = 0.8
     """Least coherence of a frequency that is used."""
-    damping: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-    """Damping ratio of all modes; without it those of the test's modes, and their median of modes
-    without a partner [of the critical]"""
+    damping: Annotated[
+        dict[str, Ratio], BeforeValidator(by_mode, json_schema_input_type=Ratio | dict[str, Ratio])
+    ] = Field(default={})
+    """Damping ratio, of all modes or by mode, or the name of a `variable` parameter that is one;
+    without it those of the test's modes, and their median of modes without a partner [of the
+    critical]"""
     frac: Share = 0.9
     """Least FRAC of each function, at its frequencies, that e1 allows."""
     weight: NotNegative = 1.0
@@ -53,7 +68,12 @@ class FrfSection(Section):
 
     @property
     def mode_keys(self) -> tuple[str, ...]:
-        return ()
+        return ("damping",)
+
+    @property
+    def variables(self) -> set[str]:
+        """Names of the parameters that are damping ratios."""
+        return {ratio for ratio in self.damping.values() if isinstance(ratio, str)}
 
     @property
     def shape_weights(self) -> Mapping[str, float]:
@@ -65,8 +85,17 @@ class FrfSection(Section):
         observe = (
             observer("response functions", given.seen, given.deck) if given.seen else nothing_seen
         )
-        ratio = np.nan if self.damping is None else self.damping
-        return Frf(curves, observe, ratio, self.deviation, self.weight, self.frac)
+        variables = {
+            item.name: Linear(item.origin, item.scale, column)
+            for column, item in enumerate(given.parameters.parameters)
+        }
+        ratios = {
+            key: variables[ratio] if isinstance(ratio, str) else Linear(ratio)
+            for key, ratio in self.damping.items()
+        }
+        others = ratios.pop(OTHERS, None)
+        damping = {int(key): ratio for key, ratio in ratios.items()}
+        return Frf(curves, observe, damping, others, self.deviation, self.weight, self.frac)
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         """Why they cannot be compared, each with its place below the section."""
@@ -87,7 +116,7 @@ class FrfSection(Section):
             if not told.size and key in self.model_fields_set:
                 found.append(((key,), "the test has no coherences: leave this out"))
         ratios = given.test.modes.damping_ratios
-        if self.damping is None and not (ratios.size and (ratios > 0.0).all()):
+        if OTHERS not in self.damping and not (ratios.size and (ratios > 0.0).all()):
             found.append(((), "not all modes of the test have damping ratios: give `damping`"))
         low, high = self._band(given)
         if low >= high:
@@ -102,6 +131,13 @@ class FrfSection(Section):
     def left_out(self, given: TestedModel) -> list[str]:
         """What of the test's functions is not compared, and why, for people."""
         found = [note for note in given.notes if OF_FUNCTIONS in note]
+        moved = [item.name for item in given.parameters.parameters if item.quantity in DAMPING]
+        if moved or not given.deck.undamped():
+            which = f", which {', '.join(moved)} would move," if moved else ""
+            found.append(
+                f"the deck's dampers and loss factors{which} do not count in response functions: "
+                "their modes have the ratios of the test, or of `damping`"
+            )
         frfs, seen = given.frfs, given.seen
         if frfs is None or seen is None:
             return found

@@ -156,7 +156,8 @@ class ParameterSection(Section):
     name: Name
     """What the parameter is called in tables, in the record, in expressions and in `--at`."""
     quantity: Quantity
-    """What of the model it moves; `variable`: nothing itself, expressions of others name it."""
+    """What of the model it moves; `variable`: nothing itself; expressions of others or
+    `residuals.frf.damping` name it."""
     values: ValueKind = "relative"
     """What its values are: factors on the deck's value; `absolute`: the value itself, in the deck's
     units; `additive`: what is added to the deck's value. Those two may be zero or change their
@@ -422,11 +423,27 @@ class CampaignFile(Section):
                     f"free parameters of the campaign: {', '.join(sorted(free)) or 'none'}"
                 )
             variables -= set(names)
+        variables -= self._damping_ratios()
         if variables:
-            raise ValueError(f"no expression names the variable {', '.join(sorted(variables))}")
+            raise ValueError(f"nothing names the variable {', '.join(sorted(variables))}")
         if self.parameters and not free:
             raise ValueError("all parameters follow from expressions, none is free")
         return self
+
+    def _damping_ratios(self) -> set[str]:
+        """Names of the variables that are damping ratios of response functions."""
+        sections = (self.residuals, *(item.residuals for item in self.configurations))
+        found = [s.frf.variables for s in sections if s is not None and s.frf is not None]
+        names = set[str]().union(*found)
+        for name in sorted(names):
+            own = next((p for p in self.parameters if p.name == name), None)
+            if own is None or own.quantity != "variable":
+                raise ValueError(f"residuals.frf.damping: no parameter {name} is a `variable`")
+            if not 0.0 < own.bounds[0] < own.bounds[1] < 1.0:
+                raise ValueError(f"bounds of {name}, a damping ratio, must be between 0 and 1")
+            if own.values == "additive":
+                raise ValueError(f"{name}, a damping ratio, must have `values: absolute`")
+        return names
 
     def parameter_set(self) -> ParameterSet:
         """The parameters as the program has them."""

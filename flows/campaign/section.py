@@ -27,7 +27,7 @@ def by_name(given: object) -> object:
     return {str(key): value for key, value in given.items()} if isinstance(given, dict) else given
 
 
-def _by_mode(given: object) -> object:
+def by_mode(given: object) -> object:
     """The same; one value goes for all modes."""
     return by_name(given) if isinstance(given, dict) else {OTHERS: given}
 
@@ -35,11 +35,11 @@ def _by_mode(given: object) -> object:
 #: One value, or values by a mode's number and of the `others`.
 Weights = Annotated[
     dict[str, NotNegative],
-    BeforeValidator(_by_mode, json_schema_input_type=NotNegative | dict[str, NotNegative]),
+    BeforeValidator(by_mode, json_schema_input_type=NotNegative | dict[str, NotNegative]),
 ]
 Deviations = Annotated[
     dict[str, Positive],
-    BeforeValidator(_by_mode, json_schema_input_type=Positive | dict[str, Positive]),
+    BeforeValidator(by_mode, json_schema_input_type=Positive | dict[str, Positive]),
 ]
 
 

@@ -2,7 +2,8 @@
 
 The real part is the logarithm of the ratio of amplitudes, the imaginary one the difference of
 phases in (-pi, pi]. Values and exact derivatives, d log H_c = dH_c / H_c, are those of
-`core/updating/superposition`. Modes have the damping of the test's that they are paired with.
+`core/updating/superposition`. Modes have the damping of the test's that they are paired with, or
+ratios of their own, which may be parameters.
 
 Of each part the variance is that of log H by the measurement (`core/measurement/frf_lines`) with
 the square of `deviation`, for what the model's damping lacks. A line that a resonance of the model
@@ -12,8 +13,9 @@ less, moving a resonance away from it would pay.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from operator import methodcaller
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,6 +26,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
 from modetune.core.measurement.frf import Complexes, frac
 from modetune.core.modes import Floats, Integers
+from modetune.core.updating.damping import Linear
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.responses.response import (
     MatricesAt,
@@ -95,13 +98,15 @@ class Frf:
     """Response functions of a test.
 
     observe: degrees of freedom in terms of the matrices' equations, (n_dofs, n_equations).
-    damping: ratio of all modes; NaN where those of the test count, and of others their median.
-    frac: the least that e1 allows.
+    damping: ratios by number of the test's modes; others: of all modes that it does not name,
+    where None those of the test count, and of modes without a partner their median. frac: the
+    least that e1 allows.
     """
 
     curves: tuple[FrfCurve, ...]
     observe: Callable[[MatrixResult], sparse.csr_array]
-    damping: float
+    damping: Mapping[int, Linear]
+    others: Linear | None
     deviation: float
     weight: float
     frac: float
@@ -126,11 +131,13 @@ class Frf:
     def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
         modes, given = self._modes(state)
         computed, (omega, outputs, forces) = self._computed(modes), self._lines
-        changes = (modes.change(*given.change(column)) for column in derivatives.columns)
-        rows = [
-            self._parts(modes.slope(omega, outputs, forces, change) / computed)
-            for change in changes
-        ]
+        rows = []
+        for column in derivatives.columns:
+            slope = modes.slope(omega, outputs, forces, modes.change(*given.change(column)))
+            damping = self._of_modes(state, modes, methodcaller("change", column), 0.0)
+            if damping.any():
+                slope += modes.slope_by_damping(omega, outputs, forces, damping)
+            rows.append(self._parts(slope / computed))
         return np.reshape(rows, (len(rows), -1)).T
 
     @property
@@ -178,13 +185,30 @@ class Frf:
             beyond = (2.0 * np.pi * REACH * highest) ** 2
             asked = max(asked, int(np.searchsorted(state.modal.eigenvalues, beyond)) + 1)
         modes, given = self._known.at(given, self.observe, highest, asked)
-        if np.isnan(self.damping):
-            measured = state.test.modes.damping_ratios
-            ratios = np.full(modes.tau.size, np.median(measured))
-            ratios[paired] = measured[state.pairing.measured]
-        else:
-            ratios = np.full(modes.tau.size, self.damping)
+        measured = state.test.modes.damping_ratios
+        told = measured if measured.size else 0.0
+        ratios = self._of_modes(state, modes, methodcaller("at", given.theta), told)
         return modes.damped(ratios), given
+
+    def _of_modes(
+        self,
+        state: ModelState,
+        modes: FrfModes,
+        number: Callable[[Linear], float],
+        told: Floats | float,
+    ) -> Floats:
+        """A number of each mode's ratio, (n_modes,); told: of those that stand in the test."""
+        of_test = np.full(len(state.test.numbers), told)
+        rest = float(np.median(of_test))
+        if self.others is not None:
+            of_test[:] = rest = number(self.others)
+        for place, mode in enumerate(state.test.numbers):
+            if mode in self.damping:
+                of_test[place] = number(self.damping[mode])
+        found = np.full(modes.tau.size, rest)
+        n_rigid = 0 if state.modal is None else state.modal.n_rigid
+        found[state.pairing.computed + n_rigid] = of_test[state.pairing.measured]
+        return found
 
 
 def fracs(part: Residual) -> Floats:

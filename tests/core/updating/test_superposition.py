@@ -106,6 +106,9 @@ def test_repeated_modes_have_finite_derivatives() -> None:
     wanted = -(gain**2) * (1.0 + 1j * omega * 0.05 / 2.0)
     assert modes.slope(omega, 0, 0, change) == pytest.approx(wanted, rel=1e-9)
     assert modes.slope(omega, 1, 1, change) == pytest.approx(np.zeros(2), abs=1e-9)
+    # of zeta of both: c = 4 zeta
+    both = modes.slope_by_damping(omega, 0, 0, np.array([1.0, 1.0, 0.0]))
+    assert both == pytest.approx(-(gain**2) * 4j * omega, rel=1e-9)
 
 
 def membrane(theta: Complexes) -> tuple[Complexes, Complexes]:

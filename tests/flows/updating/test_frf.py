@@ -112,6 +112,49 @@ def test_a_chain_is_found_from_its_response_functions(tmp_path: Path, frequencie
     assert found == pytest.approx(list(TRUTH.values()), rel=5e-3)
 
 
+ZETA = (
+    "  - {name: z%d, quantity: variable, values: absolute, initial: 0.01, bounds: [0.0005, 0.1], "
+    "deviation: 0.01}\n"
+)
+
+
+def with_ratios(path: Path, *modes: int) -> Path:
+    """A campaign with parameters z1, z2, ... beside its own."""
+    more = "".join(ZETA % mode for mode in modes)
+    path.write_text(path.read_text().replace("residuals:\n", f"{more}residuals:\n"))
+    return path
+
+
+def test_damping_ratios_are_parameters(tmp_path: Path) -> None:
+    """Of each mode its own: beta w / 2 of a damping C = beta K."""
+    test = measurement()
+    assert test.modes is not None
+    own = "damping: {1: z1, 2: z2, 3: z3, 4: z4, others: 0.02}, frac: 0.9999"
+    k2, k5, *ratios = updated(tmp_path, with_ratios(campaign(tmp_path, test, own), 1, 2, 3, 4))
+    assert [k2, k5] == pytest.approx(list(TRUTH.values()), rel=5e-3)
+    # FRAC ends updating where damping is right to some percent; those of the band's modes are.
+    assert ratios == pytest.approx(test.modes.modes.damping_ratios.tolist(), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("frf", "changed", "said"),
+    [
+        ("damping: z1", (), "residuals.frf.damping: no parameter z1 is a `variable`"),
+        ("damping: k2", (), "residuals.frf.damping: no parameter k2 is a `variable`"),
+        ("damping: {7: z1}", (1,), "the test has no mode 7"),
+        ("damping: 0.01", (1,), "nothing names the variable z1"),
+        ("damping: {1: z1, others: 1.5}", (1,), "less than 1"),
+    ],
+)
+def test_ratios_that_are_no_parameters_are_told(
+    tmp_path: Path, frf: str, changed: tuple[int, ...], said: str
+) -> None:
+    path = with_ratios(campaign(tmp_path, measurement(), frf), *changed)
+    ended = run_command(tmp_path, "update", str(path))
+    assert ended.returncode == 2
+    assert said in " ".join(ended.stderr.split()), ended.stderr
+
+
 def test_coherence_weighs_and_noise_does_not_draw(tmp_path: Path) -> None:
     # 3 % noise of every line: with n averages a coherence of 1 / (1 + 2 n s^2).
     test = measurement(noise=0.03, coherence=1.0 / (1.0 + 2.0 * 10 * 0.03**2))
@@ -172,6 +215,19 @@ def test_a_test_without_damping_needs_a_ratio(tmp_path: Path) -> None:
     path = campaign(tmp_path, replace(test, modes=bare))
     ended = run_command(tmp_path, "update", str(path))
     assert "have damping ratios: give `damping`" in " ".join(ended.stderr.split())
+
+
+def test_dampers_of_the_deck_are_told_not_to_count(tmp_path: Path) -> None:
+    path = campaign(tmp_path, measurement())
+    said = "which d2 would move, do not count in response functions"
+    assert "do not count" not in " ".join(run_command(tmp_path, "update", str(path)).stderr.split())
+    more = "dampers:\n  d2: {between: [m1, m2], viscous: 3.0}\n"
+    deck_file = tmp_path / "chain.yaml"
+    deck_file.write_text(deck_file.read_text() + more)
+    item = "  - {name: d2, quantity: viscous_damping, elset: d2, bounds: [0.5, 2.0]}\nresiduals:"
+    path.write_text(path.read_text().replace("residuals:", item))
+    told = " ".join(run_command(tmp_path, "update", str(path)).stderr.split())
+    assert said in told, told
 
 
 def test_a_sensor_that_is_left_out_takes_its_functions_with_it(tmp_path: Path) -> None:
