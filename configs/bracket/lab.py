@@ -40,7 +40,8 @@ SIZE = 6.0
 SEED, NOISE, DAMPING = 2026, 0.01, 0.005
 #: How well the lab knows its points, mm.
 POINT_NOISE_MM = 0.5
-#: Modes that the responses are made of; those above the measured band are the residual.
+#: Elastic modes that the responses are made of, beside the six rigid ones, which answer between
+#: resonances; those above the measured band are the residual.
 N_MODES = 16
 #: Lowest and highest frequency of the identification, Hz.
 BAND_HZ = (1000.0, 7400.0)
@@ -68,7 +69,8 @@ HAMMERS = ((12, 2), (21, 1))
 
 
 def true_bracket_modes() -> tuple[ModeSet, list[int]]:
-    """The true bracket's elastic modes by CalculiX, mass-normalised, and the points' nodes."""
+    """The true bracket's modes by CalculiX, six rigid ones first, mass-normalised, and the points'
+    nodes."""
     model = mesh(SIZE, POINTS)
     off = np.linalg.norm(model.coordinates[None] - np.array(POINTS)[:, None], axis=2)
     nodes = [int(node) for node in np.argmin(off, axis=1) + 1]
@@ -78,7 +80,8 @@ def true_bracket_modes() -> tuple[ModeSet, list[int]]:
     )
     analysis = ModalAnalysis(6 + N_MODES, tuple(sorted(nodes)))
     text = calculix_deck(model)
-    return true_modes(lambda file: file.write(text.encode()), parameters, TRUTH, analysis), nodes
+    modes = true_modes(lambda file: file.write(text.encode()), parameters, TRUTH, analysis, True)
+    return modes, nodes
 
 
 def lab_measurement() -> Measurement:

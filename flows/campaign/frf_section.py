@@ -109,7 +109,7 @@ class FrfSection(Section):
         if told.size and not ((told >= 0.0) & (told <= 1.0 + 1e-6)).all():
             line, column = np.argwhere((told < 0.0) | (told > 1.0 + 1e-6) | np.isnan(told))[0]
             found.append(
-                ((), f"the coherence of {_name(frfs, column)} is {told[line, column]:.3g} at "
+                ((), f"the coherence of {curve_name(frfs, column)} is {told[line, column]:.3g} at "
                  f"{frfs.frequencies_hz[line]:g} Hz; it must be from 0 to 1")
             )  # fmt: skip
         for key in ("averages", "coherence"):
@@ -146,7 +146,7 @@ class FrfSection(Section):
         low, high = self._band(given)
         reasons: dict[str, list[str]] = {}
         for column in range(frfs.nodes.size):
-            name, ends = _name(frfs, column), _ends(frfs, column)
+            name, ends = curve_name(frfs, column), _ends(frfs, column)
             lacking = [dof_name(end) for end in ends if end not in places]
             if lacking:
                 said = f"{lacking[0]} is not a place of the model that is used"
@@ -182,8 +182,7 @@ class FrfSection(Section):
             output, force = _ends(frfs, column)
             if output not in rows or force not in rows:
                 continue
-            unit = given.kilograms * given.metres ** ((output[1] > 3) + (force[1] > 3))
-            values = unit * _receptance(frfs, column)
+            values = receptance(frfs, column, given.kilograms, given.metres)
             coherence = frfs.coherences[:, column] if frfs.coherences.size else np.zeros(0)
             usable = (hz > 0.0) & (hz >= low) & (hz <= high) & (np.abs(values) > 0.0)
             if coherence.size:
@@ -191,9 +190,8 @@ class FrfSection(Section):
             variances = log_variances(frfs.values[:, column], coherence, self.averages)
             lines = chosen_lines(hz, values, variances, np.flatnonzero(usable), self.points)
             if lines.size:
-                ends, chosen = (rows[output], rows[force]), values[lines]
-                curve = FrfCurve(_name(frfs, column), *ends, hz[lines], chosen, variances[lines])
-                curves.append(curve)
+                name, ends = curve_name(frfs, column), (rows[output], rows[force])
+                curves.append(FrfCurve(name, *ends, hz[lines], values[lines], variances[lines]))
         return tuple(curves)
 
 
@@ -202,15 +200,21 @@ def _ends(frfs: MeasuredFrfs, column: int) -> tuple[tuple[int, int], tuple[int, 
     return output, (int(frfs.reference_nodes[column]), int(frfs.reference_components[column]))
 
 
-def _name(frfs: MeasuredFrfs, column: int) -> str:
+def curve_name(frfs: MeasuredFrfs, column: int) -> str:
+    """What people call a response function."""
     output, force = _ends(frfs, column)
     return f"response function {dof_name(output)} by {dof_name(force)}"
 
 
-def _receptance(frfs: MeasuredFrfs, column: int) -> Complexes:
-    """In SI and along the positive directions, (n_lines,); 0 at 0 Hz of motions by time."""
+def receptance(frfs: MeasuredFrfs, column: int, kilograms: float, metres: float) -> Complexes:
+    """In units of so many kilograms and metres and along the positive directions, (n_lines,).
+
+    0 at 0 Hz of motions by time.
+    """
+    output, force = _ends(frfs, column)
+    unit = kilograms * metres ** ((output[1] > 3) + (force[1] > 3))
     order = ("receptance", "mobility", "accelerance").index(frfs.kind)
+    values = unit * frfs.signs[column] * frfs.reference_signs[column] * frfs.values[:, column]
     rate = (2j * np.pi * frfs.frequencies_hz) ** order
-    sign = frfs.signs[column] * frfs.reference_signs[column]
     whole = np.zeros(rate.size, dtype=np.complex128)
-    return np.asarray(np.divide(sign * frfs.values[:, column], rate, out=whole, where=rate != 0.0))
+    return np.asarray(np.divide(values, rate, out=whole, where=rate != 0.0))

@@ -83,11 +83,12 @@ def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
     if record.trust is not None and curve and np.ptp(np.log(curve.misfits)) > LEAST_BEND:
         yield "l_curve", l_curve(record.trust)
     for place, pair in enumerate(response_pairs(record)):
-        lines = slice(None, None, -(-pair.frequencies_hz.size // MOST_LINES))
+        lines, at = slice(None, None, -(-pair.frequencies_hz.size // MOST_LINES)), pair.compared_hz
+        own = lines if at is None else slice(None)
         curves = (
             ResponseCurve("test", "test", pair.measured[lines]),
-            ResponseCurve("before", f"before, FRAC {pair.fracs[0]:.2f}", pair.before[lines]),
-            ResponseCurve("after", f"after, FRAC {pair.fracs[1]:.2f}", pair.after[lines]),
+            ResponseCurve("before", f"before, FRAC {pair.fracs[0]:.2f}", pair.before[own], at),
+            ResponseCurve("after", f"after, FRAC {pair.fracs[1]:.2f}", pair.after[own], at),
         )
         unit = UNITS[record.frfs.kind] if record.frfs else ""
         yield f"response_{place}", responses(pair.title, unit, pair.frequencies_hz[lines], curves)
@@ -399,7 +400,12 @@ def responses(title: str, unit: str, lines_hz: Floats, curves: Sequence[Response
     items = []
     for curve in curves:
         colour, line, width = looks[curve.kind]
-        items.append(Curve(curve.label, lines_hz, np.abs(curve.values), colour, line, width=width))
+        hz, values = curve.lines_hz, np.abs(curve.values)
+        items.append(
+            Curve(curve.label, lines_hz, values, colour, line, width=width)
+            if hz is None
+            else Curve(curve.label, hz, values, colour, "", {"before": "o"}.get(curve.kind, "x"))
+        )
     span = (float(lines_hz[0]), float(lines_hz[-1]))
     panel = Panel(tuple(items), Axis("frequency, Hz", span=span), Axis(unit, log=True))
     return Chart(title, title, (panel,), size=(7.2, 3.6))

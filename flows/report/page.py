@@ -25,6 +25,7 @@ from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.judgement import trust_sentences
+from modetune.core.updating.responses.frf import Frf
 from modetune.flows.report.chart import Chart, told_chart
 from modetune.flows.report.charts import campaign_charts
 from modetune.flows.report.comparison import remarks, sensor_agreement
@@ -111,6 +112,7 @@ def page(record: CampaignRecord) -> str:
             },
             best_pairs=pair_table(record, record.best).title,
             charts=charts,
+            compares_functions=record.best.residual.has(Frf.kind),
             scene=shown,
             facts=_facts(record),
             command=" ".join(

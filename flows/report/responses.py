@@ -1,13 +1,17 @@
-"""Measured response functions beside those of the model, superposed from its elastic modes.
+"""Measured response functions beside those of the model.
 
-The model's side needs modes of unit modal mass at sensor and exciter and the test's damping ratios;
+Where a campaign compares response functions, the model's are those that it compared, at the
+frequencies that it chose. Else they are superposed from the model's elastic modes: that needs modes
+of unit modal mass at sensor and exciter and the test's damping ratios;
 a mode without a measured partner has their mean. What lies outside the computed modes, rigid
 motion of a free structure above all, is missing, so levels between resonances may differ.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -17,7 +21,10 @@ from modetune.core.measurement.frf import Complexes, NormalModes, frac, modal_fr
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.modes import COMPONENTS, Floats, ModeSet
 from modetune.core.storage.record import CampaignRecord, IterationRecord
-from modetune.flows.campaign.units import KILOGRAMS
+from modetune.core.updating.responses.frf import Frf, fracs
+from modetune.core.updating.responses.response import block_parts
+from modetune.flows.campaign.frf_section import curve_name, receptance
+from modetune.flows.campaign.units import KILOGRAMS, METRES
 
 #: So many functions are shown, driving points first.
 SHOWN = 6
@@ -26,30 +33,43 @@ UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
 
 @dataclass(frozen=True, slots=True)
 class ResponseCurve:
-    """A response function: whose it is, its label, and its values (n_lines,)."""
+    """A response function: whose it is, its label, and its values (n_lines,).
+
+    lines_hz: (n_lines,), where it is known at other frequencies than those beside it.
+    """
 
     kind: Literal["test", "before", "after"]
     label: str
     values: Complexes
+    lines_hz: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ResponsePair:
-    """A measured function and the model's before and after, (n_lines,) each; fracs: of both."""
+    """A measured function, (n_lines,), and the model's before and after, (n_compared,) each.
+
+    compared_hz: (n_compared,), of the model's, where they are not all that were measured; fracs: of
+    both.
+    """
 
     title: str
     frequencies_hz: Floats
     measured: Complexes
+    compared_hz: Floats | None
     before: Complexes
     after: Complexes
     fracs: tuple[float, float]
 
 
 def response_pairs(record: CampaignRecord) -> tuple[ResponsePair, ...]:
-    """The functions that both sides have; none where the test has none or no damping."""
+    """The functions that both sides have; none where the test has none or nothing tells damping."""
     frfs, ratios = record.frfs, record.test.modes.damping_ratios
     factors = {str(units): kilograms for units, kilograms in KILOGRAMS.items()}
-    if frfs is None or ratios.size == 0 or record.units not in factors:
+    if frfs is None or record.units not in factors:
+        return ()
+    if record.best.residual.has(Frf.kind):
+        return tuple(islice(_compared(record, frfs), SHOWN))
+    if ratios.size == 0:
         return ()
     found = []
     for place in _order(frfs):
@@ -69,6 +89,7 @@ def response_pairs(record: CampaignRecord) -> tuple[ResponsePair, ...]:
                 _title(frfs, place),
                 frfs.frequencies_hz,
                 frfs.values[:, place],
+                None,
                 before,
                 after,
                 (fracs[0], fracs[1]),
@@ -77,6 +98,33 @@ def response_pairs(record: CampaignRecord) -> tuple[ResponsePair, ...]:
         if len(found) == SHOWN:
             break
     return tuple(found)
+
+
+def _compared(record: CampaignRecord, frfs: MeasuredFrfs) -> Iterator[ResponsePair]:
+    """The functions that the campaign compares, at its lines."""
+    units: tuple[float, float] = KILOGRAMS[record.units], METRES[record.units]  # type: ignore[index]
+    both = [
+        next(part for part in block_parts(item.residual) if part.blocks[0].kind == Frf.kind)
+        for item in (record.iterations[0], record.best)
+    ]
+    (block,), ends = both[0].blocks, np.cumsum(both[0].blocks[0].sizes)[:-1]
+    parts = [np.split(rows, ends) for rows in (block.measured, *(part.values for part in both))]
+    scores = np.transpose([fracs(part) for part in both]).tolist()
+    for place in _order(frfs):
+        name = curve_name(frfs, place)
+        if name not in block.names:
+            continue
+        row = block.names.index(name)
+        measured, *left = (
+            np.exp(real + 1j * imaginary)
+            for real, imaginary in (np.split(part[row], 2) for part in parts)
+        )
+        every = receptance(frfs, place, *units)
+        lines = np.abs(every[:, None] - measured).argmin(axis=0)
+        hz, test = frfs.frequencies_hz, frfs.values[:, place]
+        before, after = (test[lines] / ratio for ratio in left)
+        title, (first, last) = _title(frfs, place), scores[row]
+        yield ResponsePair(title, hz, test, hz[lines], before, after, (first, last))
 
 
 def _order(frfs: MeasuredFrfs) -> list[int]:

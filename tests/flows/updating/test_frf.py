@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
@@ -17,7 +18,9 @@ from modetune.adapters.test_files.universal.write import write_universal
 from modetune.core.measurement.frf import Complexes, NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.modes import Floats, MeasuredModes, mode_set
+from modetune.core.storage.record_file import read_record
 from modetune.core.updating.results import ModalResult
+from modetune.flows.report.responses import response_pairs
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command
 from tests.flows.updating.test_static import TRUTH as BAR_TRUTH
@@ -110,6 +113,22 @@ def test_a_chain_is_found_from_its_response_functions(tmp_path: Path, frequencie
     found = updated(tmp_path, path)
     # The file's seven digits and e1 (frequencies to 1e-3, FRAC 0.9) bound them.
     assert found == pytest.approx(list(TRUTH.values()), rel=5e-3)
+    pairs = response_pairs(read_record(tmp_path / "runs" / "chain" / "campaign.h5"))
+    assert [pair.title for pair in pairs] == [
+        f"{node}.x for a force at 3.x" for node in (3, 1, 5, 8)
+    ]
+    # The model as it was: its eight modes, with the test's ratios or their median.
+    stiffness, mass = chain({})
+    lam, shapes = eigh(stiffness, mass)
+    tested = measurement().modes
+    assert tested is not None
+    ratios = tested.modes.damping_ratios
+    every = np.append(ratios, np.full(4, np.median(ratios)))
+    for pair, node in zip(pairs, (3, 1, 5, 8), strict=True):
+        modes = NormalModes(lam, shapes, every)
+        assert pair.compared_hz is not None
+        own = modal_frf(pair.compared_hz, modes, [node - 1], [FORCE - 1], "accelerance")[:, 0, 0]
+        assert pair.before == pytest.approx(own, rel=1e-5)  # seven digits of a file
 
 
 ZETA = (
