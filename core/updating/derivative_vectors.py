@@ -40,6 +40,9 @@ NEGLIGIBLE = 1e-6
 #: Relative distance of eigenvalues below which what two modes take of each other is left out of
 #: second derivatives.
 CLOSE = 1e-3
+#: Forces of hundreds of columns are mixed to so many at random: the space of what these move holds
+#: the strongest directions of all (Halko, Martinsson and Tropp 2011).
+MOST_FORCES = 600
 #: Rows of forces that are changed at once, so that they stay in the cache.
 ROWS_AT_ONCE = 16384
 
@@ -100,13 +103,20 @@ def derivative_answers(
     of_curved = np.union1d(np.arange(modes.first), modes.used)
     wanted = [(column, of_curved if column in curved else modes.used) for column in columns]
     room = sum(of.size for _, of in wanted)
-    forces = np.zeros((modes.shapes.shape[0], room + 1), order="F")
+    mixed = room > MOST_FORCES and not curved
+    forces = np.zeros((modes.shapes.shape[0], min(room, MOST_FORCES) + 1), order="F")
     places: dict[int, slice] = {}
-    end = 0
+    end, random = 0, np.random.default_rng(0)
     for column, of in wanted:
-        added = _put_forces(affine, theta, column, modes, of, forces[:, end:])
-        places[column] = slice(end, end + added)
-        end += added
+        kept, parts = _forces(affine, theta, column, modes, of)
+        places[column] = slice(end, end + kept.size)
+        into, mixing = forces[:, places[column]], np.eye(kept.size)
+        if mixed:
+            into, mixing = forces[:, :MOST_FORCES], random.standard_normal((kept.size, MOST_FORCES))
+            mixing /= np.sqrt(modes.eigenvalues[of[kept], None])
+        for rows, own in parts:
+            into[rows] += own @ mixing
+        end = MOST_FORCES if mixed else end + kept.size
     acting = _leave_outside(modes, forces[:, :end])
     # The last one tells the shift of whoever gave the inverse: M phi moves phi / (lambda - s).
     forces[:, end] = modes.weighted[:, modes.first]
@@ -143,18 +153,11 @@ def _leave_outside(modes: KnownModes, forces: Floats) -> Floats:
     return np.asarray(acting)
 
 
-def _put_forces(
-    affine: ParameterMatrices,
-    theta: Floats,
-    column: int,
-    modes: KnownModes,
-    of: Integers,
-    into: Floats,
-) -> int:
-    """Put (dK - lambda dM) phi of these modes, those that move anything, into the first columns.
-
-    into: (n, k), zeros. Returns how many there are; with a parameter that is not linear all.
-    """
+def _forces(
+    affine: ParameterMatrices, theta: Floats, column: int, modes: KnownModes, of: Integers
+) -> tuple[Integers, list[tuple[Integers, Floats]]]:
+    """Forces (dK - lambda dM) phi of these modes: positions of those that move anything, with a
+    parameter that is not linear all, and rows with the values there, (n_own, n_kept)."""
     phi = np.ascontiguousarray(modes.shapes[:, of])
     eigenvalues = modes.eigenvalues[of]
     products = [
@@ -170,10 +173,7 @@ def _put_forces(
         for (own, rows), factors in products:
             energy += np.abs(factors * np.einsum("ij,ij->j", phi[rows], own))
         kept = np.flatnonzero(energy > NEGLIGIBLE * eigenvalues)
-    for (own, rows), factors in products:
-        for place, mode in enumerate(kept.tolist()):
-            into[rows, place] += factors[mode] * own[:, mode]
-    return kept.size
+    return kept, [(rows, own[:, kept] * factors[kept]) for (own, rows), factors in products]
 
 
 def _second_forces(

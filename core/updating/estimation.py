@@ -269,23 +269,26 @@ def parameter_covariance(
     weights: Floats,
     prior_weights: Floats | None = None,
     held: Floats | None = None,
+    strength: float = 1.0,
 ) -> Floats:
     """Covariance of the parameters that measurement variances leave, (n, n), linear.
 
     variances: (n_residuals,), of the residuals; weights: (n_residuals,), by which the step
     weighed them; prior_weights: (n_parameters,), reciprocal variances beforehand, or (n_parameters,
-    n_parameters), where the step was held by them; held: (n_held, n_parameters), changes d that
-    bounds and limits hold, held d = 0, so that they have no variance. A parameter that nothing
-    determines has an infinite one. With A = S^T W S + P it is A^-1 (S^T W V W S + P) A^-1, which is
-    the familiar (S^T V^-1 S)^-1 where the weights are the reciprocal variances; in a basis of what
-    is not held the same. Source: error propagation through thesis (41), (52).
+    n_parameters), where the step was held by them; strength: times so much stronger than what is
+    known beforehand, so that they draw real changes to the initial values; held: (n_held,
+    n_parameters), changes d that bounds and limits hold, held d = 0, so that they have no variance.
+    A parameter that nothing determines has an infinite one. With A = S^T W S + P it is
+    A^-1 (S^T W V W S + strength P) A^-1, which is the familiar (S^T V^-1 S)^-1 where the weights
+    are the reciprocal variances and nothing holds; in a basis of what is not held the same.
+    Source: error propagation through thesis (41), (52).
     """
     weighted = weights[:, None] * sensitivity
     information = sensitivity.T @ weighted
     noise = weighted.T @ (variances[:, None] * weighted)
     if prior_weights is not None:
         known = np.diag(prior_weights) if prior_weights.ndim == 1 else prior_weights
-        information, noise = information + known, noise + known
+        information, noise = information + known, noise + strength * known
     if held is not None and held.size:
         free = null_space(held / np.linalg.norm(held, axis=1)[:, None])
         information, noise = free.T @ information @ free, free.T @ noise @ free

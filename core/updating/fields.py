@@ -138,12 +138,14 @@ def answer(
     deviations: Floats,
     names: Sequence[str],
     noise: float = 0.0,
+    bounds: tuple[Floats, Floats] | None = None,
 ) -> FieldAnswer:
     """What a test says of a field.
 
     sensitivity: (n_residuals, n_parameters), residual, weights: (n_residuals,), where updating
     ended; changes, deviations: (n_parameters,); names: of the parameters; noise: chi^2
-    that deviations explain.
+    that deviations explain; bounds: of changes from the start, (n_parameters,) each, as a zone
+    alone changes no further.
     """
     own, root = field.columns, np.sqrt(weights)
     rows = root[:, None] * sensitivity[:, own]
@@ -154,7 +156,9 @@ def answer(
     seen = strengths >= 1.0
     alone = np.where(squares > 0.0, (rows.T @ told) / np.where(squares > 0.0, squares, 1.0), 0.0)
     started = float(told @ told)
-    misfits = started - alone**2 * squares
+    if bounds is not None:
+        alone = np.clip(alone, bounds[0][own], bounds[1][own])
+    misfits = started - alone * (2.0 * (rows.T @ told) - alone * squares)
     places = _places(field, misfits, seen) if started > AS_WELL else ()
     named = [names[place] for place in own.tolist()]
     found = FieldAnswer(

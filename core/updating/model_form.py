@@ -37,7 +37,12 @@ from scipy.special import chdtrc
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import RANK_TOLERANCE, StepProblem, parameter_step
+from modetune.core.updating.estimation import (
+    RANK_TOLERANCE,
+    LinearForm,
+    StepProblem,
+    parameter_step,
+)
 
 #: Share of good models that are suspected all the same.
 LEVEL = 0.01
@@ -94,6 +99,8 @@ def model_form(
     moved: Floats | None = None,
     level: float = LEVEL,
     least: float = 0.0,
+    prior: Floats | None = None,
+    offset: Floats | None = None,
 ) -> ModelForm:
     """Judge the best admissible fit by measurement noise. Raises CampaignError.
 
@@ -101,24 +108,33 @@ def model_form(
     take part; lower, upper: (n_parameters,), bounds of the change; shapes: (n_residuals,),
     which shape an entry is of, from 0, or -1 for frequencies, as all are if left out; moved:
     (n_parameters,), how far parameters went since the sensitivity was computed, nowhere if left
-    out; least: see ModelForm.
+    out; least: see ModelForm. prior: (n_parameters, n_parameters), weights that hold parameters to
+    their initial values, from which they stand off by offset (n_parameters,), where more are fitted
+    than a test tells (fields): the fit is held by them too, and takes fewer degrees of freedom.
     """
     if variances.shape != residual.shape or not (variances > 0.0).all():
         raise CampaignError("each entry of the residual needs a variance above zero")
     owner = np.full(residual.size, -1) if shapes is None else shapes
     n_shapes = np.unique(owner[owner >= 0]).size
-    change, _ = _fit(sensitivity, residual, variances, lower, upper)
+    held = prior, np.zeros_like(lower) if offset is None else offset
+    change, _ = _fit(sensitivity, residual, variances, lower, upper, *held)
     doubt = 0.5 * np.abs(change) + (0.0 if moved is None else np.abs(moved))
     variances = variances + _nonlinearity(sensitivity, change, doubt, owner)
-    change, left = _fit(sensitivity, residual, variances, lower, upper)
+    change, left = _fit(sensitivity, residual, variances, lower, upper, *held)
     reach = 1e-9 * np.maximum(1.0, np.abs(change))
     at_bound = (change <= lower + reach) | (change >= upper - reach)
     weighted = sensitivity[:, ~at_bound] / np.sqrt(variances)[:, None]
     directions, singular, _ = np.linalg.svd(weighted, full_matrices=False)
     told = singular > RANK_TOLERANCE * singular.max(initial=0.0)
+    fitted = float(told.sum())
+    if prior is not None:
+        information = weighted.T @ weighted
+        known = prior[np.ix_(~at_bound, ~at_bound)]
+        fitted = float(np.trace(np.linalg.solve(information + known, information)))
     statistic = float(np.sum(left**2 / variances))
-    dof = residual.size - n_shapes - int(told.sum())
-    leverage = np.sum(directions[:, told] ** 2, axis=1)
+    dof = residual.size - n_shapes - round(fitted)
+    directions = directions[:, told] if prior is None else directions[:, :0]
+    leverage = np.sum(directions**2, axis=1)
     # An entry that the fit follows wholly tells nothing; what is left of it is rounding.
     loose = np.sqrt(np.maximum(1.0 - leverage, 0.0))
     own = left / np.sqrt(variances)
@@ -146,11 +162,18 @@ def _nonlinearity(sensitivity: Floats, change: Floats, doubt: Floats, owner: Int
 
 
 def _fit(
-    sensitivity: Floats, residual: Floats, variances: Floats, lower: Floats, upper: Floats
+    sensitivity: Floats,
+    residual: Floats,
+    variances: Floats,
+    lower: Floats,
+    upper: Floats,
+    prior: Floats | None,
+    offset: Floats,
 ) -> tuple[Floats, Floats]:
-    ones, zeros = np.ones(lower.size), np.zeros(lower.size)
-    problem = StepProblem(sensitivity, residual, 1.0 / variances, ones, zeros, lower, upper)
-    step = parameter_step(problem, "weighted_least_squares")
+    known = np.ones(lower.size) if prior is None else prior
+    problem = StepProblem(sensitivity, residual, 1.0 / variances, known, offset, lower, upper)
+    form: LinearForm = "weighted_least_squares" if prior is None else "pulled_to_initial"
+    step = parameter_step(problem, form)
     return step.change, step.predicted
 
 

@@ -14,6 +14,7 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import ParameterSet
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord
+from modetune.core.updating.fields import prior_precision
 from modetune.core.updating.model_form import (
     ModelForm,
     model_form,
@@ -31,12 +32,13 @@ def residual_form(
     theta: Floats,
     moved: Floats | None = None,
     least: float = 0.0,
+    prior: Floats | None = None,
 ) -> tuple[ModelForm, tuple[str, ...]]:
     """The test for model-form error, and what each entry that took part is of.
 
     sensitivity: (n_residuals, n_parameters), at theta (n_parameters,); moved: (n_parameters,), how
     far parameters went since; least: times noise that have to be left before a fault is suspected.
-    Raises CampaignError.
+    prior: (n_parameters, n_parameters), what holds the zones of fields. Raises CampaignError.
     """
     used = found.weights > 0.0
     form = model_form(
@@ -48,6 +50,8 @@ def residual_form(
         shapes=found.owners(scaled=True)[used],
         moved=moved,
         least=least,
+        prior=prior,
+        offset=theta - parameters.initial,
     )
     labels = zip(found.labels, used.tolist(), strict=True)
     return form, tuple(f"the {label}" for label, on in labels if on)
@@ -83,12 +87,16 @@ def record_verdict(record: CampaignRecord) -> FormVerdict | None:
     # The sensitivity of a step was computed where the step began, or a few accepted steps before.
     began = [item for item in record.iterations[:place] if item.accepted]
     start = began[max(0, len(began) - 1 - last.sensitivity_age)].parameters
+    fields, own = [item.field for item in record.fields], record.parameters
+    factor = last.regularisation if np.isfinite(last.regularisation) else 1.0
+    offset = best.parameters - own.initial
     form, labels = residual_form(
         last.sensitivity,
         best.residual,
         record.parameters,
         best.parameters,
         best.parameters - start,
+        prior=factor * prior_precision(fields, offset, own.standard_deviations) if fields else None,
     )
     said = model_form_sentence(form, labels, record.parameters.names, updated=True)
     if form.suspected:

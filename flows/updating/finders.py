@@ -257,9 +257,9 @@ def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
     """The modal analysis of a campaign's only case: modes, nodes, and the parameters' energies."""
     case, solver = campaign.case, campaign.case.solver
     groups = tuple(
-        (item.name, solver.deck.energy_sets(item))
+        (item.name, sets)
         for item in campaign.parameters.parameters
-        if solver.program.capabilities.strain_energies and solver.deck.energy_sets(item)
+        if solver.program.capabilities.strain_energies and (sets := solver.deck.energy_sets(item))
     )
     return ModalAnalysis(case.n_modes, case.result_nodes, groups)
 

@@ -173,6 +173,7 @@ def field_answers(
             own.standard_deviations,
             own.names,
             float(found.weights @ found.noise),
+            (own.lower - own.initial, own.upper - own.initial),
         )
         for item in campaign.fields
     )

@@ -124,7 +124,9 @@ def _scatter(
     weights = used_weights(campaign, found)
     prior = prior_weights(campaign, last.parameters, factor)
     rows = found.independent(matrix.values)
-    covariance = parameter_covariance(rows, found.variances, weights, prior, held)
+    # A pull that was found stronger than deviations beforehand draws real changes back.
+    strength = max(factor, 1.0) if np.isfinite(factor) else 1.0
+    covariance = parameter_covariance(rows, found.variances, weights, prior, held, strength)
     covariance = covariance + np.outer(remaining, remaining)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):

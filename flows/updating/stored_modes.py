@@ -22,7 +22,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,16 +30,20 @@ from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.matrices import symmetric
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes
+from modetune.core.correlation.clusters import rotation_onto
 from modetune.core.errors import ModesError
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import CLOSE, Floats, Integers
 from modetune.core.storage.keys import Json, canonical_json, content_key
+from modetune.core.updating.derivative_vectors import MOST_FORCES
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
 from modetune.core.updating.reduced_range import ReducedRange, reduce_over
 from modetune.core.updating.results import ModalResult
+from modetune.core.updating.sensitivity import ModeDerivatives, nelson
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, R
 from modetune.flows.updating.evaluation import Point
@@ -57,8 +61,10 @@ from modetune.flows.updating.small_matrices import one_thread
 logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are reduced to other numbers.
-REDUCED_VERSION = 4
+REDUCED_VERSION = 5
 RANGE_VERSION = 3
+#: The same of exact derivatives.
+DERIVATIVES_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -388,6 +394,41 @@ class MatrixModes:
         return self._derived(
             asked, lambda: self._solutions.basis(around).reduced, ReducedModel, "reduced model"
         )
+
+    def derivatives(self, point: Point, analysis: ModalAnalysis) -> ModeDerivatives | None:
+        """Exact derivatives of an evaluation point's pairs at the campaign's nodes where there are
+        more than a reduced model holds: its shapes' would be off by some per cent. Else None."""
+        around, n = self._around, point.theta.size
+        if around is None or n * around.modes.size <= MOST_FORCES:
+            return None
+
+        def compute() -> ModeDerivatives:
+            solved, matrices = self._solutions.modes(around.of), self._model.matrices
+            observer, here = self._model.observer(*around.seen), matrices.at(around.of.values)
+            eigenvalues, shapes, n_rigid = solved.eigenvalues, solved.shapes, solved.n_rigid
+            turn = np.eye(eigenvalues.size)
+            turn[n_rigid:, n_rigid:] = rotation_onto(
+                observer @ shapes[:, n_rigid:],
+                np.real(point.modal.elastic.mode_shapes),
+                np.sqrt(np.abs(eigenvalues[n_rigid:])),
+            )
+            changes = [matrices.change(around.of.values, column) for column in range(n)]
+            rows = np.unique(observer.indices).astype(np.int64)
+            found = nelson(
+                here.stiffness,
+                here.mass,
+                eigenvalues @ turn**2,
+                shapes @ turn,
+                [(symmetric(stiffness), symmetric(mass)) for stiffness, mass in changes],
+                around.modes.tolist(),
+                rows,
+                2.0 * CLOSE,
+            )
+            seen = sparse.csr_array(observer[:, rows]) @ found.mode_shapes.reshape(rows.size, -1)
+            return replace(found, mode_shapes=seen.reshape(-1, *found.mode_shapes.shape[1:]))
+
+        asked: Json = {"derivatives": DERIVATIVES_VERSION, "of": around.key}
+        return self._derived(asked, compute, ModeDerivatives, "sensitivities from matrices")
 
     def _derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str) -> R:
         return self.engine.derived(asked, compute, kind, self.campaign.case.of(name))

@@ -137,6 +137,7 @@ def localise(
         campaign.parameters,
         values,
         least=0.0 if updated else FORECAST,
+        prior=campaign.precision(values) if campaign.fields else None,
     )
     return Localisation(
         parameters=campaign.parameters.names,
