@@ -15,7 +15,7 @@ from modetune.core.near_names import LISTED, suggestion
         ("qqq", ["b", "a"], " (there are b, a)"),
         ("qqq", [], " (there are none)"),
         ("", map(str, range(LISTED)), f" (there are {', '.join(map(str, range(LISTED)))})"),
-        ("", map(str, range(20)), f" (there are {', '.join(map(str, range(LISTED)))}, ...)"),
+        ("", map(str, range(20)), f" (there are {', '.join(map(str, range(LISTED)))} and 8 more)"),
     ],
 )
 def test_the_nearest_name_or_what_there_is(name: str, known: list[str], said: str) -> None:
