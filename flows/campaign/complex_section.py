@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -12,48 +11,32 @@ from modetune.adapters.yaml_file import Place
 from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.complex_shapes import ComplexShapes
 from modetune.flows.campaign.observing import nothing_seen, observer
-from modetune.flows.campaign.section import OTHERS, Positive, Section, Weights
+from modetune.flows.campaign.response_section import ModewiseSection
+from modetune.flows.campaign.section import Positive
 from modetune.flows.campaign.tested_model import TestedModel
 
 
-class ComplexSection(Section):
+class ComplexSection(ModewiseSection):
     """Complex measured shapes beside those of the damped model."""
 
-    weight: Weights = Field(default=1.0, validate_default=True)
-    """Emphasis, of all modes or by mode; 0 leaves them out."""
     deviation: Positive = 0.05
     """Standard deviation of real and imaginary parts [of the shape's rms]"""
     mac: Annotated[float, Field(ge=0.0, le=1.0)] = 0.9
     """Least MAC of complex shapes that e1 allows."""
 
-    @property
-    def counts(self) -> bool:
-        return any(self.weight.values())
-
-    @property
-    def mode_keys(self) -> tuple[str, ...]:
-        return ("weight",)
-
-    @property
-    def shape_weights(self) -> Mapping[str, float]:
-        return {}
-
     def response(self, given: TestedModel) -> ComplexShapes:
-        """As a test and a model have it, without what `problems` tells of."""
         numbers, sensors = given.test.numbers, given.sensors
-        weights = {n: self.weight.get(str(n), self.weight.get(OTHERS, 1.0)) for n in numbers}
         found = given.complex_shapes
         return ComplexShapes(
             np.zeros((0, len(numbers)), dtype=np.complex128) if found is None else found,
             nothing_seen if sensors is None else observer("complex shapes", sensors, given.deck),
-            weights,
+            self.weights(numbers),
             self.deviation,
             self.mac,
             DampedPairs(given.deck.damping),
         )
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        """Why they cannot be compared, each with its place below the section."""
         if given.complex_shapes is None:
             return [((), "the test's shapes are real: compare them by `shape_weight`")]
         said = given.deck.undamped()

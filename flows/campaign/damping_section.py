@@ -2,62 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from pydantic import Field
-
 from modetune.adapters.yaml_file import Place
 from modetune.core.measurement.repeated import damping_covariance
 from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.damping import DampingRatios
-from modetune.flows.campaign.section import OTHERS, Positive, Section, Weights
+from modetune.flows.campaign.response_section import ModewiseSection
+from modetune.flows.campaign.section import Positive
 from modetune.flows.campaign.tested_model import TestedModel
 
 
-class DampingSection(Section):
+class DampingSection(ModewiseSection):
     """Damping ratios of the paired modes, by the dampers of the model."""
 
-    weight: Weights = Field(default=1.0, validate_default=True)
-    """Emphasis, of all modes or by mode; 0 leaves them out."""
     deviation: Positive = 0.1
     """Standard deviation of measured ratios; without it that of repeated tests, with what their
     errors have in common [of the ratio]"""
     tolerance: Positive = 0.2
     """Largest error that e1 allows [of the measured ratio]"""
 
-    @property
-    def counts(self) -> bool:
-        return any(self.weight.values())
-
-    @property
-    def mode_keys(self) -> tuple[str, ...]:
-        return ("weight",)
-
-    @property
-    def shape_weights(self) -> Mapping[str, float]:
-        return {}
-
     def response(self, given: TestedModel) -> DampingRatios:
-        """As a test and a model have it, without what `problems` tells of."""
-        weights = {number: self._weight(number) for number in given.test.numbers}
+        weights = self.weights(given.test.numbers)
         own = weights, self.deviation, self.tolerance, DampedPairs(given.deck.damping)
         if given.repeats is None or "deviation" in self.model_fields_set:
             return DampingRatios(*own)
         return DampingRatios(*own, damping_covariance(given.repeats, given.test.numbers))
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        """Why some of it cannot be compared, each with its place below the section."""
         ratios = given.test.modes.damping_ratios
         if not ratios.size:
             return [((), "the test has no damping ratios: leave this out")]
+        weights = self.weights(given.test.numbers)
         found: list[tuple[Place, str]] = [
             (("weight",), f"mode {number} has the damping ratio {ratio:g}, which must be above "
              "zero: give it weight 0")
             for number, ratio in zip(given.test.numbers, ratios.tolist(), strict=True)
-            if ratio <= 0.0 and self._weight(number)
+            if ratio <= 0.0 and weights[number]
         ]  # fmt: skip
         said = given.deck.undamped()
         return [*found, *([((), said)] if said else [])]
-
-    def _weight(self, number: int) -> float:
-        return self.weight.get(str(number), self.weight.get(OTHERS, 1.0))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -17,12 +16,12 @@ from modetune.core.parameters import DAMPING
 from modetune.core.updating.damping import Linear
 from modetune.core.updating.responses.frf import Frf, FrfCurve
 from modetune.flows.campaign.observing import nothing_seen, observer
+from modetune.flows.campaign.response_section import ResponseSection
 from modetune.flows.campaign.section import (
     OTHERS,
     Name,
     NotNegative,
     Positive,
-    Section,
     Share,
     by_mode,
 )
@@ -36,8 +35,10 @@ OF_FUNCTIONS = "response function"
 Ratio = Annotated[float, Field(gt=0.0, lt=1.0)] | Name
 
 
-class FrfSection(Section):
+class FrfSection(ResponseSection):
     """Response functions of the test's files, as logarithms at chosen frequencies."""
+
+    mode_keys: ClassVar[tuple[str, ...]] = ("damping",)
 
     band: tuple[NotNegative, Positive] | None = None
     """Lowest and highest frequency [Hz]; without it from 0.7 of the lowest to 1.1 of the highest
@@ -67,20 +68,11 @@ class FrfSection(Section):
         return self.weight > 0.0
 
     @property
-    def mode_keys(self) -> tuple[str, ...]:
-        return ("damping",)
-
-    @property
     def variables(self) -> set[str]:
         """Names of the parameters that are damping ratios."""
         return {ratio for ratio in self.damping.values() if isinstance(ratio, str)}
 
-    @property
-    def shape_weights(self) -> Mapping[str, float]:
-        return {}
-
     def response(self, given: TestedModel) -> Frf:
-        """As a test and a model have it, without what `problems` tells of."""
         curves = self._curves(given)
         observe = (
             observer("response functions", given.seen, given.deck) if given.seen else nothing_seen
@@ -98,7 +90,6 @@ class FrfSection(Section):
         return Frf(curves, observe, damping, others, self.deviation, self.weight, self.frac)
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        """Why they cannot be compared, each with its place below the section."""
         frfs = given.frfs
         if frfs is None or given.seen is None:
             said = [note for note in given.notes if OF_FUNCTIONS in note]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -27,7 +28,7 @@ def campaign_schema() -> dict[str, Any]:
     """The JSON schema of a campaign file, draft 2020-12."""
     schema = CampaignFile.model_json_schema()
     sections = schema["$defs"]
-    meanings = {kind.__name__: _meanings(kind) for kind in Section.__subclasses__()}
+    meanings = {kind.__name__: _meanings(kind) for kind in _kinds(Section)}
     for name, section in ((CampaignFile.__name__, schema), *sections.items()):
         section.pop("title", None)
         for key, told in section.get("properties", {}).items():
@@ -47,6 +48,13 @@ def schema_text() -> str:
     return json.dumps(campaign_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
+def _kinds(section: type[Section]) -> Iterator[type[Section]]:
+    """All sections that are of a kind."""
+    for kind in section.__subclasses__():
+        yield kind
+        yield from _kinds(kind)
+
+
 def _meanings(section: type[Section]) -> dict[str, str]:
     """What the docstrings below a section's fields say of its keys.
 
@@ -54,7 +62,9 @@ def _meanings(section: type[Section]) -> dict[str, str]:
     """
     (body,) = ast.parse(inspect.getsource(section)).body
     assert isinstance(body, ast.ClassDef)
-    return {
+    (above,) = section.__bases__
+    told = _meanings(above) if issubclass(above, Section) else {}
+    return told | {
         field.target.id: inspect.cleandoc(text.value.value)
         for field, text in pairwise(body.body)
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)

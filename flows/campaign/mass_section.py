@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from pydantic import model_validator
 
@@ -13,6 +12,7 @@ from modetune.core.updating.responses.mass_properties import (
     MassResponse,
     MassTarget,
 )
+from modetune.flows.campaign.response_section import ResponseSection
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section
 from modetune.flows.campaign.tested_model import TestedModel
 
@@ -60,7 +60,7 @@ class MassQuantitySection(Section):
         return MassTarget(self.target, self.deviation, self.weight, self.ends)
 
 
-class MassSection(Section):
+class MassSection(ResponseSection):
     """Mass, centre of gravity and inertia of the model, compared with what was weighed. They are
     the deck's own: global axes, inertia as the tensor about the centre of gravity."""
 
@@ -112,16 +112,7 @@ class MassSection(Section):
     def counts(self) -> bool:
         return any(item.weight for item in self.targets.values())
 
-    @property
-    def mode_keys(self) -> tuple[str, ...]:
-        return ()
-
-    @property
-    def shape_weights(self) -> Mapping[str, float]:
-        return {}
-
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        """Why some of it cannot be compared, each with its place below the section."""
         if given.deck.mesh().nodes.size:
             return []
         return [
@@ -131,6 +122,5 @@ class MassSection(Section):
         ]
 
     def response(self, given: TestedModel) -> MassResponse:
-        """As any test has it."""
         targets = {name: self.targets[name] for name in MASS_QUANTITIES if name in self.targets}
         return MassResponse(targets, self.within, given.deck.observation)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Literal, Protocol, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
 from modetune.adapters.solver import Solver
-from modetune.adapters.yaml_file import Place, YamlFile
+from modetune.adapters.yaml_file import YamlFile
 from modetune.core.updating.responses.response import Response
 from modetune.flows.campaign.complex_section import ComplexSection
 from modetune.flows.campaign.damping_section import DampingSection
 from modetune.flows.campaign.frf_section import FrfSection
 from modetune.flows.campaign.mac_section import MacSection
 from modetune.flows.campaign.mass_section import MassSection
+from modetune.flows.campaign.response_section import ResponseSection
 from modetune.flows.campaign.section import (
     OTHERS,
     Deviations,
@@ -37,33 +38,6 @@ SensorKey = Literal["sensor_weight", "sensor_deviation"]
 KINDS = (
     "mac", "modal_strain", "static", "damping", "complex_shapes", "mass_properties", "frf",
 )  # fmt: skip
-
-
-class KindSection(Protocol):
-    """What the section of a kind of response tells."""
-
-    @property
-    def mode_keys(self) -> tuple[str, ...]:
-        """Its keys whose values go by mode."""
-        ...
-
-    @property
-    def shape_weights(self) -> Mapping[str, float]:
-        """Its weights by mode, where it compares shapes."""
-        ...
-
-    @property
-    def counts(self) -> bool:
-        """Whether any of its weights is above zero."""
-        ...
-
-    def response(self, given: TestedModel) -> Response:
-        """The kind as a test and a model have it, without what `problems` tells of."""
-        ...
-
-    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        """Why it does not fit them, each with its place below the section."""
-        ...
 
 
 class ResidualSection(Section):
@@ -104,7 +78,7 @@ class ResidualSection(Section):
     """Response functions of the test's files."""
 
     @property
-    def kinds(self) -> dict[str, KindSection]:
+    def kinds(self) -> dict[str, ResponseSection]:
         """The sections of the kinds that are compared beside frequencies and shapes."""
         found = ((key, getattr(self, key)) for key in KINDS)
         return {key: section for key, section in found if section is not None}

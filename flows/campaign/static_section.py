@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -15,6 +14,7 @@ from modetune.core.modes import COMPONENTS, Floats, Integers
 from modetune.core.parameters import Values
 from modetune.core.updating.responses.static import Static
 from modetune.core.updating.static import LoadCase, Reading
+from modetune.flows.campaign.response_section import ResponseSection
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
 from modetune.flows.campaign.tested_model import TestedModel
 
@@ -54,7 +54,7 @@ class StaticCase(Section):
         return self
 
 
-class StaticSection(Section):
+class StaticSection(ResponseSection):
     """Static displacements and strains under load cases."""
 
     cases: Annotated[tuple[StaticCase, ...], Field(min_length=1)]
@@ -64,16 +64,7 @@ class StaticSection(Section):
     def counts(self) -> bool:
         return any(case.weight for case in self.cases)
 
-    @property
-    def mode_keys(self) -> tuple[str, ...]:
-        return ()
-
-    @property
-    def shape_weights(self) -> Mapping[str, float]:
-        return {}
-
     def response(self, given: TestedModel) -> Static:
-        """As a model has it, without what `problems` tells of."""
         _, readings, _ = self._made(given.deck)
 
         def loads(theta: Floats) -> list[LoadCase]:
@@ -83,7 +74,6 @@ class StaticSection(Section):
         return Static(tuple(readings), loads, given.deck.observation)
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        """Why some of it cannot be compared, each with its place below the section."""
         return self._made(given.deck)[2]
 
     def _made(self, deck: Deck) -> tuple[list[LoadCase], list[Reading], list[tuple[Place, str]]]:

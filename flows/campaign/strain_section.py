@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -12,13 +11,16 @@ from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.errors import ModelError
 from modetune.core.updating.responses.modal_strain import Gauge, ModalStrain, StrainScale
-from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
+from modetune.flows.campaign.response_section import ResponseSection
+from modetune.flows.campaign.section import Finite, NotNegative, Positive, by_name
 from modetune.flows.campaign.static_section import elongation
 from modetune.flows.campaign.tested_model import TestedModel
 
 
-class ModalStrainSection(Section):
+class ModalStrainSection(ResponseSection):
     """Strains of modes at gauges."""
+
+    mode_keys: ClassVar[tuple[str, ...]] = ("modes",)
 
     gauges: Annotated[tuple[str, ...], Field(min_length=1)]
     """Gauges, each as `node-node`: how much the distance between the two nodes grew, over it."""
@@ -54,20 +56,11 @@ class ModalStrainSection(Section):
     def counts(self) -> bool:
         return self.weight > 0.0
 
-    @property
-    def mode_keys(self) -> tuple[str, ...]:
-        return ("modes",)
-
-    @property
-    def shape_weights(self) -> Mapping[str, float]:
-        return {}
-
     def nodes(self, deck: Deck) -> tuple[int, ...]:
         """Nodes at which modes are wanted for the gauges."""
         return tuple({node for gauge in self._made(deck)[0] for node in gauge.nodes.tolist()})
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        """Why some of it cannot be compared, each with its place below the section."""
         found = self._made(given.deck)[1]
         if self.scale == "shapes" and not given.test.has_shapes:
             found.append(
@@ -76,7 +69,6 @@ class ModalStrainSection(Section):
         return found
 
     def response(self, given: TestedModel) -> ModalStrain:
-        """As a test and a model have it, without what `problems` tells of."""
         return ModalStrain(
             tuple(self._made(given.deck)[0]),
             {int(n): np.array(values) for n, values in self.modes.items()},
