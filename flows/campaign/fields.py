@@ -18,7 +18,8 @@ from modetune.core.errors import ModelError
 from modetune.core.modes import Integers
 from modetune.core.updating.fields import MOST_ZONES, Field, element_graph, joined, zones_of
 from modetune.flows.campaign.configurations import moved
-from modetune.flows.campaign.schema import TARGET_KEYS, CampaignFile, FieldSection, ParameterSection
+from modetune.flows.campaign.parameter_section import TARGET_KEYS, FieldSection, ParameterSection
+from modetune.flows.campaign.schema import CampaignFile
 from modetune.flows.campaign.solvers import bind_solver
 
 

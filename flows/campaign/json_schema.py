@@ -16,7 +16,8 @@ from itertools import pairwise
 from typing import Any
 
 from modetune.core.parameters import TARGETS
-from modetune.flows.campaign.schema import TARGET_KEYS, CampaignFile
+from modetune.flows.campaign.parameter_section import TARGET_KEYS
+from modetune.flows.campaign.schema import CampaignFile
 from modetune.flows.campaign.section import Section
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

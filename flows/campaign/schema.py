@@ -6,7 +6,6 @@ into a Campaign.
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -18,22 +17,13 @@ from pydantic import (
 )
 from pydantic_core import PydanticKnownError
 
-from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of
-from modetune.core.parameters import (
-    TARGETS,
-    Parameter,
-    ParameterSet,
-    Quantity,
-    TargetKind,
-    ValueKind,
-    counted_from,
-)
+from modetune.core.parameters import ParameterSet
 from modetune.core.updating.estimation import Found, StepForm
-from modetune.core.updating.fields import MOST_ZONES, Smoothing
 from modetune.flows.campaign.command_section import CommandSection
+from modetune.flows.campaign.parameter_section import ParameterSection
 from modetune.flows.campaign.residual_section import ResidualSection
-from modetune.flows.campaign.section import Finite, Name, NotNegative, Positive, Section, Share
+from modetune.flows.campaign.section import Name, NotNegative, Positive, Section, Share
 from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.site import RunSection
 
@@ -52,10 +42,6 @@ Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_dif
 #: Names the store's folder for all campaigns.
 STORE_VARIABLE = "MODETUNE_STORE"
 STORE_REMEDY = f"name another store with `store:` in the campaign or {STORE_VARIABLE}"
-#: Keys that name what a parameter's quantity belongs to.
-TARGET_KEYS: tuple[TargetKind, ...] = ("material", "elset", "property", "element", "part")
-#: Names in upper or lower case, or the numbers that Nastran decks use.
-Targets = str | int | tuple[str | int, ...]
 
 
 class ModelSection(Section):
@@ -135,150 +121,6 @@ class TestSection(Section):
                 "is used or held out"
             )
         return self
-
-
-class FieldSection(Section):
-    """A value for each element or zone of what a parameter scales; neighbours go together."""
-
-    zones: Literal["elements"] | Annotated[int, Field(ge=2, le=MOST_ZONES)] = "elements"
-    """How many connected zones have a value of their own; `elements`: each element."""
-    smoothing: Smoothing = "neighbours"
-    """What is taken for likely beforehand: `neighbours` change alike; `total_variation`: patches
-    with few edges; `sparse`: few zones change."""
-    length: Positive = 3.0
-    """Over how many zones values go together; `sparse` knows no neighbours."""
-
-
-class ParameterSection(Section):
-    """One updating parameter; bounds, deviation and initial are relative to the deck's value unless
-    `values` says otherwise."""
-
-    name: Name
-    """What the parameter is called in tables, in the record, in expressions and in `--at`."""
-    quantity: Quantity
-    """What of the model it moves; `variable`: nothing itself; expressions of others or
-    `residuals.frf.damping` name it."""
-    values: ValueKind = "relative"
-    """What its values are: factors on the deck's value; `absolute`: the value itself, in the deck's
-    units; `additive`: what is added to the deck's value. Those two may be zero or change their
-    sign, and need `bounds` and `deviation`, absolute ones `initial`: nothing else tells their
-    size."""
-    expression: Annotated[str, Field(min_length=1, max_length=500)] | None = None
-    """Arithmetic of other parameters' values, such as `width**4 / 12`, that gives its value: then
-    it has no freedom, bounds, deviation or start of its own."""
-    item: Annotated[int, Field(ge=0)] = 0
-    """Which of a card's numbers: a ply, a dimension, a direction; 0: the one, or all."""
-    material: Targets | None = None
-    """Material, or a list of them tied together."""
-    elset: Targets | None = None
-    """Element set (CalculiX) or element (`matrices`), or a list of them tied together."""
-    property: Targets | None = None
-    """Number of a Nastran property, or a list of them tied together."""
-    element: Targets | None = None
-    """Number or range (`101-120`) of elements, or a list of them tied together. What they share
-    with others (a material, a property, a section) is copied for them."""
-    part: Targets | None = None
-    """Part of a model of matrices, or a list of them tied together."""
-    bounds: tuple[Finite, Finite] = (0.5, 2.0)
-    """Least and largest value [of the deck's value]"""
-    deviation: Positive = 0.2
-    """How uncertain the value is beforehand: its standard deviation [of the deck's value]"""
-    initial: Finite = 1.0
-    """The value that updating starts from; of additive ones 0 unless given [of the deck's value]"""
-    field: FieldSection | None = None
-    """Elements or zones with a value each, in place of one value of all."""
-    configurations: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
-    """Names of the configurations it belongs to; without it all whose deck has what it scales."""
-
-    @model_validator(mode="after")
-    def _sound(self) -> ParameterSection:
-        given = [key for key in TARGET_KEYS if getattr(self, key) is not None]
-        wanted = TARGETS[self.quantity]
-        if len(given) > 1 or any(key not in wanted for key in given):
-            found = f"not {' and '.join(f'`{key}`' for key in given)}"
-            raise ValueError(f"{self.quantity} needs {targets_of(self.quantity)}; {found}")
-        if self.field is not None and (self.expression or "element" not in wanted):
-            raise ValueError(
-                f"a field is of a quantity that elements have, not of {self.quantity}"
-                if "element" not in wanted
-                else "a field has values of its own, so `expression` would mean nothing"
-            )
-        if self.expression is not None:
-            self._check_expression(self.expression)
-            return self
-        missing = [] if self.values == "relative" else ["bounds", "deviation"]
-        missing += ["initial"] if self.values == "absolute" else []
-        lost = [f"`{key}`" for key in missing if key not in self.model_fields_set]
-        if lost:
-            raise ValueError(
-                f"{self.values} values need {' and '.join(lost)}: the deck's value may be zero, so "
-                "nothing else tells how large a step of theirs is"
-            )
-        lower, upper = self.bounds
-        if lower >= upper:
-            raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
-        if self.values == "relative" and lower <= 0.0:
-            raise ValueError(
-                f"bounds: the lower ({lower:g}) must be above zero, a factor; `values: additive` "
-                "and `values: absolute` may be zero"
-            )
-        if not lower <= self.start() <= upper:
-            raise ValueError(f"initial value {self.start():g} is outside the bounds")
-        return self
-
-    def _check_expression(self, expression: str) -> None:
-        own = {"bounds", "deviation", "initial"} & self.model_fields_set
-        if own:
-            raise ValueError(
-                f"`expression` gives the value, so {' and '.join(sorted(own))} would mean nothing: "
-                "leave it out"
-            )
-        if self.quantity == "variable":
-            raise ValueError("a variable is what expressions name; it has no expression itself")
-        try:
-            names_of(expression)
-        except ModelError as error:
-            raise ValueError(str(error)) from None
-
-    def by(self) -> TargetKind:
-        """What the targets name; without one the parameter's name is that of its placeholder."""
-        named = (key for key in TARGET_KEYS if getattr(self, key) is not None)
-        return next(named, "placeholder")
-
-    def targets(self) -> tuple[str, ...]:
-        """The targets' names."""
-        chosen = self.name if self.by() == "placeholder" else getattr(self, self.by())
-        return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
-
-    def start(self) -> float:
-        """The value that updating starts from."""
-        additive = self.values == "additive" and "initial" not in self.model_fields_set
-        return 0.0 if additive else self.initial
-
-    def parameter(self) -> Parameter:
-        """The parameter as the program has it."""
-        own = (self.name, self.quantity, self.by(), self.targets())
-        if self.expression is not None:
-            free = (-math.inf, math.inf, math.nan, math.nan)
-            return Parameter(*own, *free, self.item, self.values, expression=self.expression)
-        origin, scale = counted_from(self.values, self.start(), self.bounds[0], self.deviation)
-        lower, upper, initial = ((value - origin) / scale for value in (*self.bounds, self.start()))
-        return Parameter(
-            *own,
-            lower,
-            upper,
-            self.deviation / scale,
-            initial,
-            self.item,
-            self.values,
-            origin,
-            scale,
-        )
-
-
-def targets_of(quantity: Quantity) -> str:
-    """The keys that may name what a quantity belongs to, for messages."""
-    return " or ".join(f"`{key}`" for key in TARGETS[quantity]) or "`solver: command`"
 
 
 class ConfigurationSection(Section):

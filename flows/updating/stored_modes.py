@@ -8,13 +8,7 @@ what its search began with, and has the same digits whoever finds them, and when
     others                   the modes of the first one
     once there is a basis    what the newest reduced model, made of the modes at a set, has there
 
-Where a factorisation takes longer than what it spares (large models), a search from a reduced model
-goes on with the factors that the modes behind that were found with, their own or again those of an
-earlier set. So this too follows from the start alone; where other factors have taken their place,
-since a set lay too far away and was not kept, they are made once more.
-
-Shapes of all unknowns and the newest basis stay in memory. Where a campaign goes on that was killed
-what its next search begins with is found once more, set by set.
+How they are found is told in solutions.py.
 """
 
 from __future__ import annotations
@@ -22,25 +16,19 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import symmetric
-from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.correlation.clusters import rotation_onto
-from modetune.core.errors import ModesError
-from modetune.core.modes import CLOSE, Floats, Integers
+from modetune.core.modes import CLOSE, Floats
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.derivative_vectors import MOST_FORCES
-from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
-from modetune.core.updating.reduced_basis import reduce
 from modetune.core.updating.reduced_range import ReducedRange, reduce_over
 from modetune.core.updating.results import ModalResult
 from modetune.core.updating.sensitivity import ModeDerivatives, nelson
@@ -53,10 +41,9 @@ from modetune.flows.updating.observed_modes import (
     first_shift,
     modes_at,
     named_freedoms,
-    observer_of,
-    solved_energies,
 )
 from modetune.flows.updating.small_matrices import one_thread
+from modetune.flows.updating.solutions import ModalSet, ReducedAround, Solutions, StoredModel
 
 logger = logging.getLogger(__name__)
 
@@ -65,197 +52,6 @@ REDUCED_VERSION = 5
 RANGE_VERSION = 3
 #: The same of exact derivatives.
 DERIVATIVES_VERSION = 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Set:
-    """So many modes at values (n_parameters,) as decks hold them; start: what they begin with."""
-
-    key: str
-    values: Floats
-    n_modes: int
-    start: _Set | _Around | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Around:
-    """A reduced model of the modes at a set; modes: those whose derivatives it holds; seen: nodes
-    and components of its rows."""
-
-    key: str
-    of: _Set
-    modes: Integers
-    seen: tuple[Integers, Integers]
-
-
-@dataclass(frozen=True, slots=True)
-class _Solved:
-    """Modes at a set with shapes of all unknowns (n, n_modes).
-
-    energies: (n_modes,), NaN where the rounding of the matrices hides them: of rigid modes.
-    factors: those that it was found with. previous: the basis (n, r) it was found from, where
-    these are not its own.
-    """
-
-    eigenvalues: Floats
-    shapes: Floats
-    energies: Floats
-    n_rigid: int
-    factors: _Factors
-    previous: Floats | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Factors:
-    """The set whose factors are at hand, and their shift, (rad/s)^2."""
-
-    of: _Set
-    shift: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Start:
-    """What a search begins with: shift, (rad/s)^2, shapes of all unknowns, factors, a basis."""
-
-    shift: float
-    shapes: Floats | None = None
-    factors: _Factors | None = None
-    basis: Floats | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Basis:
-    """A reduced model and its basis (n, r); n_rigid: modes that are rigid; factors: its modes'."""
-
-    of: _Around
-    n_rigid: int
-    factors: _Factors
-    reduced: ReducedModel
-    vectors: Floats
-
-    def shapes(self, values: Floats, n_modes: int) -> tuple[Floats, Floats]:
-        """Eigenvalues (n_modes,) and shapes of all unknowns (n, n_modes). Raises ModesError."""
-        eigenvalues, combined = self.reduced.combinations(values, n_modes)
-        return eigenvalues, self.vectors @ combined
-
-
-@dataclass(frozen=True)
-class _Model:
-    """A campaign's model as matrices, read when something is found from them."""
-
-    campaign: Campaign
-    source: MatrixSource
-
-    @cached_property
-    def matrices(self) -> ParameterMatrices:
-        """For all values."""
-        return self.source.last_matrices(self.campaign.start, range(len(self.source.parameters)))
-
-    def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
-        """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
-        return observer_of(self.campaign, self.matrices.base, nodes, components)
-
-
-class _Solutions:
-    """Solutions in memory, and found again where they have left it: the newest of each kind."""
-
-    def __init__(self, model: _Model, engine: JobEngine, shift: float) -> None:
-        """shift: where none is known, (rad/s)^2."""
-        self.model = model
-        self.engine = engine
-        self.shift = shift
-        # The solver's own modes at the end tell whether any was missed: no need to count them.
-        self._solver = ModeSolver(count=False)
-        self._newest: tuple[_Set, _Solved] | None = None
-        self._first: tuple[_Set, _Solved] | None = None
-        self._basis: _Basis | None = None
-        self._factors: _Factors | None = None
-
-    @property
-    def on_disk(self) -> bool:
-        """Whether the factors did not fit in memory."""
-        return self._solver.on_disk
-
-    def modes(self, item: _Set) -> _Solved:
-        """The modes of a set with shapes of all unknowns."""
-        if self._newest is not None and self._newest[0] is item:
-            return self._newest[1]
-        start = self._beginning(item)
-        self._newest = None
-        with self.engine.all_cores():
-            kept = self._at_hand(start.factors, item.n_modes)
-            at_hand, self._factors = self._factors, None
-            here = self.model.matrices.at(item.values)
-            solved = self._solver.solve(
-                here.upper_stiffness, here.upper_mass, item.n_modes, start.shift, start.shapes, kept
-            )
-            energies, n_rigid = solved_energies(self.model.campaign, here, solved)
-        own = self._solver.has_own_factors
-        self._factors = _Factors(item, solved.shift) if own else at_hand
-        assert self._factors is not None
-        self._newest = (
-            item,
-            _Solved(
-                solved.eigenvalues,
-                solved.shapes,
-                energies,
-                n_rigid,
-                self._factors,
-                None if own else start.basis,
-            ),
-        )
-        return self._newest[1]
-
-    def _at_hand(self, factors: _Factors | None, n_modes: int) -> int:
-        """For how many blocks these factors are worth being kept; made once more if need be."""
-        blocks = 0 if factors is None else self._solver.blocks_that_pay(n_modes)
-        if blocks and factors is not None and factors != self._factors:
-            there = self.model.matrices.at(factors.of.values)
-            self._solver.factorise(there.upper_stiffness, there.upper_mass, factors.shift)
-            self._factors = factors
-        return blocks
-
-    def basis(self, around: _Around) -> _Basis:
-        """A reduced model with its basis."""
-        if self._basis is None or self._basis.of is not around:
-            solved, observer = self.modes(around.of), self.model.observer(*around.seen)
-            with self.engine.all_cores():
-                made = reduce(
-                    self.model.matrices,
-                    around.of.values,
-                    solved.eigenvalues,
-                    solved.shapes,
-                    self._solver.inverse,
-                    around.modes,
-                    solved.n_rigid,
-                    observer,
-                    solved.previous,
-                    exact=self._solver.has_own_factors,
-                )
-            self._basis = _Basis(around, solved.n_rigid, solved.factors, *made)
-        return self._basis
-
-    def _beginning(self, item: _Set) -> _Start:
-        """What a search begins with."""
-        if item.start is None:
-            return _Start(self.shift)
-        if isinstance(item.start, _Set):
-            if self._first is None or self._first[0] is not item.start:
-                self._first = item.start, self.modes(item.start)
-            first, factors, basis = self._first[1], None, None
-            eigenvalues, shapes, n_rigid = first.eigenvalues, first.shapes, first.n_rigid
-        else:
-            self._first = None
-            try:
-                newest = self.basis(item.start)
-                eigenvalues, shapes = newest.shapes(item.values, item.n_modes)
-            except ModesError as error:
-                logger.debug("no start from a reduced model: %s", error)
-                return _Start(self.shift)
-            basis, n_rigid, factors = newest.vectors, newest.n_rigid, newest.factors
-        elastic = eigenvalues[n_rigid:]
-        shift = shift_below(float(elastic[0])) if elastic.size else self.shift
-        return _Start(shift, shapes, factors, basis)
 
 
 class MatrixModes:
@@ -270,16 +66,16 @@ class MatrixModes:
         self.engine = engine
         self.source = source
         columns = range(len(source.parameters))
-        self._model = _Model(campaign, source)
+        self._model = StoredModel(campaign, source)
         self._matrices_key = source.key(campaign.start, columns)
         if source.jobs(campaign.start, columns):
             _ = self._model.matrices  # what jobs left is made into the matrices at once
         self._shift = first_shift(campaign)
-        self._solutions = _Solutions(self._model, engine, self._shift)
-        self._sets: dict[tuple[float, ...], _Set] = {}
-        self._first: dict[int, _Set] = {}
-        self._reduced: dict[str, _Around] = {}
-        self._around: _Around | None = None
+        self._solutions = Solutions(self._model, engine, self._shift)
+        self._sets: dict[tuple[float, ...], ModalSet] = {}
+        self._first: dict[int, ModalSet] = {}
+        self._reduced: dict[str, ReducedAround] = {}
+        self._around: ReducedAround | None = None
 
     def modal(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """The key and the modes of a set at the analysis' nodes. Raises UnlikeMatrices where
@@ -389,7 +185,7 @@ class MatrixModes:
         }
         key = content_key(canonical_json(asked))
         if key not in self._reduced:
-            self._reduced[key] = _Around(key, item, modes, named_freedoms(nodes))
+            self._reduced[key] = ReducedAround(key, item, modes, named_freedoms(nodes))
         around = self._around = self._reduced[key]
         return self._derived(
             asked, lambda: self._solutions.basis(around).reduced, ReducedModel, "reduced model"
@@ -439,11 +235,11 @@ class MatrixModes:
         return self._solutions.on_disk
 
     @property
-    def _newest(self) -> _Around | None:
+    def _newest(self) -> ReducedAround | None:
         """The reduced model that was asked for last for the first time."""
         return next(reversed(self._reduced.values()), None)
 
-    def _set(self, theta: Floats, n_modes: int) -> _Set:
+    def _set(self, theta: Floats, n_modes: int) -> ModalSet:
         """A set, with what its modes are found from."""
         values = self.source.written(theta)
         mark = (*values.tolist(), n_modes)
@@ -457,10 +253,10 @@ class MatrixModes:
                 "from": self._shift if start is None else start.key,
             }
             key = content_key(canonical_json(asked))
-            self._sets[mark] = _Set(key, values, n_modes, start)
+            self._sets[mark] = ModalSet(key, values, n_modes, start)
             self._first.setdefault(n_modes, self._sets[mark])
         return self._sets[mark]
 
 
-def _asked_modes(item: _Set, analysis: ModalAnalysis) -> Json:
+def _asked_modes(item: ModalSet, analysis: ModalAnalysis) -> Json:
     return {"modes at": item.key, "nodes": list(analysis.nodes)}

@@ -179,56 +179,32 @@ def correct_directly(
     mass_normalised: whether the test's shapes are of unit modal mass in the deck's own unit; else
     they are scaled to that in the model, and so say nothing of the whole mass.
     """
-    names = sensor_names(campaign)
-    model = full_model(campaign, values, watcher)
-    n = model.stiffness.shape[0]
-    if n > MOST:
-        raise CampaignError(
-            f"{campaign.name} has {n} unknowns, and direct methods fill whole matrices: {MOST} is "
-            "the most; reduce it first (`modetune reduce --out reduced.yaml`) and name that"
-        )
-    seen, moving = model.seen(by_sensors(model), names)
-    own = _modes_of(model, min(campaign.case.n_modes, n))
-    test = campaign.case.measured.modes.rows(moving)
-    if np.iscomplexobj(test.mode_shapes):
-        raise CampaignError("direct methods are for undamped models: real shapes are required")
-    watched = sparse.csr_array(by_sensors(model).matrix[moving])
-    computed = mode_set(
-        own.elastic_hz, np.asarray(watched @ own.elastic), test.nodes, test.components
-    )
-    pairing = pair_by_shape(test, computed, drop=True)
-    paired = method == "error_matrix" or filling == "model"
-    used = pairing.measured if paired else np.arange(test.n_modes)
-    partners = pairing.computed if paired else np.arange(min(computed.n_modes, moving.size))
-    back = sparse.csc_array(seen.back)
-    basis = spsolve(back, own.elastic[:, partners]).reshape(n, partners.size)
-    given = test.select(used)
+    subject = _subject(campaign, values, watcher)
+    model, own, seen = subject.model, subject.own, subject.seen
+    used, partners = _imposed(subject, method, filling)
+    given = subject.test.select(used)
     scale: Normalisation = "mass" if mass_normalised else "unknown"
     reference = ReferenceModes(
         given.frequencies_hz, given.mode_shapes.real, seen.rows, scale, filling
     )
-    found = _update(method, seen, reference, own.elastic_hz[partners], basis)
-    stiffness, mass = (
-        LowRankChange(spsolve(back.T.tocsc(), item.basis).reshape(n, -1), item.core).dense()
-        for item in (found.stiffness_change, found.mass_change)
-    )
+    found, stiffness, mass = _update(method, subject, reference, partners)
     k, m = model.stiffness.toarray() + stiffness, model.mass.toarray() + mass
     numbers = np.array(campaign.case.measured.numbers, dtype=np.int64)
-    phi = np.asarray(back @ found.mode_shapes)
+    phi = np.asarray(seen.back @ found.mode_shapes)
     modes, why = _corrected(k, m, own, model, (numbers[used], given, phi))
     said = f"modetune direct: {campaign.name}, {method}, {used.size} modes, filled by {filling}"
     return DirectCorrection(
         method=method,
         filling=filling,
-        n=n,
-        n_seen=int(moving.size),
+        n=len(k),
+        n_seen=seen.rows.size,
         imposed=tuple(numbers[used].tolist()),
         lost=tuple(np.delete(numbers, used).tolist()),
         modes=modes,
         why_no_modes=why,
         damage=(
-            _damage("stiffness", model.stiffness, stiffness, watched),
-            _damage("mass", model.mass, mass, watched),
+            _damage("stiffness", model.stiffness, stiffness, subject.watched),
+            _damage("mass", model.mass, mass, subject.watched),
         ),
         residual=float(np.max(relative(k @ phi - m @ phi * given.eigenvalues, k @ phi))),
         rigid_hz=_rigid_hz(own, k, m),
@@ -237,20 +213,6 @@ def correct_directly(
             k, m, model.matrices.nodes, model.matrices.components, comments=(said,)
         ),
     )
-
-
-def _update(
-    method: DirectMethod,
-    seen: MeasuredModel,
-    reference: ReferenceModes,
-    partners_hz: Floats,
-    basis: Floats,
-) -> DirectUpdate:
-    """The correction on the unknowns that are seen; partners_hz, basis: the model's own modes."""
-    if method == "error_matrix":
-        return error_matrix_update(seen.stiffness, seen.mass, reference, partners_hz, basis)
-    keep = method == "baruch"
-    return direct_matrix_update(seen.stiffness, seen.mass, reference, basis, keep)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +230,74 @@ def _modes_of(model: FullModel, count: int) -> _OwnModes:
     rest = eigenvalues <= REST * np.abs(eigenvalues).max()
     frequencies = np.sqrt(eigenvalues[~rest]) / (2.0 * np.pi)
     return _OwnModes(frequencies, shapes[:, ~rest], shapes[:, rest])
+
+
+@dataclass(frozen=True, slots=True)
+class _Subject:
+    """A model with its own modes, and the test at its sensors that can move.
+
+    seen: the model with what they see for unknowns; watched: (n_seen, n), what they see of it.
+    """
+
+    model: FullModel
+    own: _OwnModes
+    test: ModeSet
+    seen: MeasuredModel
+    watched: sparse.csr_array
+
+
+def _subject(campaign: Campaign, values: Values, watcher: JobWatcher | None) -> _Subject:
+    names = sensor_names(campaign)
+    model = full_model(campaign, values, watcher)
+    n = model.stiffness.shape[0]
+    if n > MOST:
+        raise CampaignError(
+            f"{campaign.name} has {n} unknowns, and direct methods fill whole matrices: {MOST} is "
+            "the most; reduce it first (`modetune reduce --out reduced.yaml`) and name that"
+        )
+    wanted = by_sensors(model)
+    seen, moving = model.seen(wanted, names)
+    own = _modes_of(model, min(campaign.case.n_modes, n))
+    test = campaign.case.measured.modes.rows(moving)
+    if np.iscomplexobj(test.mode_shapes):
+        raise CampaignError("direct methods are for undamped models: real shapes are required")
+    return _Subject(model, own, test, seen, sparse.csr_array(wanted.matrix[moving]))
+
+
+def _imposed(
+    subject: _Subject, method: DirectMethod, filling: Filling
+) -> tuple[Integers, Integers]:
+    """Places of the test's modes that can be imposed, and of the model's modes that help."""
+    own, test = subject.own, subject.test
+    shapes = np.asarray(subject.watched @ own.elastic)
+    computed = mode_set(own.elastic_hz, shapes, test.nodes, test.components)
+    pairing = pair_by_shape(test, computed, drop=True)
+    if method == "error_matrix" or filling == "model":
+        return pairing.measured, pairing.computed
+    return np.arange(test.n_modes), np.arange(min(computed.n_modes, len(shapes)))
+
+
+def _update(
+    method: DirectMethod, subject: _Subject, reference: ReferenceModes, partners: Integers
+) -> tuple[DirectUpdate, Floats, Floats]:
+    """The correction on the unknowns that are seen, and the changes (n, n) of stiffness and mass
+    on the model's own; partners: places of its modes that help."""
+    seen, own = subject.seen, subject.own
+    back = sparse.csc_array(seen.back)
+    n = back.shape[0]
+    basis = spsolve(back, own.elastic[:, partners]).reshape(n, partners.size)
+    if method == "error_matrix":
+        found = error_matrix_update(
+            seen.stiffness, seen.mass, reference, own.elastic_hz[partners], basis
+        )
+    else:
+        keep = method == "baruch"
+        found = direct_matrix_update(seen.stiffness, seen.mass, reference, basis, keep)
+    stiffness, mass = (
+        LowRankChange(spsolve(back.T.tocsc(), item.basis).reshape(n, -1), item.core).dense()
+        for item in (found.stiffness_change, found.mass_change)
+    )
+    return found, stiffness, mass
 
 
 def _corrected(

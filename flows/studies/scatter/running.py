@@ -10,16 +10,15 @@ that check it.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modetune import __version__
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.measurement import RepeatedTests
 from modetune.core.measurement.scatter import scatter_of
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import Floats
 from modetune.core.near_names import suggestion
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.parameter_scatter import (
@@ -39,6 +38,13 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.studies.sample.running import Known, SamplingRequest, learned_posterior
 from modetune.flows.studies.sample.surrogate import fit_surrogate
+from modetune.flows.studies.scatter.measured_values import (
+    MeasuredValues,
+    names_of,
+    used_hz,
+    values_by_test,
+    values_of,
+)
 from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
 from modetune.flows.updating.small_matrices import one_thread
 
@@ -103,7 +109,7 @@ def scatter_campaign(
         raise CampaignError(problems)
     free = tuple(name for name in names if name in request.of) or names
     sampling = SamplingRequest(points=request.points, seed=request.seed)
-    n_values = len(_names_of(campaign))
+    n_values = len(names_of(campaign))
     if len(free) > n_values:
         raise CampaignError(
             f"{n_values} measured values do not tell how {len(free)} parameters differ from test "
@@ -111,7 +117,7 @@ def scatter_campaign(
         )
     wide = _of_one_test(campaign)
     with learned_posterior(wide, sampling, working, earlier, watcher) as known:
-        values = _values(known)
+        values = values_of(known.campaign, known.solver.residual)
         if known.reduced is None:
             known = _nearer(known, np.random.default_rng(request.seed))
         tests = _tests(known, values, request.deviation)
@@ -161,7 +167,7 @@ def _of_one_test(campaign: Campaign) -> Campaign:
     repeats = case.measurement.repeats
     assert repeats is not None
     rows = [repeats.numbers.index(number) for number in case.test.numbers]
-    found = scatter_of(_used_hz(repeats)[:, rows])
+    found = scatter_of(used_hz(repeats)[:, rows])
     weighting = replace(
         case.weighting,
         frequency_deviations=np.maximum(found.deviations / found.mean, LEAST),
@@ -172,12 +178,6 @@ def _of_one_test(campaign: Campaign) -> Campaign:
         for item in case.compared
     )
     return replace(campaign, cases=(replace(case, weighting=weighting, compared=compared),))
-
-
-def _used_hz(repeats: RepeatedTests) -> Floats:
-    """Frequencies (n_tests, n_modes), NaN where missing or left out."""
-    hz = repeats.frequencies_hz
-    return hz if repeats.used is None else np.where(repeats.used, hz, np.nan)
 
 
 def _nearer(known: Known, rng: np.random.Generator) -> Known:
@@ -197,108 +197,11 @@ def _noise_told(request: ScatterRequest, n_modes: int, n_free: int) -> bool:
     return request.deviation is not None or n_modes == n_free
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredValues:
-    """Values that tests were repeated for, as a campaign compares them.
-
-    names: of the responses; columns: (m,), of them in a standardised residual; means: (m,), of the
-    tests, in their units; sizes: (m,), by which the tests' values are divided: means of
-    frequencies; of others what makes the measurement err alike, as the campaign's deviations say.
-    deviations, targets: (m,), that residuals are standardised by, and measured from. root:
-    (n_modes, n_modes), of the frequencies, which come first.
-    """
-
-    names: tuple[str, ...]
-    columns: Integers
-    means: Floats
-    sizes: Floats
-    deviations: Floats
-    targets: Floats
-    root: Floats
-
-    @property
-    def n_modes(self) -> int:
-        """How many are frequencies."""
-        return len(self.root)
-
-    def of(self, standardised: Floats) -> Floats:
-        """What the model has (n, m), less the tests' means and over the sizes."""
-        own = standardised[:, self.columns]
-        eigenvalues = 1.0 - own[:, : self.n_modes] @ self.root.T
-        found = self.targets - own * self.deviations
-        found[:, : self.n_modes] = (
-            np.sqrt(np.maximum(eigenvalues, 0.0)) * self.means[: self.n_modes]
-        )
-        return np.asarray((found - self.means) / self.sizes)
-
-
-def _names_of(campaign: Campaign) -> list[str]:
-    """Responses that the tests were repeated for and the campaign compares. Raises CampaignError
-    where a table has more."""
-    case, repeats = campaign.case, campaign.case.measurement.repeats
-    assert repeats is not None
-    used = zip(case.test.numbers, case.weighting.frequencies_used.tolist(), strict=True)
-    found = [f"frequency of mode {number}" for number, counts in used if counts]
-    if "damping" in campaign.residuals.kinds and np.isfinite(repeats.damping_ratios).any():
-        found += [f"damping of mode {number}" for number in case.test.numbers]
-    return found + list(() if repeats.others is None else repeats.others.names)
-
-
-def _values(known: Known) -> MeasuredValues:
-    """The values that were repeated. Raises CampaignError where one is not compared."""
-    campaign = known.campaign
-    case, repeats, there = campaign.case, campaign.case.measurement.repeats, known.solver.residual
-    assert repeats is not None
-    labels = [label for label, weight in zip(there.labels, there.weights, strict=True) if weight]
-    wanted = [name for name in _names_of(campaign) if name in labels or " mode " not in name]
-    lost = [name for name in wanted if name not in labels]
-    if lost:
-        raise CampaignError(
-            f"{repeats.places[0]}: the tests have a column `{lost[0]}`, but the campaign compares "
-            f"no such response; it compares {', '.join(dict.fromkeys(labels))}: name it under "
-            "`residuals`, or leave the column out"
-        )
-    if not wanted or not wanted[0].startswith("frequency"):
-        raise CampaignError("no frequency is compared, so nothing tells how tests scatter")
-    numbers = [int(name.split()[-1]) for name in wanted if name.startswith("frequency")]
-    columns = np.array([labels.index(name) for name in wanted], dtype=np.int64)
-    used = np.flatnonzero(there.weights > 0.0)[columns]
-    deviations, n = np.sqrt(there.noise[used]), len(numbers)
-    own = case.weighting.modes([case.test.numbers.index(number) for number in numbers])
-    covariance = 4.0 * own.frequency_covariance
-    root = np.linalg.cholesky(covariance if covariance.ndim == 2 else np.diag(covariance))
-    told = np.concatenate(
-        [np.zeros(0)]
-        + [b.measured if b.measured.size else np.full(b.size, np.nan) for b in there.blocks]
-    )
-    means = np.nanmean(_of_tests(repeats, wanted), axis=0)
-    means[:n] = [
-        case.test.modes.frequencies_hz[case.test.numbers.index(number)] for number in numbers
-    ]
-    sizes = means.copy()
-    sizes[n:] = deviations[n:] / campaign.residuals.of_others("frequency_deviation")
-    return MeasuredValues(tuple(wanted), columns, means, sizes, deviations, told[used], root)
-
-
-def _of_tests(repeats: RepeatedTests, names: Sequence[str]) -> Floats:
-    """What each test measured (n_tests, m), NaN where missing or left out."""
-    columns = []
-    for name in names:
-        kind, _, number = name.partition(" of mode ")
-        if kind in ("frequency", "damping") and number:
-            table = _used_hz(repeats) if kind == "frequency" else repeats.damping_ratios
-            columns.append(table[:, repeats.numbers.index(int(number))])
-        else:
-            assert repeats.others is not None
-            columns.append(repeats.others.values[:, repeats.others.names.index(name)])
-    return np.stack(columns, axis=1)
-
-
 def _tests(known: Known, values: MeasuredValues, deviation: float | None) -> TestScatter:
     """What the tests measured, less the means and over the sizes."""
     repeats = known.campaign.case.measurement.repeats
     assert repeats is not None
-    measured = (_of_tests(repeats, values.names) - values.means) / values.sizes
+    measured = (values_by_test(repeats, values.names) - values.means) / values.sizes
     measured = measured[np.isfinite(measured).any(axis=1)]
     found = scatter_of(measured)
     noise = (deviation or 0.0) ** 2 * np.eye(len(values.names))

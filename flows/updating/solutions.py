@@ -1,0 +1,223 @@
+"""Solutions of a campaign's stored matrices in memory: what modes are found with.
+
+Where a factorisation takes longer than what it spares (large models), a search from a reduced model
+goes on with the factors that the modes behind that were found with, their own or again those of an
+earlier set. So this too follows from the start alone; where other factors have taken their place,
+since a set lay too far away and was not kept, they are made once more.
+
+Shapes of all unknowns and the newest basis stay in memory. Where a campaign goes on that was killed
+what its next search begins with is found once more, set by set.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from functools import cached_property
+
+from scipy import sparse
+
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.pencil import shift_below
+from modetune.core.errors import ModesError
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.reduced import ReducedModel
+from modetune.core.updating.reduced_basis import reduce
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.observed_modes import observer_of, solved_energies
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModalSet:
+    """So many modes at values (n_parameters,) as decks hold them; start: what they begin with."""
+
+    key: str
+    values: Floats
+    n_modes: int
+    start: ModalSet | ReducedAround | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedAround:
+    """A reduced model of the modes at a set; modes: those whose derivatives it holds; seen: nodes
+    and components of its rows."""
+
+    key: str
+    of: ModalSet
+    modes: Integers
+    seen: tuple[Integers, Integers]
+
+
+@dataclass(frozen=True, slots=True)
+class SolutionAt:
+    """Modes at a set with shapes of all unknowns (n, n_modes).
+
+    energies: (n_modes,), NaN where the rounding of the matrices hides them: of rigid modes.
+    factors: those that it was found with. previous: the basis (n, r) it was found from, where
+    these are not its own.
+    """
+
+    eigenvalues: Floats
+    shapes: Floats
+    energies: Floats
+    n_rigid: int
+    factors: FactorsAt
+    previous: Floats | None
+
+
+@dataclass(frozen=True, slots=True)
+class FactorsAt:
+    """The set whose factors are at hand, and their shift, (rad/s)^2."""
+
+    of: ModalSet
+    shift: float
+
+
+@dataclass(frozen=True, slots=True)
+class SearchStart:
+    """What a search begins with: shift, (rad/s)^2, shapes of all unknowns, factors, a basis."""
+
+    shift: float
+    shapes: Floats | None = None
+    factors: FactorsAt | None = None
+    basis: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedBasis:
+    """A reduced model and its basis (n, r); n_rigid: modes that are rigid; factors: its modes'."""
+
+    of: ReducedAround
+    n_rigid: int
+    factors: FactorsAt
+    reduced: ReducedModel
+    vectors: Floats
+
+    def shapes(self, values: Floats, n_modes: int) -> tuple[Floats, Floats]:
+        """Eigenvalues (n_modes,) and shapes of all unknowns (n, n_modes). Raises ModesError."""
+        eigenvalues, combined = self.reduced.combinations(values, n_modes)
+        return eigenvalues, self.vectors @ combined
+
+
+@dataclass(frozen=True)
+class StoredModel:
+    """A campaign's model as matrices, read when something is found from them."""
+
+    campaign: Campaign
+    source: MatrixSource
+
+    @cached_property
+    def matrices(self) -> ParameterMatrices:
+        """For all values."""
+        return self.source.last_matrices(self.campaign.start, range(len(self.source.parameters)))
+
+    def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
+        """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
+        return observer_of(self.campaign, self.matrices.base, nodes, components)
+
+
+class Solutions:
+    """Solutions in memory, and found again where they have left it: the newest of each kind."""
+
+    def __init__(self, model: StoredModel, engine: JobEngine, shift: float) -> None:
+        """shift: where none is known, (rad/s)^2."""
+        self.model = model
+        self.engine = engine
+        self.shift = shift
+        # The solver's own modes at the end tell whether any was missed: no need to count them.
+        self._solver = ModeSolver(count=False)
+        self._newest: tuple[ModalSet, SolutionAt] | None = None
+        self._first: tuple[ModalSet, SolutionAt] | None = None
+        self._basis: ReducedBasis | None = None
+        self._factors: FactorsAt | None = None
+
+    @property
+    def on_disk(self) -> bool:
+        """Whether the factors did not fit in memory."""
+        return self._solver.on_disk
+
+    def modes(self, item: ModalSet) -> SolutionAt:
+        """The modes of a set with shapes of all unknowns."""
+        if self._newest is not None and self._newest[0] is item:
+            return self._newest[1]
+        start = self._beginning(item)
+        self._newest = None
+        with self.engine.all_cores():
+            kept = self._at_hand(start.factors, item.n_modes)
+            at_hand, self._factors = self._factors, None
+            here = self.model.matrices.at(item.values)
+            solved = self._solver.solve(
+                here.upper_stiffness, here.upper_mass, item.n_modes, start.shift, start.shapes, kept
+            )
+            energies, n_rigid = solved_energies(self.model.campaign, here, solved)
+        own = self._solver.has_own_factors
+        self._factors = FactorsAt(item, solved.shift) if own else at_hand
+        assert self._factors is not None
+        self._newest = (
+            item,
+            SolutionAt(
+                solved.eigenvalues,
+                solved.shapes,
+                energies,
+                n_rigid,
+                self._factors,
+                None if own else start.basis,
+            ),
+        )
+        return self._newest[1]
+
+    def _at_hand(self, factors: FactorsAt | None, n_modes: int) -> int:
+        """For how many blocks these factors are worth being kept; made once more if need be."""
+        blocks = 0 if factors is None else self._solver.blocks_that_pay(n_modes)
+        if blocks and factors is not None and factors != self._factors:
+            there = self.model.matrices.at(factors.of.values)
+            self._solver.factorise(there.upper_stiffness, there.upper_mass, factors.shift)
+            self._factors = factors
+        return blocks
+
+    def basis(self, around: ReducedAround) -> ReducedBasis:
+        """A reduced model with its basis."""
+        if self._basis is None or self._basis.of is not around:
+            solved, observer = self.modes(around.of), self.model.observer(*around.seen)
+            with self.engine.all_cores():
+                made = reduce(
+                    self.model.matrices,
+                    around.of.values,
+                    solved.eigenvalues,
+                    solved.shapes,
+                    self._solver.inverse,
+                    around.modes,
+                    solved.n_rigid,
+                    observer,
+                    solved.previous,
+                    exact=self._solver.has_own_factors,
+                )
+            self._basis = ReducedBasis(around, solved.n_rigid, solved.factors, *made)
+        return self._basis
+
+    def _beginning(self, item: ModalSet) -> SearchStart:
+        """What a search begins with."""
+        if item.start is None:
+            return SearchStart(self.shift)
+        if isinstance(item.start, ModalSet):
+            if self._first is None or self._first[0] is not item.start:
+                self._first = item.start, self.modes(item.start)
+            first, factors, basis = self._first[1], None, None
+            eigenvalues, shapes, n_rigid = first.eigenvalues, first.shapes, first.n_rigid
+        else:
+            self._first = None
+            try:
+                newest = self.basis(item.start)
+                eigenvalues, shapes = newest.shapes(item.values, item.n_modes)
+            except ModesError as error:
+                logger.debug("no start from a reduced model: %s", error)
+                return SearchStart(self.shift)
+            basis, n_rigid, factors = newest.vectors, newest.n_rigid, newest.factors
+        elastic = eigenvalues[n_rigid:]
+        shift = shift_below(float(elastic[0])) if elastic.size else self.shift
+        return SearchStart(shift, shapes, factors, basis)
