@@ -97,6 +97,11 @@ BLOCK_COLUMN, KRYLOV_MODE = 2.5, 4.5
 _SAME = 1e-6
 
 
+def most_vectors(n_modes: int) -> int:
+    """Vectors of a space from nothing, each twice (M times it); half of them is common."""
+    return VECTORS * n_modes + MORE_VECTORS
+
+
 class ModeSolver:
     """Modes of one model after the other; what depends on their sparsity alone is kept.
 
@@ -138,8 +143,7 @@ class ModeSolver:
             raise ModelError(f"{n_modes} modes were asked of a model with {size} unknowns")
         if self._pencil is None or not self._pencil.update(stiffness, mass):
             self._pencil = None  # its memory is free before the next one takes any
-            # Vectors of a space from nothing, each twice (M times it); half of them is common.
-            self._pencil = Pencil(stiffness, mass, VECTORS * n_modes + MORE_VECTORS)
+            self._pencil = Pencil(stiffness, mass, most_vectors(n_modes))
             self._shift = None
         pencil = self._pencil
         if size <= DENSE or n_modes > size // 2:
@@ -346,7 +350,7 @@ def solve_modes(
 def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:
     """The modes that Krylov spaces from random vectors hold. Raises ModelError if in vain."""
     columns = min(COLUMNS, pencil.n_with_mass)
-    blocks = -(-(VECTORS * n_modes + MORE_VECTORS) // columns)
+    blocks = -(-most_vectors(n_modes) // columns)
     shapes, solutions = np.zeros((pencil.n_with_mass, 0)), 0
     for turn in range(ROUNDS):
         start = with_random(shapes, columns, turn)

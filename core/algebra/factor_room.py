@@ -71,16 +71,41 @@ def roomy_factors(upper: sparse.csr_array, *, matching: bool = False, columns: i
     factors. Raises as `Pardiso` does, SolverExhausted where neither memory nor disk suffices.
     """
     room = _room.get()
-    held = 0 if room is None else _resident()
+    if room is None:
+        return Pardiso(upper, matching=matching)
+    factors, said = _roomy(upper, matching, columns, room)
+    if factors.on_disk:
+        logger.info("%s", said)
+    return factors
+
+
+def factor_forecast(upper: sparse.csr_array, columns: int, room: FactorRoom) -> tuple[bool, str]:
+    """Whether factors go to disk, and what they take, in words; the unknowns are only ordered.
+
+    Raises as `roomy_factors` does.
+    """
+    factors, said = _roomy(upper, False, columns, room)
+    factors.close()
+    return factors.on_disk, said
+
+
+def _roomy(
+    upper: sparse.csr_array, matching: bool, columns: int, room: FactorRoom
+) -> tuple[Pardiso, str]:
+    held = _resident()
     factors = Pardiso(upper, matching=matching)
-    beside = held + 8 * columns * factors.n
-    peak = factors.memory.peak
-    if room is None or beside + peak <= room.memory_bytes:
-        return factors
+    beside, peak = held + 8 * columns * factors.n, factors.memory.peak
+    text = (
+        f"the factors of {factors.n} equations take {_gb(peak)}, beside {_gb(beside)} of what else "
+        f"is in memory, and {_gb(room.memory_bytes)} may be taken ({room.memory_key}, or else what "
+        "machine or container have)"
+    )
+    if beside + peak <= room.memory_bytes:
+        return factors, text
     factors.close()
     files = room.files()
     try:
-        return _in_files(upper, matching, room, files, beside, peak)
+        return _in_files(upper, matching, room, files, beside, text)
     except BaseException:
         files.remove()
         raise
@@ -92,15 +117,10 @@ def _in_files(
     room: FactorRoom,
     files: FactorFiles,
     beside: int,
-    peak: int,
-) -> Pardiso:
+    text: str,
+) -> tuple[Pardiso, str]:
     factors = Pardiso(upper, matching=matching, files=files)
     least, disk = beside + factors.memory_on_disk, factors.memory.factors
-    text = (
-        f"the factors of {factors.n} equations take {_gb(peak)}, beside {_gb(beside)} of what else "
-        f"is in memory, and {_gb(room.memory_bytes)} may be taken ({room.memory_key}, or else what "
-        "machine or container have)"
-    )
     free = disk_usage(files.folder).free
     if least > room.memory_bytes:
         raise SolverExhausted(
@@ -118,15 +138,11 @@ def _in_files(
             f"{_gb(free)}; free some space, or raise {room.memory_key}"
         )
     files.memory_mb = (room.memory_bytes - beside) // 10**6
-    logger.info(
-        "%s: they go to disk, up to %s below %s, written once a factorisation and read twice a "
-        "solution: expect solutions to take some two times, and factorisations two to six times, "
-        "as long as in memory",
-        text,
-        _gb(disk),
-        files.folder,
+    return factors, (
+        f"{text}: they go to disk, up to {_gb(disk)} below {files.folder.parent}, written once a "
+        "factorisation and read twice a solution: expect solutions to take some two times, and "
+        "factorisations two to six times, as long as in memory"
     )
-    return factors
 
 
 def machine_memory() -> int:

@@ -52,6 +52,12 @@ FACTORISED_COLUMNS = 0.5
 _LOST = 1e-2  # of a known solution, relative: beyond this the matrix has no inverse to speak of
 
 
+def shifted_pattern(stiffness: sparse.csr_array, mass: sparse.csr_array) -> sparse.csr_array:
+    """Where K - s M may have entries, those of the diagonal among them; of upper triangles."""
+    diagonal = sparse.csr_array(sparse.eye_array(stiffness.shape[0]))
+    return sparse.csr_array(union([stiffness, mass, diagonal]).astype(np.float64))
+
+
 class Pencil:
     """One model's K and M, and the factors of K - s M at one shift s.
 
@@ -75,8 +81,7 @@ class Pencil:
         self.shift: float | None = None
         self.kept_shift: float | None = None
         self.below = -1
-        diagonal = sparse.csr_array(sparse.eye_array(stiffness.shape[0]))
-        pattern = union([stiffness, mass, diagonal]).astype(np.float64)
+        pattern = shifted_pattern(stiffness, mass)
         self._n_entries = int(pattern.nnz)
         self._stiffness_places = _places(pattern, stiffness)
         self._mass_places = _places(pattern, mass)

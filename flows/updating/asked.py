@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from modetune.adapters.solver import ModalAnalysis
+from modetune.core.algebra.factor_room import factor_room
 from modetune.core.correlation.matching import NotAmongComputed
 from modetune.core.correlation.pairing import LostMode, Pairing
 from modetune.core.modes import Floats, Integers, mode_name
@@ -57,7 +58,8 @@ class CaseState:
     ) -> CaseEvaluation:
         """Modes at the case's own parameters beside its test: `compare`."""
         matrices = self.finder.assembled(theta) if self.case.needs("matrices") else None
-        return compare(self.case, theta, key, modal, before, solved_by, drop, matrices)
+        with factor_room(self.engine.room):
+            return compare(self.case, theta, key, modal, before, solved_by, drop, matrices)
 
     def named(self, work: Work) -> Work:
         """A piece of work under the case's name, for its engine."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modetune.core.algebra.factor_room import factor_room
 from modetune.core.modes import Floats
 from modetune.core.updating.residual import residual_sensitivity
 from modetune.core.updating.responses.frequencies import Frequencies
@@ -114,15 +115,13 @@ class Deriving:
         missing: set[int] = set()
         for state, part, found, own in zip(self.used, parts, columns, rows, strict=True):
             there = [n for n in range(state.columns.size) if n not in found.missing]
-            values[np.ix_(own, state.columns[there])] = residual_sensitivity(
-                part.responses,
-                _model_state(state.case, part),
-                StateDerivatives(
-                    self._seen(state.case, part, found.derivatives),
-                    tuple(there),
-                    found.derivatives,
-                ),
-            )
+            seen = self._seen(state.case, part, found.derivatives)
+            with factor_room(state.engine.room):
+                values[np.ix_(own, state.columns[there])] = residual_sensitivity(
+                    part.responses,
+                    _model_state(state.case, part),
+                    StateDerivatives(seen, tuple(there), found.derivatives),
+                )
             missing |= {int(state.columns[column]) for column in found.missing}
             for column, method in zip(state.columns.tolist(), found.methods, strict=True):
                 methods[column][method] = None

@@ -25,6 +25,7 @@ from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution, solved
 from modetune.flows.studies.check.findings import Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
+from modetune.flows.studies.check.memory import memory_findings
 from modetune.flows.studies.check.model import (
     ModelFacts,
     mass_findings,
@@ -121,11 +122,13 @@ def check_campaign(
             static += tuple(loose_findings(campaign, nothing, result, joined))
         shares = partial(_shares, evaluator, analysis, campaign.start, result)
         report = judged(campaign, result, static, analysis.n_modes, NO_RUN, shares)
+        memory = [item for state in evaluator.used for item in memory_findings(state)]
     except SolverError as error:
         told = Finding("wrong", "model", f"the solver gave no modes: {error}")
         return PreCheckReport((*static, told), failure=error)
     engine.keep_text()
-    return replace(report, runs=runs.plus(evaluator.runs))
+    findings = (*report.findings, *memory)
+    return replace(report, findings=findings, runs=runs.plus(evaluator.runs))
 
 
 def _posed(campaign: Campaign, found: tuple[Case, str] | None) -> tuple[Campaign, str]:

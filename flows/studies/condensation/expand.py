@@ -20,6 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
+from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
 from modetune.core.condensation.expansion import (
     Places,
@@ -189,11 +190,12 @@ def expand_shapes(
     measured = campaign.case.measured
     shapes: Shapes = measured.modes.mode_shapes
     test = _Test(campaign, values, watcher, measured.modes.frequencies_hz, shapes, n_modes)
-    held = set[int]()
+    held, room = set[int](), job_engine(campaign).room
     found = []
     for name in wanted:
         try:
-            found.append(FILLERS[name](test))
+            with factor_room(room):
+                found.append(FILLERS[name](test))
         except (CampaignError, ModelError, ModesError) as error:
             nothing = np.full(len(measured.numbers), np.nan)
             found.append(ExpandedShapes(name, nothing, nothing, unavailable=str(error)))

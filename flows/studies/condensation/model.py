@@ -12,6 +12,7 @@ from scipy import sparse
 
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import MatrixAnalysis
+from modetune.core.algebra.factor_room import FactorRoom
 from modetune.core.condensation.measured_unknowns import MeasuredModel, measured_model
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import CampaignError
@@ -34,10 +35,14 @@ RANGE = 10_000
 
 @dataclass(frozen=True)
 class FullModel:
-    """The matrices of a model at parameter values, and how motions of nodes follow from them."""
+    """The matrices of a model at parameter values, and how motions of nodes follow from them.
+
+    room: what factors of them may take.
+    """
 
     campaign: Campaign
     matrices: MatrixResult
+    room: FactorRoom
 
     @cached_property
     def stiffness(self) -> sparse.csr_array:
@@ -92,8 +97,9 @@ def full_model(campaign: Campaign, values: Values, watcher: JobWatcher | None = 
             f"for {solver.deck.summary.name}; `--solver` names another program, or `--solver "
             "matrices` with a file that names matrices (docs/matrices.md)"
         )
-    (outcome,) = solved(job_engine(campaign, watcher), [Job(values, MatrixAnalysis())], "matrices")
-    return FullModel(campaign, outcome.result(MatrixResult))
+    engine = job_engine(campaign, watcher)
+    (outcome,) = solved(engine, [Job(values, MatrixAnalysis())], "matrices")
+    return FullModel(campaign, outcome.result(MatrixResult), engine.room)
 
 
 def sensor_names(campaign: Campaign) -> Dofs:

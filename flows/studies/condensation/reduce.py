@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from modetune.adapters.matrices.exchange import WrittenMatrices
 from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
 from modetune.core.condensation.measured_unknowns import MeasuredModel
 from modetune.core.condensation.reduction import (
@@ -120,8 +121,9 @@ def reduce_model(
     if asked.method == "craig_bampton":
         count = min(asked.modes or COMPARED, n - n_kept)
     compared = min(max(count, 1), n)
-    eigenvalues, shapes = solve_modes(seen.stiffness, seen.mass, compared)
-    found = _reduced(asked.method, seen, count, shapes)
+    with factor_room(model.room):
+        eigenvalues, shapes = solve_modes(seen.stiffness, seen.mass, compared)
+        found = _reduced(asked.method, seen, count, shapes)
     lam, phi = reduced_modes(found)
     compared = min(compared, lam.size)
     full, reduced = eigenvalues[:compared], lam[:compared]

@@ -17,6 +17,7 @@ from scipy import sparse
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.factor_room import factor_room
 from modetune.core.condensation.reduction import guyan, serep
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
@@ -290,10 +291,11 @@ def _orthogonality(
         wanted = full.observation(*dof_arrays(names))
     seen, moving = full.seen(wanted, names)
     masters = seen.stiffness, seen.mass, seen.rows
-    if method == "serep":
-        # No more modes than masters: only so each is kept exactly.
-        count = min(model.campaign.case.n_modes, moving.size)
-        reduced = serep(*masters, solve_modes(seen.stiffness, seen.mass, count)[1])
-    else:
-        reduced = guyan(*masters)
+    with factor_room(full.room):
+        if method == "serep":
+            # No more modes than masters: only so each is kept exactly.
+            count = min(model.campaign.case.n_modes, moving.size)
+            reduced = serep(*masters, solve_modes(seen.stiffness, seen.mass, count)[1])
+        else:
+            reduced = guyan(*masters)
     return orthogonality(found, method, tuple(names[n] for n in moving.tolist()), reduced.mass)

@@ -11,7 +11,7 @@ import pytest
 from scipy import linalg
 
 import modetune
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, SolverExhausted
 from modetune.core.modes import COMPONENTS
 from tests.adapters.mystran_decks import frame
 from tests.adapters.solved import needs_ccx, needs_mystran
@@ -136,6 +136,23 @@ def test_modes_are_orthogonal_in_the_mass_that_serep_leaves_at_the_sensors(
     cosines = np.abs(found.first) / np.outer(sizes, sizes)
     np.testing.assert_allclose(cosines, np.eye(4), atol=1e-6)
     np.testing.assert_allclose(np.abs(found.second[:4, :4]), np.eye(4), atol=1e-6)
+
+
+@pytest.mark.parametrize(("model", "nodes", "components"), CASES)
+def test_a_limit_of_memory_holds_for_the_factors_of_each_study(
+    folder: Path, model: str, nodes: list[int], components: str
+) -> None:
+    """A megabyte, which this process alone exceeds."""
+    test, _ = measured_of(model, nodes, components)
+    settings = [*UNITS, "run.memory_gb=0.001"]
+    masters = [f"{node}.{components}" for node in nodes]
+    for study in (
+        lambda: modetune.expand(model, test, settings=settings),
+        lambda: modetune.reduce(model, "guyan", masters, settings=settings),
+        lambda: modetune.correlate(model, test, orthogonality="guyan", settings=settings),
+    ):
+        with pytest.raises(SolverExhausted, match=r"raise `run\.memory_gb`"):
+            study()
 
 
 @pytest.mark.parametrize(("model", "nodes", "components"), CASES)

@@ -186,3 +186,11 @@ def test_the_other_studies_end(folder: Path, kind: str, study: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_configurations_are_updated_at_once(folder: Path, kind: str) -> None:
     agrees(told(folder, "update", f"{kind}_two.yaml"), kind)
+
+
+@pytest.mark.parametrize("kind", ["frf", "static"])
+def test_a_limit_of_memory_holds_for_the_factors_of_the_kind(folder: Path, kind: str) -> None:
+    limit = "run.memory_gb=0.001"  # a megabyte, which this process alone exceeds
+    ended = run_command(folder, "update", f"{kind}.yaml", "--set", limit, "--no-prefect")
+    assert ended.returncode > 0
+    assert "raise `run.memory_gb`" in ended.stderr
