@@ -20,7 +20,7 @@ itself, and value and first derivatives are exact there.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import Literal
 
@@ -95,6 +95,10 @@ class GroupStiffness:
     matrices: ParameterMatrices
     at: Floats
 
+    def on(self, vectors: Floats) -> GroupStiffness:
+        """On the space of these vectors (n_equations, r)."""
+        return replace(self, matrices=self.matrices.on(vectors))
+
     def of(
         self, loss: Loss, model: ParameterMatrices, theta: Floats, column: int | None = None
     ) -> sparse.csr_array:
@@ -125,6 +129,16 @@ class DampingModel:
     dampers: tuple[Damper, ...]
     losses: tuple[Loss, ...] = ()
     uniform: float = 0.0
+
+    def on(self, vectors: Floats) -> DampingModel:
+        """On the space of these vectors (n_equations, r)."""
+        return replace(
+            self,
+            dampers=tuple(
+                replace(d, matrix=sparse.csr_array(vectors.T @ (d.matrix @ vectors)))
+                for d in self.dampers
+            ),
+        )
 
     def system(
         self, matrices: ParameterMatrices, theta: Floats, groups: GroupStiffness | None = None

@@ -31,7 +31,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from modetune.core.algebra.matrices import MatrixResult, places_in, union, upper_product
+from modetune.core.algebra.matrices import (
+    MatrixResult,
+    places_in,
+    projected,
+    union,
+    upper_product,
+)
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 
@@ -116,6 +122,28 @@ class ParameterMatrices:
     def mass_at(self, theta: Floats) -> sparse.csr_array:
         """The mass' upper triangle alone."""
         return self._at(self.base.upper_mass, self.mass, theta)
+
+    def on(self, vectors: Floats) -> ParameterMatrices:
+        """On the space of these vectors (n_equations, r), whose numbers are its unknowns."""
+
+        def small(upper: sparse.csr_array) -> sparse.csr_array:
+            return sparse.csr_array(np.triu(projected(upper, vectors)))
+
+        def parts(of: tuple[ParameterMatrix, ...], upper: sparse.csr_array) -> list[Powers]:
+            return [
+                Powers(
+                    part.column,
+                    part.powers,
+                    tuple(small(part.upper(upper, one)) for one in np.eye(len(part.powers))),
+                )
+                for part in of
+            ]
+
+        numbers = np.arange(vectors.shape[1])
+        stiffness, mass = self.base.upper_stiffness, self.base.upper_mass
+        few = MatrixResult(small(stiffness), small(mass), numbers, np.ones_like(numbers))
+        found = parts(self.stiffness, stiffness), parts(self.mass, mass)
+        return parameter_matrices(few, self.reference, *found)
 
     def change(
         self, theta: Floats, column: int, order: int = 1

@@ -1,4 +1,4 @@
-"""Response functions of K(theta), M(theta) with modal damping, and their exact derivatives.
+"""Response functions of K(theta), M(theta) with damping, and their exact derivatives.
 
 With a shift s > 0 the matrix A = K + s M is definite for free structures too. Modes are taken as
 
@@ -21,6 +21,14 @@ This is a function of the pencil, whose derivative has divided differences in pl
 entry by entry. Where modes of one damping ratio come together e has the limit
 2 zeta (1 - s (tau_r + tau_s)) / (u_r + u_s), so repeated modes need no care of their own.
 
+Dampers and loss factors, C and H, join modes of their own numbers and others. There Z takes the
+place of the diagonal 1 / g,
+
+    y_j = Z^-1 psi_j,   Z = 1 / g + i w Psi^T C Psi + i Psi^T H Psi,
+
+i w Psi^T dC Psi + i Psi^T dH Psi comes to what stands in the brackets, and A^-1 C phi, A^-1 H phi
+of the modes of the band join the residual vectors: what dampers move beyond these modes.
+
 Next to a set the same Ritz vectors do, with the answers of its modes to each parameter beside
 them: a pencil of some hundred unknowns for all values of the parameters (`near`), whose H and dH
 are those of the set there and err by the square of a change beside it.
@@ -28,22 +36,18 @@ are those of the set there and err by the square of a change beside it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg, sparse
 
+from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.eigen import GUARD, ModeSolver
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import MatrixResult, projected, upper_product
 from modetune.core.measurement.frf import Complexes
 from modetune.core.modes import REPEATED, Floats, Integers, close_sets
-from modetune.core.updating.parameter_matrices import (
-    ParameterMatrices,
-    ParameterMatrix,
-    Powers,
-    parameter_matrices,
-)
+from modetune.core.updating.parameter_matrices import ParameterMatrices
 
 #: Modes are taken up to so many times the highest frequency: a mode there adds to the flexibility
 #: what its residual vectors have to (2 / 3)^4 of its amplitude and better.
@@ -62,7 +66,8 @@ class FrfModes:
     """Ritz modes of a model for response functions at some degrees of freedom.
 
     shapes: (n_equations, n_modes), psi; tau: (n_modes,), descending; seen: (n_dofs, n_modes), psi
-    at the sensors and forces; damping: (n_modes,), ratios; shift: (rad/s)^2.
+    at the sensors and forces; damping: (n_modes,), ratios; shift: (rad/s)^2. viscous, structural:
+    (n_modes, n_modes), of dampers between them; (0, 0) without.
     """
 
     shapes: Floats
@@ -70,6 +75,8 @@ class FrfModes:
     seen: Floats
     damping: Floats
     shift: float
+    viscous: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    structural: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
     def of(
@@ -79,9 +86,10 @@ class FrfModes:
         highest_hz: float,
         n_least: int,
         like: FrfModes | None = None,
+        system: DampedSystem | None = None,
     ) -> FrfModes:
-        """Without damping. dofs: (n_dofs, n_equations); n_least: modes to begin with; like: of a
-        similar model. Raises ModelError."""
+        """Without ratios. dofs: (n_dofs, n_equations); n_least: modes to begin with; like: of a
+        similar model; system: where dampers count. Raises ModelError."""
         top = (2.0 * np.pi * highest_hz) ** 2
         shift = SHIFT * top
         shapes = _lowest(here, REACH**2 * top, n_least, like)
@@ -90,7 +98,9 @@ class FrfModes:
         static = factors.solve(dofs.T.toarray())
         inertia = factors.solve(upper_product(here.upper_mass, static))
         basis = shapes / np.sqrt(np.sum(shapes * (shifted @ shapes), axis=0))
-        for block in (static, inertia):
+        damped = () if system is None else (system.viscous, system.structural)
+        moved = [factors.solve(matrix @ basis) for matrix in damped if matrix.nnz]
+        for block in (static, inertia, *moved):
             basis = np.hstack([basis, _beside(basis, block, shifted)])
         # once more, so that rounding of the first pass is none of the second
         found = cls.whole(
@@ -99,7 +109,7 @@ class FrfModes:
             np.asarray(dofs @ basis),
             shift,
         )
-        return replace(found, shapes=basis @ found.shapes)
+        return replace(found, shapes=basis @ found.shapes).among(system)
 
     @classmethod
     def whole(cls, stiffness: Floats, mass: Floats, dofs: Floats, shift: float) -> FrfModes:
@@ -107,6 +117,15 @@ class FrfModes:
         tau, psi = linalg.eigh(mass, stiffness + shift * mass)
         tau, psi = np.maximum(tau[::-1], 0.0), psi[:, ::-1]
         return cls(psi, tau, dofs @ psi, np.zeros(tau.size), shift)
+
+    def among(self, system: DampedSystem | None) -> FrfModes:
+        """With the dampers of a system of the same equations."""
+        if system is None:
+            return self
+        viscous, structural = (
+            self.shapes.T @ (a @ self.shapes) for a in (system.viscous, system.structural)
+        )
+        return replace(self, viscous=viscous, structural=structural)
 
     def damped(self, ratios: Floats) -> FrfModes:
         """With ratios (n_modes,) of the modes; of repeated ones their mean, of rigid ones none."""
@@ -127,7 +146,16 @@ class FrfModes:
         (n_lines,), rows of `seen`: (n_lines, n_modes)."""
         w = omega[:, None]
         d = 2.0 * self.damping * self.root
-        return np.asarray(self.seen[dofs] / (1.0 - (w**2 + self.shift) * self.tau + 1j * w * d))
+        inverse = 1.0 - (w**2 + self.shift) * self.tau + 1j * w * d
+        if not self.viscous.size:
+            return np.asarray(self.seen[dofs] / inverse)
+        found, each = np.empty(inverse.shape, np.complex128), np.broadcast_to(dofs, omega.shape)
+        for line in np.unique(omega):
+            rows = np.flatnonzero(omega == line)
+            z = np.diag(inverse[rows[0]]) + 1j * (line * self.viscous + self.structural)
+            wanted, place = np.unique(each[rows], return_inverse=True)
+            found[rows] = np.linalg.solve(z, self.seen[wanted].T).T[place]
+        return found
 
     def receptance(
         self, omega: Floats, outputs: Integers | int, forces: Integers | int
@@ -136,9 +164,13 @@ class FrfModes:
         return np.asarray(np.sum(self.gained(omega, outputs) * self.seen[forces], axis=1))
 
     def change(
-        self, upper_stiffness: sparse.csr_array, upper_mass: sparse.csr_array
-    ) -> tuple[Floats, Floats, Floats]:
-        """a, b, and what goes with i w, (n_modes, n_modes) each; of dK and dM."""
+        self,
+        upper_stiffness: sparse.csr_array,
+        upper_mass: sparse.csr_array,
+        damped: DampedSystem | None = None,
+    ) -> tuple[Floats, ...]:
+        """a, b, and what goes with i w, (n_modes, n_modes) each; of dK and dM. damped: dC and dH,
+        where dampers count: then what goes with i is there as well."""
         b = projected(upper_mass, self.shapes)
         a = projected(upper_stiffness, self.shapes) + self.shift * b
         u, zeta, tau = self.root, self.damping, self.tau
@@ -148,24 +180,30 @@ class FrfModes:
             e = (zeta[:, None] + zeta) * (1.0 - self.shift * (tau[:, None] + tau)) / both
             e = np.where(both > 0.0, e, 0.0)
             e = e + np.where((ratios != 0.0) & (apart != 0.0), ratios * both / apart, 0.0)
-        return a, b, e * b + (2.0 * (zeta * u)[:, None] - e * tau[:, None]) * a
+        by_rate = e * b + (2.0 * (zeta * u)[:, None] - e * tau[:, None]) * a
+        if damped is None:
+            return a, b, by_rate
+        own = self.among(damped)
+        return a, b, by_rate + own.viscous, own.structural
 
     def slope(
         self,
         omega: Floats,
         outputs: Integers | int,
         forces: Integers | int,
-        change: tuple[Floats, Floats, Floats],
+        change: tuple[Floats, ...],
     ) -> Complexes:
         """dH of sensors and forces, as `gained` has them, (n_lines,)."""
         left, right = self.gained(omega, outputs), self.gained(omega, forces)
         whole = np.hstack(change)  # real, at half the price of complex times real
         real, imaginary = left.real @ whole, left.imag @ whole
-        stiff, mass, damp = (
+        n = len(change)
+        stiff, mass, damp, *lost = (
             np.sum((u + 1j * v) * right, axis=1)
-            for u, v in zip(np.split(real, 3, 1), np.split(imaginary, 3, 1), strict=True)
+            for u, v in zip(np.split(real, n, 1), np.split(imaginary, n, 1), strict=True)
         )
-        return np.asarray((omega**2 + self.shift) * mass - stiff - 1j * omega * damp)
+        found = (omega**2 + self.shift) * mass - stiff - 1j * omega * damp
+        return np.asarray(found - 1j * lost[0] if lost else found)
 
     def slope_by_damping(
         self, omega: Floats, outputs: Integers | int, forces: Integers | int, ratios: Floats
@@ -193,24 +231,7 @@ def near(
     answers = factorise(shifted).solve(np.hstack(moved))
     vectors = np.hstack([modes.shapes, _beside(modes.shapes, answers, shifted)])
 
-    def small(upper: sparse.csr_array) -> sparse.csr_array:
-        return sparse.csr_array(np.triu(projected(upper, vectors)))
-
-    def parts(of: tuple[ParameterMatrix, ...], upper: sparse.csr_array) -> list[Powers]:
-        return [
-            Powers(
-                part.column,
-                part.powers,
-                tuple(small(part.upper(upper, one)) for one in np.eye(len(part.powers))),
-            )
-            for part in of
-        ]
-
-    base, numbers = model.base, np.arange(vectors.shape[1])
-    stiffness, mass = base.upper_stiffness, base.upper_mass
-    few = MatrixResult(small(stiffness), small(mass), numbers, np.ones_like(numbers))
-    found = parts(model.stiffness, stiffness), parts(model.mass, mass)
-    return parameter_matrices(few, model.reference, *found), vectors
+    return model.on(vectors), vectors
 
 
 def _lowest(here: MatrixResult, beyond: float, n_least: int, like: FrfModes | None) -> Floats:

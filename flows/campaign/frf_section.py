@@ -56,7 +56,8 @@ class FrfSection(ResponseSection):
         dict[str, Ratio], BeforeValidator(by_mode, json_schema_input_type=Ratio | dict[str, Ratio])
     ] = Field(default={})
     """Damping ratio, of all modes or by mode, or the name of a `variable` parameter that is one;
-    without it those of the test's modes, and their median of modes without a partner [of the
+    without it those of the test's modes, and their median of modes without a partner. Beside
+    dampers or loss factors of the model it is what these lack, without it nothing [of the
     critical]"""
     frac: Share = 0.9
     """Least FRAC of each function, at its frequencies, that e1 allows."""
@@ -87,7 +88,9 @@ class FrfSection(ResponseSection):
         }
         others = ratios.pop(OTHERS, None)
         damping = {int(key): ratio for key, ratio in ratios.items()}
-        return Frf(curves, observe, damping, others, self.deviation, self.weight, self.frac)
+        dampers = None if given.deck.undamped() else given.deck.damping
+        own = damping, others, self.deviation, self.weight, self.frac, dampers
+        return Frf(curves, observe, *own)
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         frfs = given.frfs
@@ -107,7 +110,8 @@ class FrfSection(ResponseSection):
             if not told.size and key in self.model_fields_set:
                 found.append(((key,), "the test has no coherences: leave this out"))
         ratios = given.test.modes.damping_ratios
-        if OTHERS not in self.damping and not (ratios.size and (ratios > 0.0).all()):
+        told_all = ratios.size and (ratios > 0.0).all()
+        if OTHERS not in self.damping and not told_all and given.deck.undamped():
             found.append(((), "not all modes of the test have damping ratios: give `damping`"))
         low, high = self._band(given)
         if low >= high:
@@ -123,11 +127,16 @@ class FrfSection(ResponseSection):
         """What of the test's functions is not compared, and why, for people."""
         found = [note for note in given.notes if OF_FUNCTIONS in note]
         moved = [item.name for item in given.parameters.parameters if item.quantity in DAMPING]
-        if moved or not given.deck.undamped():
-            which = f", which {', '.join(moved)} would move," if moved else ""
+        why = given.deck.undamped()
+        if moved and why:
             found.append(
-                f"the deck's dampers and loss factors{which} do not count in response functions: "
-                "their modes have the ratios of the test, or of `damping`"
+                f"{', '.join(moved)} cannot count in response functions: {why}; their modes have "
+                "the ratios of the test, or of `damping`"
+            )
+        elif not why and given.test.modes.damping_ratios.size:
+            found.append(
+                "the deck's dampers and loss factors count in response functions, so the ratios of "
+                "the test's modes do not; `damping` adds what the deck lacks"
             )
         frfs, seen = given.frfs, given.seen
         if frfs is None or seen is None:

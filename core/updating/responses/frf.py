@@ -2,8 +2,9 @@
 
 The real part is the logarithm of the ratio of amplitudes, the imaginary one the difference of
 phases in (-pi, pi]. Values and exact derivatives, d log H_c = dH_c / H_c, are those of
-`core/updating/superposition`. Modes have the damping of the test's that they are paired with, or
-ratios of their own, which may be parameters.
+`core/updating/superposition`. Dampers and loss factors of the model count; where it has none modes
+have the damping of the test's that they are paired with. Ratios of their own, which may be
+parameters, take the place of the test's, or join the dampers.
 
 Of each part the variance is that of log H by the measurement (`core/measurement/frf_lines`) with
 the square of `deviation`, for what the model's damping lacks. A line that a resonance of the model
@@ -22,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
 from modetune.core.measurement.frf import Complexes, frac
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.damping import Linear
-from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.damping import DampingModel, Linear
 from modetune.core.updating.responses.response import (
     MatricesAt,
     ModelState,
@@ -37,6 +38,9 @@ from modetune.core.updating.responses.response import (
     residual_of,
 )
 from modetune.core.updating.superposition import REACH, FrfModes, near
+
+#: What damps a model with matrices of these equations.
+Dampers = Callable[[MatrixResult], DampingModel]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,35 @@ class FrfCurve:
     variances: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class DampedMatrices:
+    """The matrices of a set, and what damps a model of their equations; None where nothing does."""
+
+    given: MatricesAt
+    dampers: DampingModel | None
+
+    @property
+    def system(self) -> DampedSystem | None:
+        """All of them; None without dampers."""
+        at = self.given
+        return self.dampers.system(at.model, at.theta, at.groups) if self.dampers else None
+
+    def changes(
+        self, column: int
+    ) -> tuple[sparse.csr_array, sparse.csr_array, DampedSystem | None]:
+        """Upper triangles of dK and dM of a parameter, and the change of dampers."""
+        at, dampers = self.given, self.dampers
+        damped = dampers.change(at.model, at.theta, column, at.groups) if dampers else None
+        return *at.change(column), damped
+
+    def near(self, modes: FrfModes, highest_hz: float) -> tuple[DampedMatrices, Floats]:
+        """As `superposition.near`."""
+        model, vectors = near(self.given.model, self.given.theta, modes, highest_hz)
+        groups = self.given.groups.on(vectors) if self.given.groups else None
+        dampers = self.dampers.on(vectors) if self.dampers else None
+        return DampedMatrices(replace(self.given, model=model, groups=groups), dampers), vectors
+
+
 @dataclass(slots=True)
 class KnownFrfModes:
     """What was found before, as values and derivatives are asked for one after the other.
@@ -64,33 +97,35 @@ class KnownFrfModes:
     others were near to, a model of few unknowns and what sensors and forces see of them.
     """
 
-    full: tuple[MatricesAt, FrfModes] | None = None
-    few: tuple[MatricesAt, ParameterMatrices, Floats] | None = None
+    full: tuple[DampedMatrices, FrfModes] | None = None
+    few: tuple[MatricesAt, DampedMatrices, Floats] | None = None
 
     def at(
         self,
         given: MatricesAt,
         observe: Callable[[MatrixResult], sparse.csr_array],
+        dampers: Dampers | None,
         highest_hz: float,
         n_least: int,
-    ) -> tuple[FrfModes, MatricesAt]:
-        """Modes of a set without damping, and the matrices that they are of."""
+    ) -> tuple[FrfModes, DampedMatrices]:
+        """Modes of a set without ratios, and the matrices that they are of."""
         around = given if given.around is None else replace(given, theta=given.around, around=None)
-        if self.full is None or not self.full[0].same(around):
-            like = self.full[1] if self.full and self.full[0].model is given.model else None
+        if self.full is None or not self.full[0].given.same(around):
+            like = self.full[1] if self.full and self.full[0].given.model is given.model else None
             here = around.here
-            found = FrfModes.of(here, observe(here), highest_hz, n_least, like)
-            self.full = around, found
-        modes = self.full[1]
+            whole = DampedMatrices(around, dampers(around.model.base) if dampers else None)
+            found = FrfModes.of(here, observe(here), highest_hz, n_least, like, whole.system)
+            self.full = whole, found
+        whole, modes = self.full
         if given.around is None:
-            return modes, given
+            return modes, whole
         if self.few is None or not self.few[0].same(around):
-            small, vectors = near(around.model, around.theta, modes, highest_hz)
+            small, vectors = whole.near(modes, highest_hz)
             self.few = around, small, np.asarray(observe(around.model.base) @ vectors)
         _, small, dofs = self.few
-        own = MatricesAt(small, given.theta)
-        stiffness, mass = own.here.stiffness.toarray(), own.here.mass.toarray()
-        return FrfModes.whole(stiffness, mass, dofs, modes.shift), own
+        own = replace(small, given=replace(small.given, theta=given.theta))
+        stiffness, mass = (a.toarray() for a in (own.given.here.stiffness, own.given.here.mass))
+        return FrfModes.whole(stiffness, mass, dofs, modes.shift).among(own.system), own
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +135,8 @@ class Frf:
     observe: degrees of freedom in terms of the matrices' equations, (n_dofs, n_equations).
     damping: ratios by number of the test's modes; others: of all modes that it does not name,
     where None those of the test count, and of modes without a partner their median. frac: the
-    least that e1 allows.
+    least that e1 allows. dampers: None where the model has none; else ratios of the test do not
+    count.
     """
 
     curves: tuple[FrfCurve, ...]
@@ -110,9 +146,13 @@ class Frf:
     deviation: float
     weight: float
     frac: float
+    dampers: Dampers | None = None
     kind: ClassVar[str] = "frf"
-    needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
     _known: KnownFrfModes = field(default_factory=KnownFrfModes, repr=False, compare=False)
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        return frozenset({"matrices"} if self.dampers is None else {"matrices", "losses"})
 
     def residual(self, state: ModelState) -> Residual:
         ratios = np.log(self._each("receptances") / self._computed(self._modes(state)[0]))
@@ -129,11 +169,12 @@ class Frf:
         )
 
     def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
-        modes, given = self._modes(state)
+        modes, matrices = self._modes(state)
         computed, (omega, outputs, forces) = self._computed(modes), self._lines
         rows = []
         for column in derivatives.columns:
-            slope = modes.slope(omega, outputs, forces, modes.change(*given.change(column)))
+            change = modes.change(*matrices.changes(column))
+            slope = modes.slope(omega, outputs, forces, change)
             damping = self._of_modes(state, modes, methodcaller("change", column), 0.0)
             if damping.any():
                 slope += modes.slope_by_damping(omega, outputs, forces, damping)
@@ -172,7 +213,7 @@ class Frf:
     def agrees(self, part: Residual) -> bool:
         return bool((fracs(part) >= self.frac).all()) or not part.weights.any()
 
-    def _modes(self, state: ModelState) -> tuple[FrfModes, MatricesAt]:
+    def _modes(self, state: ModelState) -> tuple[FrfModes, DampedMatrices]:
         """Modes with their damping, and the matrices that they are of."""
         given = state.matrices
         if given is None:
@@ -184,11 +225,11 @@ class Frf:
         if state.modal is not None:  # as many as reach beyond the band
             beyond = (2.0 * np.pi * REACH * highest) ** 2
             asked = max(asked, int(np.searchsorted(state.modal.eigenvalues, beyond)) + 1)
-        modes, given = self._known.at(given, self.observe, highest, asked)
+        modes, matrices = self._known.at(given, self.observe, self.dampers, highest, asked)
         measured = state.test.modes.damping_ratios
-        told = measured if measured.size else 0.0
+        told = measured if measured.size and self.dampers is None else 0.0
         ratios = self._of_modes(state, modes, methodcaller("at", given.theta), told)
-        return modes.damped(ratios), given
+        return modes.damped(ratios), matrices
 
     def _of_modes(
         self,
