@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
+from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.options import (
     AsJson,
     Figures,
@@ -21,7 +21,7 @@ from modetune.flows.cli.options import (
     stoppable,
     with_model,
 )
-from modetune.flows.report.tables import Column, Table, frame, json_object, show, table_of
+from modetune.flows.report.tables import Column, Table, frame, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.core.storage.keys import Json
@@ -83,6 +83,7 @@ def correlate(
     with begun(f"comparing {first}{f' with {second}' if second else ''}"):
         from modetune.core.errors import CampaignError
         from modetune.core.near_names import named
+        from modetune.flows.studies.correlate.figures import correlation_charts
         from modetune.flows.studies.correlate.sides import (
             METHODS,
             MODELS,
@@ -104,13 +105,16 @@ def correlate(
             method,
             pages,
         )
-        written = _write(found, figures, out)
-        if pages is not None:
-            pages.done("; ".join(_lines(found)), _tables(found), written)
-    if as_json:
-        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
-        return
-    show([*_tables(found), *_lines(found), *(f"written: {path}" for path in written)])
+        end = StudyEnd(
+            "; ".join(_lines(found)),
+            told(found),
+            _tables(found),
+            _lines(found),
+            [] if out is None else _write(found, out),
+            {} if figures is None else correlation_charts(found),
+        )
+        files = end.reported(("correlate", first.stem), pages, figures=figures)
+    end.tell(files, as_json)
 
 
 def told(found: Correlation) -> dict[str, Json]:
@@ -207,18 +211,11 @@ def _told_orthogonality(found: Orthogonality | None) -> dict[str, Json] | None:
     )
 
 
-def _write(found: Correlation, figures: Path | None, out: Path | None) -> list[Path]:
-    written = []
-    if figures is not None:
-        from modetune.flows.report.matplotlib_charts import save_all
-        from modetune.flows.studies.correlate.figures import correlation_charts
-
-        written += save_all(correlation_charts(found), figures)
-    if out is not None:
-        written.append(_write_csv(out, _pairs(found), ComparedPair))
-        if found.comac.size:
-            beside = out.with_name(f"{out.stem}_sensors{out.suffix or '.csv'}")
-            written.append(_write_csv(beside, _sensors(found), ComparedSensor))
+def _write(found: Correlation, out: Path) -> list[Path]:
+    written = [_write_csv(out, _pairs(found), ComparedPair)]
+    if found.comac.size:
+        beside = out.with_name(f"{out.stem}_sensors{out.suffix or '.csv'}")
+        written.append(_write_csv(beside, _sensors(found), ComparedSensor))
     return written
 
 

@@ -8,19 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.ending import Page, StudyEnd
-from modetune.flows.cli.options import (
-    AsJson,
-    At,
-    ModelPath,
-    NoPrefect,
-    Settings,
-    SolverChoice,
-    TestPath,
-    UnitsChoice,
-    condensed,
-    stoppable,
-)
+from modetune.flows.cli.ending import StudyEnd
+from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
@@ -28,9 +17,9 @@ if TYPE_CHECKING:
     from modetune.flows.studies.condensation.direct import DirectCorrection
 
 
+@study(ModelOptions)
 def direct(
-    model: ModelPath,
-    test: TestPath = None,
+    on: Opened,
     method: Annotated[
         str,
         typer.Option(
@@ -49,41 +38,25 @@ def direct(
             help="The test's shapes are of unit modal mass in the model's own unit.",
         ),
     ] = False,
-    at: At = None,
     out: Annotated[
         Path | None, typer.Option(help="Corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml.")
     ] = None,
-    page: Page = None,
-    solver: SolverChoice = None,
-    units: UnitsChoice = None,
-    settings: Settings = None,
-    no_prefect: NoPrefect = False,
-    as_json: AsJson = False,
-) -> None:
+) -> StudyEnd:
     """Correct stiffness and mass as whole matrices, and tell what that breaks in them."""
-    with (
-        stoppable(),
-        condensed("direct", model, test, at, solver, units, settings, no_prefect) as on,
-    ):
-        from modetune.adapters.matrices.exchange import check_form, write_matrices
-        from modetune.flows.report.study_page import check_page
-        from modetune.flows.studies.condensation.direct import (
-            correct_directly,
-            filling_named,
-            method_named,
-        )
+    from modetune.adapters.matrices.exchange import check_form, write_matrices
+    from modetune.flows.studies.condensation.direct import (
+        correct_directly,
+        filling_named,
+        method_named,
+    )
 
-        check_page(page)
-        if out is not None:
-            check_form(out)
-        ways = method_named(method), filling_named(filling)
-        found = correct_directly(on.campaign, on.values, *ways, mass_normalised, on.pages)
-        written = write_matrices(out, found.matrices) if out is not None else ()
-        lines = [*found.notes, found.sentence]
-        told_so = "direct", on.campaign.name, found.sentence, told(found)
-        end = StudyEnd(*told_so, _tables(found), lines, written)
-        files = end.reported(on.pages, page)
-    end.tell(files, as_json)
+    if out is not None:
+        check_form(out)
+    ways = method_named(method), filling_named(filling)
+    found = correct_directly(on.campaign, on.values, *ways, mass_normalised, on.pages)
+    written = write_matrices(out, found.matrices) if out is not None else ()
+    lines = [*found.notes, found.sentence]
+    return StudyEnd(found.sentence, told(found), _tables(found), lines, written)
 
 
 @dataclass(frozen=True, slots=True)

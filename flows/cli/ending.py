@@ -6,10 +6,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
+from modetune.core.storage.files import writing
 from modetune.flows.report.tables import Table, show
 
 if TYPE_CHECKING:
@@ -20,21 +21,16 @@ if TYPE_CHECKING:
     from modetune.flows.report.chart import Chart
     from modetune.flows.updating.prefect import Pages
 
-Page = Annotated[
-    Path | None, typer.Option(help="HTML page with its tables and charts, one file (.html).")
-]
-
 
 @dataclass(frozen=True)
 class StudyEnd:
     """What a study came to.
 
     said: in a sentence; told: its `--json` object; lines: below the tables; charts: by name of
-    their files; written: its own files; doubts: why it cannot be relied on, sentences among lines.
+    their files; written: its own files; doubts: why it cannot be relied on, sentences among lines;
+    json_file: where the JSON object goes beside standard output.
     """
 
-    study: str
-    name: str
     said: str
     told: Mapping[str, Json]
     tables: Sequence[Table]
@@ -42,11 +38,19 @@ class StudyEnd:
     written: Sequence[Path] = ()
     charts: Mapping[str, Chart | Figure | None] = field(default_factory=dict)
     doubts: Sequence[str] = ()
+    json_file: Path | None = None
 
     def reported(
-        self, pages: Pages | None, page: Path | None = None, figures: Path | None = None
+        self,
+        title: tuple[str, str],
+        pages: Pages | None,
+        page: Path | None = None,
+        figures: Path | None = None,
     ) -> list[Path]:
-        """Its figures and its page written, its end told to Prefect's pages; all files of it."""
+        """Its figures and its page written, its end told to Prefect's pages; all files of it.
+
+        title: which study, and of what.
+        """
         charts = {name: chart for name, chart in self.charts.items() if chart is not None}
         written = list(self.written)
         if figures is not None:
@@ -56,21 +60,21 @@ class StudyEnd:
         if page is not None:
             from modetune.flows.report.study_page import write_study
 
-            written.append(write_study(page, self, charts))
+            written.append(write_study(page, title, self, charts))
         if pages is not None:
             status = "unreliable" if self.doubts else "completed"
             said = "; ".join(self.doubts) or self.said
             pages.done(said, self.tables, written, status, good=not self.doubts)
         return written
 
-    def json(self, written: Sequence[Path]) -> dict[str, Json]:
-        """What machines are told."""
-        return {**self.told, "written": [str(path) for path in written]}
-
     def tell(self, written: Sequence[Path], as_json: bool) -> None:
         """To people or as JSON; ends with exit code 3 where it cannot be relied on."""
         if as_json:
-            typer.echo(json.dumps(self.json(written)))
+            found = {**self.told, "written": [str(path) for path in written]}
+            if self.json_file is not None:
+                with writing(self.json_file) as part:
+                    part.write_text(json.dumps(found, indent=1), encoding="utf-8")
+            typer.echo(json.dumps(found))
         else:
             files = (f"written: {path}" for path in written)
             show([*self.tables, *map(self._marked, self.lines), *files])

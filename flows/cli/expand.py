@@ -8,20 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.ending import Page, StudyEnd
-from modetune.flows.cli.options import (
-    AsJson,
-    At,
-    Figures,
-    ModelPath,
-    NoPrefect,
-    Settings,
-    SolverChoice,
-    TestPath,
-    UnitsChoice,
-    condensed,
-    stoppable,
-)
+from modetune.flows.cli.ending import StudyEnd
+from modetune.flows.cli.options import Figures
+from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
@@ -29,9 +18,16 @@ if TYPE_CHECKING:
     from modetune.flows.studies.condensation.expand import Expansions
 
 
+@dataclass(frozen=True)
+class ExpandOptions(ModelOptions):
+    """Of the expansion alone: figures."""
+
+    figures: Figures = None
+
+
+@study(ExpandOptions)
 def expand(
-    model: ModelPath,
-    test: TestPath = None,
+    on: Opened,
     method: Annotated[
         str | None,
         typer.Option(
@@ -42,7 +38,6 @@ def expand(
     modes: Annotated[
         int | None, typer.Option(min=1, help="Elastic modes of SEREP's basis; chosen unless named.")
     ] = None,
-    at: At = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Shapes at all nodes as a test file: .csv, .h5 or .unv."),
@@ -50,40 +45,24 @@ def expand(
     paraview: Annotated[
         Path | None, typer.Option(help="Folder for expanded.pvd, which ParaView opens.")
     ] = None,
-    figures: Figures = None,
-    page: Page = None,
-    solver: SolverChoice = None,
-    units: UnitsChoice = None,
-    settings: Settings = None,
-    no_prefect: NoPrefect = False,
-    as_json: AsJson = False,
-) -> None:
+) -> StudyEnd:
     """Fill measured shapes out to the whole mesh, with the error at sensors that were held out."""
-    with (
-        stoppable(),
-        condensed("expand", model, test, at, solver, units, settings, no_prefect) as on,
-    ):
-        from modetune.flows.report.study_page import check_page
-        from modetune.flows.studies.condensation.expand import expand_shapes
-        from modetune.flows.studies.condensation.expanded_files import (
-            check_files,
-            error_chart,
-            write_files,
-        )
+    from modetune.flows.studies.condensation.expand import expand_shapes
+    from modetune.flows.studies.condensation.expanded_files import (
+        check_files,
+        error_chart,
+        write_files,
+    )
 
-        check_page(page)
-        check_files(on.campaign, out, paraview)
-        found = expand_shapes(on.campaign, on.values, method, modes, on.pages)
-        written = write_files(on.campaign, found, out, paraview)
-        lines = [f"{item.method}: {item.unavailable}" for item in found.methods if item.unavailable]
-        if found.left_out:
-            lines.append(f"held in place in the model, so left out: {', '.join(found.left_out)}")
-        told_so = "expand", on.campaign.name, found.sentence, told(found)
-        charts = {"held_out": error_chart(found)}
-        lines.append(found.sentence)
-        end = StudyEnd(*told_so, [_table(found)], lines, written, charts)
-        files = end.reported(on.pages, page, figures)
-    end.tell(files, as_json)
+    check_files(on.campaign, out, paraview)
+    found = expand_shapes(on.campaign, on.values, method, modes, on.pages)
+    written = write_files(on.campaign, found, out, paraview)
+    lines = [f"{item.method}: {item.unavailable}" for item in found.methods if item.unavailable]
+    if found.left_out:
+        lines.append(f"held in place in the model, so left out: {', '.join(found.left_out)}")
+    charts = {"held_out": error_chart(found)}
+    lines.append(found.sentence)
+    return StudyEnd(found.sentence, told(found), [_table(found)], lines, written, charts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modetune.flows.cli.options import (
-    AsJson,
-    CampaignPath,
-    Figures,
-    NoPrefect,
-    Settings,
-    begun,
-    paged,
-    stoppable,
-)
-from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.cli.ending import StudyEnd
+from modetune.flows.cli.study import CampaignOptions, Opened, study
+from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from modetune.core.storage.keys import Json
     from modetune.core.updating.localisation import Removal
+    from modetune.flows.report.chart import Chart
     from modetune.flows.studies.localise.error_maps import ErrorMaps
     from modetune.flows.studies.localise.localise import Localisation
 
@@ -36,8 +30,9 @@ TELLING = 0.2
 NODES = 200
 
 
+@study(CampaignOptions)
 def localise(
-    campaign_file: CampaignPath,
+    on: Opened,
     record: Annotated[
         Path | None,
         typer.Option(help="Run folder or campaign.h5 whose updated model is looked at."),
@@ -45,44 +40,33 @@ def localise(
     configuration: Annotated[
         str | None, typer.Option(help="Which one, of a campaign with several configurations.")
     ] = None,
-    settings: Settings = None,
-    figures: Figures = None,
-    no_prefect: NoPrefect = False,
-    as_json: AsJson = False,
-) -> None:
+) -> StudyEnd:
     """Say where the model is wrong: maps of the error, what each parameter can remove of it, and
     whether any parameters can.
 
     Looks at the start of the campaign, or with --record at the model that updating left.
     """
-    with begun(f"reading {campaign_file}"):
-        from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.studies.localise.localise import localise as find
-        from modetune.flows.studies.localise.localise import place_of
+    from modetune.flows.studies.localise.localise import localise as find
+    from modetune.flows.studies.localise.localise import place_of
 
-        place = place_of(load_campaign(campaign_file, settings or []), record, configuration)
-    campaign = place.campaign
-    with (
-        stoppable(),
-        begun("modes and sensitivities"),
-        paged("localise", campaign.name, no_prefect) as pages,
-    ):
-        found = find(campaign, place.theta, pages)
-        written: list[Path] = []
-        if figures is not None:
-            from modetune.flows.report.matplotlib_charts import save_all
-            from modetune.flows.studies.localise.figures import localisation_figures
+    place = place_of(on.campaign, record, configuration)
+    on.working("modes and sensitivities")
+    found = find(place.campaign, place.theta, on.pages)
+    charts: Mapping[str, Chart | Figure] = {}
+    if on.charted:
+        from modetune.flows.studies.localise.figures import localisation_figures
 
-            model = "updated" if record else "initial"
-            title = f"{campaign.name}: where the {model} model is wrong"
-            mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
-            written = save_all(localisation_figures(title, found, mesh, surface), figures)
-        if pages is not None:
-            pages.done(found.sentence, tables(found), written)
-    if as_json:
-        typer.echo(json.dumps({**told(found), "written": [str(path) for path in written]}))
-        return
-    show([*tables(found), *_lines(found), *(f"written: {path}" for path in written)])
+        model = "updated" if record else "initial"
+        title = f"{on.campaign.name}: where the {model} model is wrong"
+        case = place.campaign.case
+        charts = localisation_figures(title, found, case.solver.deck.mesh(), case.surface)
+    return StudyEnd(
+        found.sentence,
+        told(found),
+        tables(found),
+        _lines(found),
+        charts=charts,
+    )
 
 
 def told(found: Localisation) -> dict[str, Json]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,6 +52,9 @@ At = Annotated[
 ]
 Runs = Annotated[Path, typer.Option(help="Where run folders go.")]
 Figures = Annotated[Path | None, typer.Option(help="Folder for figures (PNG).")]
+Page = Annotated[
+    Path | None, typer.Option(help="HTML page with its tables and charts, one file (.html).")
+]
 NoPrefect = Annotated[
     bool,
     typer.Option("--no-prefect", envvar="MODETUNE_NO_PREFECT", help="Without Prefect's pages."),
@@ -132,41 +134,6 @@ def begun(text: str) -> Iterator[Callable[[str], None]]:
     with JobProgress(terminal(stderr=True)).shown() as progress:
         progress.working(text)
         yield progress.working
-
-
-@dataclass(frozen=True)
-class Condensed:
-    """What a command on whole matrices works on, and the pages it is told to."""
-
-    campaign: Campaign
-    values: Mapping[str, float]
-    pages: Pages | None
-
-
-@contextmanager
-def condensed(
-    name: str,
-    model: Path,
-    test: Path | None,
-    at: list[str] | None,
-    solver: str | None,
-    units: str | None,
-    settings: list[str] | None,
-    no_prefect: bool,
-) -> Iterator[Condensed]:
-    """The model of `expand`, `reduce` and `direct` with its test; NAME of the command."""
-    with begun(f"{name}: reading {model}") as tell:
-        from modetune.flows.campaign.sketch import looked_at
-        from modetune.flows.updating.modal_run import parse_values
-
-        tests = [] if test is None else [test]
-        if test is not None and not test.exists():
-            tests = [Path(part.strip()) for part in str(test).split(",")]
-        campaign = looked_at(model, with_model(settings, solver, units), tests)
-        values = parse_values(campaign, at or [])
-        tell(f"{name}: {campaign.name} by {campaign.solver_name}")
-        with paged(name, campaign.name, no_prefect) as pages:
-            yield Condensed(campaign, values, pages)
 
 
 @contextmanager

@@ -8,19 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.flows.cli.ending import Page, StudyEnd
-from modetune.flows.cli.options import (
-    AsJson,
-    At,
-    ModelPath,
-    NoPrefect,
-    Settings,
-    SolverChoice,
-    TestPath,
-    UnitsChoice,
-    condensed,
-    stoppable,
-)
+from modetune.flows.cli.ending import StudyEnd
+from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
@@ -28,9 +17,9 @@ if TYPE_CHECKING:
     from modetune.flows.studies.condensation.reduce import ModelReduction
 
 
+@study(ModelOptions)
 def reduce(
-    model: ModelPath,
-    test: TestPath = None,
+    on: Opened,
     method: Annotated[
         str, typer.Option(help="guyan, irs, iterated_irs, serep or craig_bampton.")
     ] = "guyan",
@@ -47,46 +36,30 @@ def reduce(
             min=1, help="Modes that are compared, and that SEREP keeps or Craig-Bampton adds."
         ),
     ] = None,
-    at: At = None,
     out: Annotated[
         Path | None,
         typer.Option(
             help="Matrices: .npz, .op4, .bdf (DMIG), or .yaml, a model that modetune takes."
         ),
     ] = None,
-    page: Page = None,
-    solver: SolverChoice = None,
-    units: UnitsChoice = None,
-    settings: Settings = None,
-    no_prefect: NoPrefect = False,
-    as_json: AsJson = False,
-) -> None:
+) -> StudyEnd:
     """Reduce a model to a few unknowns, its frequencies beside the full model's."""
-    with (
-        stoppable(),
-        condensed("reduce", model, test, at, solver, units, settings, no_prefect) as on,
-    ):
-        from modetune.adapters.matrices.exchange import check_form, write_matrices
-        from modetune.core.modes import dof_name
-        from modetune.flows.report.study_page import check_page
-        from modetune.flows.studies.condensation.reduce import (
-            ReductionRequest,
-            method_named,
-            reduce_model,
-        )
+    from modetune.adapters.matrices.exchange import check_form, write_matrices
+    from modetune.core.modes import dof_name
+    from modetune.flows.studies.condensation.reduce import (
+        ReductionRequest,
+        method_named,
+        reduce_model,
+    )
 
-        check_page(page)
-        if out is not None:
-            check_form(out)
-        request = ReductionRequest(method_named(method), masters, modes)
-        found = reduce_model(on.campaign, on.values, request, on.pages)
-        written = write_matrices(out, found.matrices) if out is not None else ()
-        held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
-        lines = [*([held] if found.held else []), found.sentence]
-        told_so = "reduce", on.campaign.name, found.sentence, told(found)
-        end = StudyEnd(*told_so, [_table(found)], lines, written)
-        files = end.reported(on.pages, page)
-    end.tell(files, as_json)
+    if out is not None:
+        check_form(out)
+    request = ReductionRequest(method_named(method), masters, modes)
+    found = reduce_model(on.campaign, on.values, request, on.pages)
+    written = write_matrices(out, found.matrices) if out is not None else ()
+    held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
+    lines = [*([held] if found.held else []), found.sentence]
+    return StudyEnd(found.sentence, told(found), [_table(found)], lines, written)
 
 
 @dataclass(frozen=True, slots=True)

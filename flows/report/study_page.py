@@ -16,10 +16,6 @@ class ToldStudy(Protocol):
     """What a study came to."""
 
     @property
-    def study(self) -> str: ...
-    @property
-    def name(self) -> str: ...
-    @property
     def lines(self) -> Sequence[str]: ...
     @property
     def doubts(self) -> Sequence[str]: ...
@@ -33,13 +29,18 @@ def check_page(path: Path | None) -> None:
         raise CampaignError(f"--page {path}: a page is a file that ends in .html")
 
 
-def write_study(path: Path, found: ToldStudy, charts: Mapping[str, object]) -> Path:
+def write_study(
+    path: Path, title: tuple[str, str], found: ToldStudy, charts: Mapping[str, object]
+) -> Path:
     """Write a study's page, of its charts those that are no pictures. Raises StorageUnavailable."""
+    kind, name = title
     return written_page(
         path,
         "study.html",
-        f"{found.name} - modetune {found.study}",
+        f"{name} - modetune {kind}",
         {name: chart for name, chart in charts.items() if isinstance(chart, Chart)},
+        kind=kind,
+        name=name,
         study=found,
         lines=[line for line in found.lines if line not in found.doubts],
     )
