@@ -82,7 +82,7 @@ def main(grids: int) -> None:
         after = least(lambda number: solver.render(values(number), ANALYSIS))
         assert solver.render(values(0), ANALYSIS).content == anew(0)
     sys.stdout.write(
-        f"{len(deck.model.bulk.nodes)} grid points: anew {before:.2f} s, edited {after:.2f} s, "
+        f"{len(deck.bulk.nodes)} grid points: anew {before:.2f} s, edited {after:.2f} s, "
         f"{before / after:.1f} times faster; the same text\n"
     )
 

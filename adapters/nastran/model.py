@@ -33,7 +33,7 @@ from modetune.adapters.nastran.splitting import split_materials, split_propertie
 from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.nastran.targets import targets
 from modetune.adapters.numbers import Number, moved_numbers
-from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary, Target
+from modetune.adapters.solver import AffectedElements, Deck, Edited, MassKind, ModelSummary, Target
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
@@ -232,7 +232,7 @@ class NastranModel(Deck):
                     values[number.place] = there * (before / number.value if number.value else 1.0)
         return changed_lines(self.deck, values)
 
-    def edited(self, values: Values) -> EditedNastran:
+    def edited(self, values: Values) -> Edited:
         return EditedNastran(self, self.changed(values), values)
 
     def changed(self, values: Values) -> dict[int, str]:
@@ -245,12 +245,8 @@ class NastranModel(Deck):
         return write_edited(self.deck, self.edit(assigned(self.parameters, values)), folder)
 
     def undamped(self) -> str:
-        return self.undamped_as(self)
-
-    def undamped_as(self, deck: Deck) -> str:
-        """Why damping cannot be computed where this deck is what jobs are made of."""
         try:
-            found = self.dampers(deck)
+            found = self._dampers()
         except ModelError as error:
             return str(error)
         if found.links or found.losses or found.uniform:
@@ -268,15 +264,15 @@ class NastranModel(Deck):
         return damped_groups(self.structure)
 
     def damping(self, base: MatrixResult) -> DampingModel:
-        return self.dampers(self).model(self, base)
+        return self._dampers().model(self, base)
 
-    def dampers(self, deck: Deck) -> Dampers:
-        """What damps the model in terms of the elements of this deck. Raises ModelError."""
+    def _dampers(self) -> Dampers:
+        """What damps the model. Raises ModelError."""
         try:
             uniform = read_number(self._asked("G") or "0")
         except ValueError as error:
             raise ModelError(f"{self.deck.file}: PARAM,G: {error}") from None
-        return dampers(self.structure, deck, self.parameters, uniform)
+        return dampers(self.structure, self, self.parameters, uniform)
 
     def bulk_at(self, changed: dict[int, str]) -> Bulk:
         """pyNastran's model of the deck with some lines changed. Raises ModelError."""

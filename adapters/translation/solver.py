@@ -27,17 +27,14 @@ from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.patch import edited_bulk
-from modetune.adapters.numbers import Number
-from modetune.adapters.solver import AffectedElements, Deck, MassKind, ModelSummary, Solver, Target
+from modetune.adapters.solver import AffectedElements, ModelSummary, Solver
 from modetune.adapters.translation.bricks import WrittenShells
 from modetune.adapters.translation.shells import KINDS
 from modetune.adapters.translation.translate import Translation, translate
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
-from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values, driven_by
-from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult
 from modetune.core.updating.static import LoadCase
@@ -51,10 +48,9 @@ KEPT = 4
 
 
 @dataclass(frozen=True)
-class TranslatedDeck(Deck):
+class TranslatedDeck(NastranModel):
     """A Nastran model whose translation CalculiX runs."""
 
-    model: NastranModel
     _kept: OrderedDict[tuple[tuple[int, str], ...], EditedCalculix] = field(
         default_factory=OrderedDict, repr=False, compare=False
     )
@@ -64,7 +60,7 @@ class TranslatedDeck(Deck):
 
     @cached_property
     def summary(self) -> ModelSummary:
-        nominal, own = self._nominal.summary, self.model.summary
+        nominal, own = self._nominal.summary, super().summary
         return replace(
             nominal,
             name=own.name,
@@ -77,46 +73,14 @@ class TranslatedDeck(Deck):
     def _nominal(self) -> CalculixDeck:
         return CalculixDeck(self.edited({}).model, ())
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.model.parameters
-
-    def splits(self) -> tuple[str, ...]:
-        return self.model.splits()
-
-    def masses(self) -> MassKind:
-        return self.model.masses()
-
-    def mesh(self) -> Mesh:
-        """The user's own mesh, not the translated one."""
-        return self.model.mesh()
-
-    def numbers(self, parameter: Parameter) -> list[Number]:
-        return self.model.numbers(parameter)
-
-    def written(self, parameter: Parameter, value: float) -> float:
-        return self.model.written(parameter, value)
-
-    def targets(self) -> tuple[Target, ...]:
-        return self.model.targets()
-
-    def elastic_constants(self) -> dict[str, tuple[float, float]]:
-        return self.model.elastic_constants()
-
-    def material_masses(self) -> dict[str, float]:
-        return self.model.material_masses()
-
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """The deck's sets, none where CalculiX prints no whole energy of their elements."""
-        names = self.model.energy_sets(parameter)
+        names = super().energy_sets(parameter)
         mesh = self._nominal.model.mesh
         members = [mesh.element_sets.get(name, frozenset()) for name in names]
         kinds = {mesh.elements[number].kind for numbers in members for number in numbers}
         whole = all(members) and not any(WITHOUT_ENERGY.fullmatch(kind) for kind in kinds)
         return names if whole else ()
-
-    def is_linear(self, parameter: Parameter) -> bool:
-        return self.model.is_linear(parameter)
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         """By what of the translated deck changes with the parameter.
@@ -129,10 +93,10 @@ class TranslatedDeck(Deck):
         moved = {item.quantity for item in (parameter, *driven)}
         if "poissons_ratio" in moved or any(degree(item.expression) > 1 for item in driven):
             return None
-        if self.model.problems((parameter,)):
+        if self.problems((parameter,)):
             return None
         wanted = (0.5, 0.75, 1.5, 2.0) if parameter.quantity == "thickness" else (0.5, 2.0)
-        values = [self.model.written(parameter, value) for value in wanted]
+        values = [self.written(parameter, value) for value in wanted]
         rest = {item.name: 1.0 for item in self.parameters if not item.expression}
         try:
             edits = [self.edited({**rest, parameter.name: value}) for value in (1.0, *values)]
@@ -171,29 +135,17 @@ class TranslatedDeck(Deck):
         return basic.turned(turn)
 
     def load_case(self, number: int, values: Values | None = None) -> LoadCase:
-        found = self.model.load_case(number)
+        found = super().load_case(number)
         if found.acceleration.any():
             raise ModelError(
-                f"{self.model.structure.deck.file}: load set {number} has GRAV, whose forces on "
+                f"{self.deck.file}: load set {number} has GRAV, whose forces on "
                 "supported elements are in no matrix of CalculiX: use `solver: mystran`"
             )
         return found
 
-    def undamped(self) -> str:
-        return self.model.undamped_as(self)
-
-    def losses(self) -> tuple[Parameter, ...]:
-        return self.model.losses()
-
-    def damping(self, base: MatrixResult) -> DampingModel:
-        return self.model.dampers(self).model(self, base)
-
-    def write_updated(self, values: Values, folder: Path) -> Path:
-        return self.model.write_updated(values, folder)
-
     def edited(self, values: Values) -> EditedCalculix:
         """The translation at these values, kept for a while. Raises ModelError."""
-        changed = self.model.changed(values)
+        changed = self.changed(values)
         known = tuple(sorted(changed.items()))
         with self._lock:
             if known not in self._kept:
@@ -227,7 +179,7 @@ class TranslatedDeck(Deck):
         """The nominal translation with the laws of its shells edited; None where more changes."""
         if not self._of_shells(changed):
             return None
-        with self._own, edited_bulk(self.model.deck, self._bulk, changed) as bulk:
+        with self._own, edited_bulk(self.deck, self._bulk, changed) as bulk:
             numbers = self._shells[0].edited(bulk)
         if numbers is None:
             return None
@@ -241,10 +193,8 @@ class TranslatedDeck(Deck):
 
     def _of_shells(self, changed: dict[int, str]) -> bool:
         """Whether these lines are those of shells' properties, and of materials of these alone."""
-        structure = self.model.structure
-        cards = [
-            card for card in self.model.deck.cards if not changed.keys().isdisjoint(card.lines)
-        ]
+        structure = self.structure
+        cards = [card for card in self.deck.cards if not changed.keys().isdisjoint(card.lines)]
         if not {card.name for card in cards} <= {*SHELL_LAWS, *MATERIALS}:
             return False
         if any("\n" in text for text in changed.values()):  # cards are added
@@ -264,10 +214,10 @@ class TranslatedDeck(Deck):
 
     def _translation(self, changed: dict[int, str]) -> Translation:
         """The text with some lines of the deck changed. Raises ModelError."""
-        stem = self.model.deck.file.stem
-        case = read_case_control(self.model.deck)
-        own = self._bulk if changed else self.model.bulk
-        with self._own, edited_bulk(self.model.deck, own, changed) as bulk:
+        stem = self.deck.file.stem
+        case = read_case_control(self.deck)
+        own = self._bulk if changed else self.bulk
+        with self._own, edited_bulk(self.deck, own, changed) as bulk:
             translation = translate(
                 bulk,
                 stem,
@@ -275,7 +225,7 @@ class TranslatedDeck(Deck):
                 mpc=case.selected("MPC"),
                 k2gg=case.added_stiffness,
                 single=self._single,
-                wtmass=self.model.wtmass,
+                wtmass=self.wtmass,
                 weighed=not changed,  # other numbers are translated in the same way
                 lumped=self.masses() == "lumped",
             )
@@ -285,16 +235,16 @@ class TranslatedDeck(Deck):
     @cached_property
     def _bulk(self) -> Bulk:
         """A model of the deck that is nobody else's, whose numbers are edited."""
-        return read_bulk(self.model.deck)[0]
+        return read_bulk(self.deck)[0]
 
     @cached_property
     def _single(self) -> frozenset[int]:
         """Elements that are sets of their own because a parameter's energy is theirs."""
         names = [
             name
-            for item in self.model.parameters
+            for item in self.parameters
             if not self.problems((item,))
-            for name in self.model.energy_sets(item)
+            for name in NastranModel.energy_sets(self, item)
         ]
         return frozenset(int(name[1:]) for name in names if name.startswith("E"))
 
@@ -303,7 +253,7 @@ def translated_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """CalculiX for a Nastran deck file. Raises ModelError where it cannot be translated."""
     model = nastran_model.understand(read_deck(deck), parameters)
     model.check()
-    translated = TranslatedDeck(model)
+    translated = TranslatedDeck(model.structure, model.objections, model.parameters)
     translated.edited({})  # so that what cannot be translated is refused here
     program = calculix_program()
     has = replace(program.capabilities, masses=model.other_masses())

@@ -107,8 +107,8 @@ class RetriesSection(Section):
     """A job that ended well and left what is not a result."""
 
 
-class RunSection(Section):
-    """How jobs run."""
+class SiteRun(Section):
+    """What a site, too, may say of how jobs run."""
 
     parallel: Annotated[int, Field(ge=0, le=1024)] = 0
     """Jobs at the same time; 0: as many as there are cores."""
@@ -116,31 +116,36 @@ class RunSection(Section):
     """Threads of each job; 0: the cores, shared out among parallel jobs."""
     licences: dict[Name, Annotated[int, Field(ge=1, le=10_000)]] = Field(default={})
     """Jobs of a solver that may run at the same time on the machine, by its name."""
-    retries: RetriesSection = RetriesSection()
-    """How often a job is tried again, by what became of it; one number goes for all."""
-    failed_column: Literal["leave_out", "stop"] = "leave_out"
-    """A sensitivity column that is unavailable: go on without it this time, or stop."""
-    timeout_s: Positive = 3600.0
-    """Longest run of one job [s]"""
+    licence_messages: tuple[Word, ...] = ()
+    """What a solver prints where no licence is free, besides what is known: parts of lines."""
     disk_gb: Positive = 100.0
     """Disk that the files and the output of one job may take [GB]"""
     memory_gb: Positive | None = None
     """Memory of this machine that the campaign may take: jobs side by side, and factors, which go
     to disk where they do not fit; without it what machine or container have [GB]"""
-    licence_pause_s: Positive = 30.0
-    """First pause of a job that got no licence; it grows by half each time [s]"""
-    licence_wait_s: Positive = 86400.0
-    """After this wait for a licence the job is given up [s]"""
-    licence_messages: tuple[Word, ...] = ()
-    """What a solver prints where no licence is free, besides what is known: parts of lines."""
-    keep_jobs: bool = False
-    """Keep the folders of good jobs; those of failed ones are always kept."""
     engine: Engine = "local"
     """Where jobs run: here, under Slurm, or on a Dask cluster."""
     slurm: SlurmSection = SlurmSection()
     """What Slurm is told."""
     dask: DaskSection = DaskSection()
     """The Dask cluster."""
+
+
+class RunSection(SiteRun):
+    """How jobs run."""
+
+    retries: RetriesSection = RetriesSection()
+    """How often a job is tried again, by what became of it; one number goes for all."""
+    failed_column: Literal["leave_out", "stop"] = "leave_out"
+    """A sensitivity column that is unavailable: go on without it this time, or stop."""
+    timeout_s: Positive = 3600.0
+    """Longest run of one job [s]"""
+    licence_pause_s: Positive = 30.0
+    """First pause of a job that got no licence; it grows by half each time [s]"""
+    licence_wait_s: Positive = 86400.0
+    """After this wait for a licence the job is given up [s]"""
+    keep_jobs: bool = False
+    """Keep the folders of good jobs; those of failed ones are always kept."""
 
     @property
     def here(self) -> bool:
@@ -157,29 +162,6 @@ class RunSection(Section):
         if isinstance(given, int) and not isinstance(given, bool):
             return dict.fromkeys(("stopped", "timeout", "no_result"), given)
         return given
-
-
-class SiteRun(Section):
-    """What a site may say of `run`."""
-
-    engine: Engine = "local"
-    """Where jobs run."""
-    slurm: SlurmSection = SlurmSection()
-    """What Slurm is told."""
-    dask: DaskSection = DaskSection()
-    """The Dask cluster."""
-    parallel: Annotated[int, Field(ge=0, le=1024)] = 0
-    """Jobs at the same time; 0: as many as the engine takes."""
-    threads: Annotated[int, Field(ge=0, le=1024)] = 0
-    """Threads of each job; 0: shared out."""
-    licences: dict[Label, Annotated[int, Field(ge=1, le=10_000)]] = Field(default={})
-    """Jobs of a solver that may run at the same time, by the solver's name."""
-    licence_messages: tuple[Word, ...] = ()
-    """What a solver prints where no licence is free, besides what is known: parts of lines."""
-    disk_gb: Positive = 100.0
-    """Disk that the files and the output of one job may take [GB]"""
-    memory_gb: Positive | None = None
-    """Memory of this machine that a campaign may take [GB]"""
 
 
 class SiteFile(Section):

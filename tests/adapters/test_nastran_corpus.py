@@ -30,7 +30,7 @@ def mystran_job(model: NastranModel) -> None:
 
 def calculix_job(model: NastranModel) -> None:
     model.check()
-    TranslatedDeck(model).edited({})
+    TranslatedDeck(model.structure, model.objections, model.parameters).edited({})
 
 
 def takes(job: Callable[[NastranModel], None], model: NastranModel) -> bool:

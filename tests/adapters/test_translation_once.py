@@ -117,7 +117,7 @@ def fresh(solver: Solver, folder: Path, values: dict[str, float]) -> str:
     deck = solver.deck
     assert isinstance(deck, TranslatedDeck)
     updated = deck.write_updated(values, folder / "deck")
-    return job(translated_solver(updated, deck.model.parameters), folder)
+    return job(translated_solver(updated, deck.parameters), folder)
 
 
 def test_every_parameter_gives_the_text_of_a_fresh_translation(
@@ -125,7 +125,7 @@ def test_every_parameter_gives_the_text_of_a_fresh_translation(
 ) -> None:
     nominal = job(shown, tmp_path / "nominal")
     differ = set()
-    for place, item in enumerate(shown.deck.model.parameters):  # type: ignore[attr-defined]
+    for place, item in enumerate(shown.deck.parameters):  # type: ignore[attr-defined]
         values = {item.name: 1.17}
         text = job(shown, tmp_path / "job", **values)
         assert text == fresh(shown, tmp_path / f"fresh{place}", values), item.name
@@ -135,7 +135,7 @@ def test_every_parameter_gives_the_text_of_a_fresh_translation(
 
 
 def test_all_parameters_at_once_give_it_too(shown: Solver, tmp_path: Path) -> None:
-    names = [item.name for item in shown.deck.model.parameters]  # type: ignore[attr-defined]
+    names = [item.name for item in shown.deck.parameters]  # type: ignore[attr-defined]
     values = {name: 0.8 + 0.02 * place for place, name in enumerate(names)}
     assert job(shown, tmp_path / "job", **values) == fresh(shown, tmp_path / "fresh", values)
 
