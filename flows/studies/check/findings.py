@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 #: good: looked at and as it should be; doubtful: a person should look; wrong: do not start so.
 Level = Literal["good", "doubtful", "wrong"]
@@ -22,6 +22,25 @@ class Finding:
     what: str
     where: str = ""
     remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FindingsOf:
+    """Makes the findings of one subject."""
+
+    subject: Subject
+
+    def good(self, what: str, where: str = "", remedy: str = "") -> Finding:
+        return Finding("good", self.subject, what, where, remedy)
+
+    def doubtful(self, what: str, where: str = "", remedy: str = "") -> Finding:
+        return Finding("doubtful", self.subject, what, where, remedy)
+
+    def wrong(self, what: str, where: str = "", remedy: str = "") -> Finding:
+        return Finding("wrong", self.subject, what, where, remedy)
+
+
+TEST, SENSORS, MODEL, MODES, PAIRING, PARAMETERS = map(FindingsOf, get_args(Subject))
 
 
 def worst(findings: Iterable[Finding]) -> Level:

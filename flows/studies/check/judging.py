@@ -23,7 +23,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution, solved
-from modetune.flows.studies.check.findings import Finding, Level, worst
+from modetune.flows.studies.check.findings import MODEL, PAIRING, TEST, Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.memory import memory_findings
 from modetune.flows.studies.check.model import (
@@ -60,10 +60,8 @@ from modetune.flows.updating.poses import by_shapes, from_store, may_choose, mod
 from modetune.flows.updating.running import job_engine
 
 NO_RUN = RunCounts()
-WITHOUT_TEST = Finding(
-    "doubtful", "test", "there is none, so the model is judged alone", "test",
-    "name the test's files under `test`, or behind a deck",
-)  # fmt: skip
+WITHOUT_TEST = TEST.doubtful("there is none, so the model is judged alone", "test",
+    "name the test's files under `test`, or behind a deck")  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +122,7 @@ def check_campaign(
         report = judged(campaign, result, static, analysis.n_modes, NO_RUN, shares)
         memory = [item for state in evaluator.used for item in memory_findings(state)]
     except SolverError as error:
-        told = Finding("wrong", "model", f"the solver gave no modes: {error}")
+        told = MODEL.wrong(f"the solver gave no modes: {error}")
         return PreCheckReport((*static, told), failure=error)
     engine.keep_text()
     findings = (*report.findings, *memory)
@@ -174,7 +172,7 @@ def judged(
         every = preview(test, elastic, campaign.case.rules)
         found += uncertain_findings(test, elastic, campaign.case.rules)
     except ModesError as error:
-        return PreCheckReport((*found, Finding("wrong", "pairing", str(error))), facts, runs=runs)
+        return PreCheckReport((*found, PAIRING.wrong(str(error))), facts, runs=runs)
     modes = tuple(mode for mode in every if mode.mode in campaign.test.numbers)
     paired = np.array([mode.elastic_mode - 1 for mode in modes], dtype=np.int64)
     shares = shares_in(paired) if shares_in else energy_shares(result, paired)

@@ -12,7 +12,7 @@ import numpy as np
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
 from modetune.core.near_names import listed
-from modetune.flows.studies.check.findings import Finding
+from modetune.flows.studies.check.findings import TEST, Finding
 
 #: Off the diagonal of the auto-MAC: above it the sensors hardly tell two modes apart.
 ALIKE = 0.8
@@ -37,9 +37,7 @@ def data_findings(test: MeasuredModes) -> list[Finding]:
         return found
     moving = np.abs(test.modes.mode_shapes).max(axis=0) > 0.0
     found += [
-        Finding(
-            "wrong",
-            "test",
+        TEST.wrong(
             "the shape is zero at every sensor",
             f"test mode {number}",
             "leave the mode out with `test.use`, or export it again",
@@ -60,9 +58,7 @@ def _frequencies(test: MeasuredModes) -> list[Finding]:
     if not (frequencies > 0.0).all():
         rigid = [test.numbers[place] for place in np.flatnonzero(frequencies <= 0.0).tolist()]
         return [
-            Finding(
-                "wrong",
-                "test",
+            TEST.wrong(
                 "the frequency is not above zero",
                 f"test mode {listed(rigid)}",
                 "leave rigid-body modes out with `test.use`",
@@ -72,9 +68,7 @@ def _frequencies(test: MeasuredModes) -> list[Finding]:
     if (steps < 0.0).any():
         late = [test.numbers[place + 1] for place in np.flatnonzero(steps < 0.0).tolist()]
         found.append(
-            Finding(
-                "doubtful",
-                "test",
+            TEST.doubtful(
                 "the frequencies do not ascend",
                 f"test mode {listed(late)}",
                 "look whether columns were mixed up",
@@ -83,9 +77,7 @@ def _frequencies(test: MeasuredModes) -> list[Finding]:
     for first, second in combinations(range(len(test.numbers)), 2):
         if abs(frequencies[second] / frequencies[first] - 1.0) < COPIED:
             found.append(
-                Finding(
-                    "doubtful",
-                    "test",
+                TEST.doubtful(
                     f"two modes have one frequency, {frequencies[first]:.6g} Hz",
                     f"test modes {test.numbers[first]} and {test.numbers[second]}",
                     "leave one out with `test.use` if it was identified twice",
@@ -107,9 +99,7 @@ def _damping(test: MeasuredModes) -> list[Finding]:
     percent = float(np.median(damping)) > HIGHEST_DAMPING
     remedy = "damping ratios are fractions of critical: divide by 100 if these are percent"
     return [
-        Finding(
-            "doubtful",
-            "test",
+        TEST.doubtful(
             f"damping ratio {values} is below zero or above 20 %",
             f"test mode {listed(test.numbers[place] for place in strange)}",
             remedy if percent else "identify the mode again, or leave it out",
@@ -124,9 +114,7 @@ def _alike(
     n_dof, n_modes = shapes.shape
     if n_dof < n_modes:
         found.append(
-            Finding(
-                "doubtful",
-                "test",
+            TEST.doubtful(
                 f"{n_dof} sensors cannot tell {n_modes} modes apart",
                 "",
                 "use fewer modes (`test.use`), or more sensors",
@@ -142,9 +130,7 @@ def _alike(
         where = f"test modes {names[0]} and {names[1]}"
         if n_dof > 2 and 1.0 - value < COPIED_MAC:
             found.append(
-                Finding(
-                    "wrong",
-                    "test",
+                TEST.wrong(
                     "two modes have one shape",
                     where,
                     "one is a copy: export the test again, or leave it out with `test.use`",
@@ -152,9 +138,7 @@ def _alike(
             )
         elif value > ALIKE:
             found.append(
-                Finding(
-                    "doubtful",
-                    "test",
+                TEST.doubtful(
                     f"the sensors hardly tell two modes apart (auto-MAC {value:.3f})",
                     where,
                     "pairs of these modes may be swapped; add sensors, or use one of them",
@@ -170,9 +154,7 @@ def _sensors(test: MeasuredModes) -> list[Finding]:
     still = np.flatnonzero(units.max(axis=1) < STILL)
     if still.size:
         found.append(
-            Finding(
-                "doubtful",
-                "test",
+            TEST.doubtful(
                 f"no mode moves {_count(still.size)}",
                 listed(sensor_name(test.modes, row) for row in still.tolist()),
                 "a dead channel, or a direction that the structure does not take; leave the "
@@ -199,9 +181,7 @@ def _copied_rows(test: MeasuredModes, still: list[int]) -> list[Finding]:
     if not copies:
         return []
     return [
-        Finding(
-            "doubtful",
-            "test",
+        TEST.doubtful(
             "sensors have like numbers in all modes",
             listed(copies),
             "a channel may stand twice; leave one row out if so",
@@ -221,9 +201,7 @@ def _outliers(test: MeasuredModes, units: Floats) -> list[Finding]:
     for row in np.unique(order[-1][dominated]).tolist():
         modes = [place for place in np.flatnonzero(dominated).tolist() if order[-1][place] == row]
         found.append(
-            Finding(
-                "doubtful",
-                "test",
+            TEST.doubtful(
                 f"one sensor moves {min(ratio[modes].max(), 1e6):.3g} times as much as any other",
                 f"sensor {sensor_name(test.modes, row)} in test mode "
                 f"{listed(test.numbers[place] for place in modes)}",

@@ -18,7 +18,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
 from modetune.flows.campaign.schema import ModelCheck, Units
 from modetune.flows.campaign.units import KILOGRAMS, METRES, unit_doubt
-from modetune.flows.studies.check.findings import Finding
+from modetune.flows.studies.check.findings import MODEL, Finding
 
 #: Structures that are tested, metres and kilograms; beyond it the units are likely wrong.
 SIZES_M = (1e-3, 1000.0)
@@ -102,7 +102,7 @@ def size_findings(campaign: Campaign) -> list[Finding]:
     """Whether the model's materials and its size fit its units; no size without geometry."""
     case, size = campaign.case, model_size(campaign)
     doubt = unit_doubt(case.units, case.solver)
-    found = [Finding("doubtful", "model", doubt, "model.units", UNITS)] if doubt else []
+    found = [MODEL.doubtful(doubt, "model.units", UNITS)] if doubt else []
     if np.isfinite(size):
         found += _size(campaign, size)
     return [*accepted(campaign, found, {UNITS: "units", SIZE: "size"}), *_masses(case.solver)]
@@ -138,14 +138,10 @@ def accepted(
 
 def _size(campaign: Campaign, size: float) -> list[Finding]:
     if SIZES_M[0] <= size <= SIZES_M[1]:
-        return [Finding("good", "model", f"{size:.4g} m across", "model.units")]
+        return [MODEL.good(f"{size:.4g} m across", "model.units")]
     return [
-        Finding(
-            "doubtful",
-            "model",
-            f"in units {campaign.case.units} the model is {size:.3g} m across",
-            "model.units",
-            SIZE,
+        MODEL.doubtful(
+            f"in units {campaign.case.units} the model is {size:.3g} m across", "model.units", SIZE
         )
     ]
 
@@ -154,23 +150,19 @@ def mass_findings(campaign: Campaign, facts: ModelFacts) -> list[Finding]:
     """Whether mass, centre and inertia are plausible."""
     if not facts.mass_by:
         return [
-            Finding(
-                "good",
-                "model",
+            MODEL.good(
                 f"the mass is not known: {campaign.solver_name} does not tell it, and "
-                f"{facts.body_missing}",
+                f"{facts.body_missing}"
             )
         ]
     mass_kg, said = facts.mass_kg, f"the mass is {facts.mass_kg:.6g} kg"
     if facts.mass_by == "materials":
         said = f"the mass is about {mass_kg:.2g} kg, by sections and densities; point masses add"
-    found = [Finding("good", "model", said)]
+    found = [MODEL.good(said)]
     heavy = mass_kg > DENSEST * facts.size_m**3  # the cube round the diagonal: the largest volume
     if heavy or not MASSES_KG[0] <= mass_kg <= MASSES_KG[1]:
         found = [
-            Finding(
-                "doubtful",
-                "model",
+            MODEL.doubtful(
                 f"in units {campaign.case.units} the mass is {mass_kg:.3g} kg"
                 + (f", in a model {facts.size_m:.3g} m across" if heavy else ""),
                 "model.units",
@@ -185,7 +177,7 @@ def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
     body = facts.body
     if body is None:
         unknown = f"centre of gravity and inertia are not known: {facts.body_missing}"
-        return [Finding("good", "model", unknown)]
+        return [MODEL.good(unknown)]
     # Zero but for rounding, as along the normal of a plane of symmetry, is shown as zero.
     shown = np.where(np.abs(body.centre) < 1e-6 * np.abs(body.centre).max(), 0.0, body.centre)
     centre = ", ".join(f"{value:.5g}" for value in shown)
@@ -195,12 +187,10 @@ def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
         f"centre of gravity ({centre}) {length}, moments of inertia about it ({moments}) "
         f"{mass} {length}^2"
     )
-    found = [Finding("good", "model", said)]
+    found = [MODEL.good(said)]
     if body.spread > MASS_TOLERANCE:
         found.append(
-            Finding(
-                "doubtful",
-                "model",
+            MODEL.doubtful(
                 f"the mass differs by {100 * body.spread:.2g} % between directions",
                 "",
                 "a point mass may act in some directions only",
@@ -209,9 +199,7 @@ def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
     apart = abs(body.mass / facts.mass - 1.0)
     if apart > MASS_TOLERANCE:
         found.append(
-            Finding(
-                "doubtful",
-                "model",
+            MODEL.doubtful(
                 f"the rigid-body modes move a mass of {body.mass:.6g} {mass}, the solver "
                 f"tells {facts.mass:.6g} {mass}",
                 "",
@@ -229,9 +217,7 @@ def rigid_findings(result: ModalResult, components: frozenset[int], by_hand: boo
     elastic = result.eigenvalues[result.n_rigid :]
     if elastic.size == 0:
         return [
-            Finding(
-                "wrong",
-                "model",
+            MODEL.wrong(
                 f"all {result.modes.n_modes} computed modes are rigid",
                 "",
                 "a mechanism of many motions, or wrong units",
@@ -240,9 +226,7 @@ def rigid_findings(result: ModalResult, components: frozenset[int], by_hand: boo
     if (elastic <= 0.0).any():
         lowest = float(elastic.min())
         return [
-            Finding(
-                "wrong",
-                "model",
+            MODEL.wrong(
                 f"an elastic eigenvalue is not above zero ({lowest:.3g} (rad/s)^2)",
                 "",
                 "the stiffness is not positive: look for a mechanism or for preload "
@@ -251,15 +235,13 @@ def rigid_findings(result: ModalResult, components: frozenset[int], by_hand: boo
         ]
     if result.n_rigid == 0:
         return [
-            Finding(
-                "good",
-                "model",
-                f"held: no rigid-body mode, the first at {np.sqrt(elastic[0]) / 2 / np.pi:.4g} Hz",
+            MODEL.good(
+                f"held: no rigid-body mode, the first at {np.sqrt(elastic[0]) / 2 / np.pi:.4g} Hz"
             )
         ]
     free = len(components & {1, 2, 3}) if len(components & {1, 2, 3}) < 3 else RIGID_MODES
     if by_hand:
-        return [Finding("good", "model", f"{result.n_rigid} rigid modes, as `rigid_modes` says")]
+        return [MODEL.good(f"{result.n_rigid} rigid modes, as `rigid_modes` says")]
     if result.n_rigid != free:
         said = f"{result.n_rigid} modes have no strain energy, a free structure has {free}"
         remedy = "look for parts that nothing joins, hinges, or nodes without stiffness"
@@ -269,7 +251,7 @@ def rigid_findings(result: ModalResult, components: frozenset[int], by_hand: boo
             said = f"half held: {said}, a held one none"
             remedy = "look at the supports; a mechanism shows so too"
         meant = f"; if it is meant, say `rigid_modes: {result.n_rigid}`"
-        return [Finding("doubtful", "model", said, "model.rigid_modes", remedy + meant)]
+        return [MODEL.doubtful(said, "model.rigid_modes", remedy + meant)]
     return [_near_zero(result, elastic)]
 
 
@@ -283,10 +265,8 @@ def _near_zero(result: ModalResult, elastic: Floats) -> Finding:
     hidden = np.isnan(result.total_strain_energy)
     by_digits = hidden[: result.n_rigid].all() and not hidden[result.n_rigid :].any()
     if worst <= NEAR_ZERO or by_digits:
-        return Finding("good", "model", said)
-    return Finding(
-        "doubtful",
-        "model",
+        return MODEL.good(said)
+    return MODEL.doubtful(
         said,
         "",
         "they have no strain energy, so this is rounding of the solver, and elastic modes that "

@@ -26,7 +26,7 @@ from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
 from modetune.core.near_names import listed
 from modetune.flows.report.tables import Column
-from modetune.flows.studies.check.findings import Finding
+from modetune.flows.studies.check.findings import MODES, PAIRING, Finding
 from modetune.flows.studies.check.measured_modes import ALIKE
 
 #: Below it a pair is believed with doubt.
@@ -102,9 +102,7 @@ def uncertain_findings(test: MeasuredModes, elastic: ModeSet, rules: PairRules) 
     """Pairs without shapes that updating would not begin with unless they are confirmed."""
     found = uncertain_pairs(test, elastic, first_pairs(test, elastic, rules), rules)
     return [
-        Finding(
-            "doubtful",
-            "pairing",
+        PAIRING.doubtful(
             f"paired by the order of frequencies alone: {reason}",
             f"test mode {number}",
             "updating stops at it: name the pairs with `test.pairs`, or leave a mode out with "
@@ -187,9 +185,7 @@ def pairing_findings(
             continue
         if np.isfinite(mode.mac) and mode.judged_mac < WEAK_MAC:
             found.append(
-                Finding(
-                    "doubtful",
-                    "pairing",
+                PAIRING.doubtful(
                     f"its best pair, elastic mode {mode.elastic_mode}, has MAC "
                     f"{mode.judged_mac:.2f}",
                     where,
@@ -198,9 +194,7 @@ def pairing_findings(
             )
         if mode.second_mac >= max(mode.judged_mac - AMBIGUOUS, LOST_MAC):
             found.append(
-                Finding(
-                    "doubtful",
-                    "pairing",
+                PAIRING.doubtful(
                     f"ambiguous: elastic mode {mode.elastic_mode} has MAC {mode.mac:.2f}, mode "
                     f"{mode.second_mode} has {mode.second_mac:.2f}",
                     where,
@@ -215,16 +209,14 @@ def pairing_findings(
             if far:
                 what += f", {reach_text(mode.computed_hz, rules.reach)}"
             remedy = "no parameter may reach so far: look at the model"
-            found.append(Finding("doubtful", "pairing", what, where, remedy))
+            found.append(PAIRING.doubtful(what, where, remedy))
     return found
 
 
 def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) -> Finding:
     """A mode near the end of the computed range may be beyond it, where updating looks itself."""
     if rules.drop:
-        return Finding(
-            "doubtful",
-            "pairing",
+        return PAIRING.doubtful(
             f"no computed mode answers it: the best left has MAC {mode.judged_mac:.2f}",
             where,
             "updating leaves it out (`test.unmatched: drop`)",
@@ -254,9 +246,7 @@ def _factor(modes: tuple[ModePreview, ...]) -> list[Finding]:
             abs(middle / factor - 1.0) < COMMON_FACTOR
         ):
             return [
-                Finding(
-                    "wrong",
-                    "modes",
+                MODES.wrong(
                     f"all measured frequencies are about {middle:.3g} times the computed "
                     f"ones, as with {reason}",
                     "",
@@ -274,11 +264,9 @@ def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> l
     highest, last = float(test.modes.frequencies_hz.max()), float(elastic.frequencies_hz.max())
     said = f"{elastic.n_modes} elastic modes to {last:.4g} Hz, the test's reach {highest:.4g} Hz"
     if all_there or last >= (1.0 + MARGIN) * highest:
-        return [Finding("good", "modes", said)]
+        return [MODES.good(said)]
     return [
-        Finding(
-            "doubtful",
-            "modes",
+        MODES.doubtful(
             f"{said}: less than {100 * MARGIN:.0f} % to spare",
             "",
             "updating widens the range when a mode is not found; a model much too soft, or "
@@ -307,9 +295,7 @@ def unmeasured(
     told_apart = [] if left_out else _told_apart(test, elastic, free, len(modes), paired)
     found = (
         [
-            Finding(
-                "doubtful",
-                "modes",
+            MODES.doubtful(
                 f"the test has no mode for the model's {_at(elastic, told_apart)} within its band",
                 "",
                 "not excited, or not identified?",
@@ -321,7 +307,7 @@ def unmeasured(
     rest = [place for place in free if place not in told_apart]
     if rest:
         said = f"elastic mode {_at(elastic, rest)} answers no mode of the test"
-        found.append(Finding("good", "modes", said))
+        found.append(MODES.good(said))
     return found
 
 

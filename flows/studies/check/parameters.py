@@ -11,7 +11,7 @@ from modetune.core.parameters import DAMPING, NOT_NEGATIVE, POWERS, Parameter
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.self_test import not_confirmed
-from modetune.flows.studies.check.findings import Finding, Level
+from modetune.flows.studies.check.findings import PARAMETERS, Finding, Level
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 
 #: A parameter with less of the strain energy in every used mode cannot be found from them.
@@ -38,7 +38,7 @@ class EnergyShare:
 
 def bound_findings(campaign: Campaign) -> list[Finding]:
     """What is strange about bounds, starts, and the number of parameters."""
-    found = [Finding("good", "parameters", said) for said in campaign.splits]
+    found = [PARAMETERS.good(said) for said in campaign.splits]
     for parameter in campaign.parameters.parameters:
         found += [
             Finding(level, "parameters", said, f"parameter {parameter.name}", remedy)
@@ -52,9 +52,7 @@ def bound_findings(campaign: Campaign) -> list[Finding]:
     count = len(campaign.parameters)
     if count >= data and campaign.update.step in DETERMINED:
         found.append(
-            Finding(
-                "doubtful",
-                "parameters",
+            PARAMETERS.doubtful(
                 f"{count} parameters from {data} measured numbers by {campaign.update.step}, which "
                 "can match any test",
                 "update.step",
@@ -148,9 +146,7 @@ def loose_findings(
     values = campaign.parameters.values(joined_values(campaign, nothing))
     shown = ", ".join(f"{item.shown(values[item.name]):g}" for item in nothing)
     return [
-        Finding(
-            "doubtful",
-            "parameters",
+        PARAMETERS.doubtful(
             f"it starts from nothing, where {start.n_rigid} modes are rigid; at {shown} "
             f"{joined.n_rigid} are, so the order of elastic modes shifts as it moves",
             f"parameter {names}",
@@ -176,9 +172,7 @@ def energy_findings(
 ) -> list[Finding]:
     """Parameters that no used mode strains, and those of which the run cannot tell."""
     found = [
-        Finding(
-            "doubtful",
-            "parameters",
+        PARAMETERS.doubtful(
             f"dead: at most {100 * item.largest:.2g} % of the strain energy of any used mode",
             f"parameter {item.parameter}",
             "leave it out, or use modes that strain it",
@@ -190,16 +184,14 @@ def energy_findings(
     silent = [name for name in campaign.parameters.names if name not in told]
     if silent:
         found.append(
-            Finding(
-                "good",
-                "parameters",
+            PARAMETERS.good(
                 "strain energies do not tell whether it is alive; the first sensitivity will",
                 f"parameter {', '.join(silent)}",
             )
         )
     if campaign.sensitivity.method == "auto":
         reasons = [tell(campaign.case.solver) for tell in (not_linear, not_confirmed)]
-        found += [Finding("good", "parameters", said) for said in reasons if said]
+        found += [PARAMETERS.good(said) for said in reasons if said]
     return found + _balance(campaign, result, bool(shares))
 
 
@@ -210,9 +202,7 @@ def _balance(campaign: Campaign, result: ModalResult, told: bool) -> list[Findin
     if (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():
         return []
     return [
-        Finding(
-            "wrong",
-            "parameters",
+        PARAMETERS.wrong(
             f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
             "eigenvalues say",
             "sensitivity.method",

@@ -8,7 +8,7 @@ from modetune.core.modes import Integers
 from modetune.core.near_names import listed
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.mapping import CHOICE, REASONS, SensorRow
-from modetune.flows.studies.check.findings import Finding
+from modetune.flows.studies.check.findings import SENSORS, Finding
 from modetune.flows.studies.check.measured_modes import sensor_name
 
 #: Readers of test files begin a note of something doubtful with it.
@@ -26,7 +26,7 @@ def sensor_findings(campaign: Campaign, said: str = "") -> list[Finding]:
         return []
     mapping = campaign.case.mapping
     uncertain = [
-        Finding("doubtful", "sensors", what, "", remedy)
+        SENSORS.doubtful(what, "", remedy)
         for what, remedy in mapping.uncertain
         if not (said and remedy == CHOICE)
     ]
@@ -44,17 +44,15 @@ def sensor_findings(campaign: Campaign, said: str = "") -> list[Finding]:
         furthest = float(mapping.sensors.distances.max())
         said = f"{mapping.sensors.n_sensors} sensors on {nodes} nodes, at most"
         away = f"{furthest:.4g} {unit}".rstrip()
-        found.append(Finding("good", "sensors", f"{said} {away} away"))
+        found.append(SENSORS.good(f"{said} {away} away"))
     return found + _alike(campaign)
 
 
 def _of_note(note: str) -> Finding:
     """What reader or mapping said: a doubt where the sentence begins so."""
     if note.startswith(DOUBT):
-        return Finding(
-            "doubtful", "sensors", note.removeprefix(DOUBT).strip(), "", "look at the test's files"
-        )
-    return Finding("good", "sensors", note)
+        return SENSORS.doubtful(note.removeprefix(DOUBT).strip(), "", "look at the test's files")
+    return SENSORS.good(note)
 
 
 def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
@@ -67,9 +65,7 @@ def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
         others = [sensor for sensors in [*names.values()][REASONS:] for sensor in sensors]
         told.append(("for reasons like these", others))
     return [
-        Finding(
-            "doubtful",
-            "sensors",
+        SENSORS.doubtful(
             f"{before}{reason}",
             f"sensor {listed(sensors)}",
             "look at the test's geometry and `test.sensors`, or name the node by hand",
@@ -98,9 +94,7 @@ def _alike(campaign: Campaign) -> list[Finding]:
     modes = campaign.test.modes
     pairs = [f"{sensor_name(modes, a)} and {sensor_name(modes, b)}" for a, b in found.tolist()]
     return [
-        Finding(
-            "doubtful",
-            "sensors",
+        SENSORS.doubtful(
             "they look along one direction at one node",
             f"sensors {listed(pairs)}",
             "refine the mesh there, or look at the sensors' places",

@@ -12,7 +12,7 @@ from modetune.core.correlation.turned_axes import turned_axes
 from modetune.core.errors import ModesError
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
-from modetune.flows.studies.check.findings import Finding
+from modetune.flows.studies.check.findings import SENSORS, Finding
 from modetune.flows.studies.check.measured_modes import sensor_name
 from modetune.flows.studies.check.pairing import ModePreview
 
@@ -42,9 +42,7 @@ def suspected_sensors(
     axes = turned_axes(test.modes.mode_shapes[rows], turned)
     if axes is not None:
         return [
-            Finding(
-                "doubtful",
-                "sensors",
+            SENSORS.doubtful(
                 f"all axes {' or '.join(axes.told)}: mean MAC {axes.mac:.2f} instead of "
                 f"{axes.before:.2f}",
                 "",
@@ -78,16 +76,12 @@ def _finding(
     )
     names = [sensor_name(modes, row) for row in rows]
     if len(names) == 1:
-        return Finding(
-            "doubtful",
-            "sensors",
+        return SENSORS.doubtful(
             f"turned round, {gain}",
             f"sensor {names[0]}",
             "upside down, or a wrong sign in the test's file?",
         )
-    return Finding(
-        "doubtful",
-        "sensors",
+    return SENSORS.doubtful(
         f"swapped? Exchanged, {gain}",
         f"sensors {' and '.join(names)}",
         "look at cables and channel names",
