@@ -159,7 +159,8 @@ def judged(
     test = campaign.case.measured  # what is held out has its place in the order of frequencies too
     lowest_hz = float(test.modes.frequencies_hz.min(initial=np.inf))
     solver = campaign.case.solver
-    held = rigid_findings(result, solver.deck.summary.components, solver.rigid_modes is not None)
+    components, by_hand = solver.deck.summary.components, solver.rigid_modes is not None
+    held = list(rigid_findings(result, components, by_hand))
     found = [*static, *mass_findings(campaign, facts), *held]
     if worst(held) == "wrong" or lowest_hz <= 0.0 or not test.numbers:
         return PreCheckReport(

@@ -5,6 +5,7 @@ Nothing here knows the model. Limits are meant so that a sound test passes witho
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
@@ -30,13 +31,14 @@ FEW_SENSORS = 6
 HIGHEST_DAMPING = 0.2
 
 
-def data_findings(test: MeasuredModes) -> list[Finding]:
+def data_findings(test: MeasuredModes) -> Iterator[Finding]:
     """All that is strange in the measured modes."""
-    found = _frequencies(test) + _damping(test)
+    yield from _frequencies(test)
+    yield from _damping(test)
     if not test.has_shapes:
-        return found
+        return
     moving = np.abs(test.modes.mode_shapes).max(axis=0) > 0.0
-    found += [
+    yield from (
         TEST.wrong(
             "the shape is zero at every sensor",
             f"test mode {number}",
@@ -44,8 +46,9 @@ def data_findings(test: MeasuredModes) -> list[Finding]:
         )
         for number, moves in zip(test.numbers, moving.tolist(), strict=True)
         if not moves
-    ]
-    return found + _alike(test, moving) + _sensors(test)
+    )
+    yield from _alike(test, moving)
+    yield from _sensors(test)
 
 
 def sensor_name(modes: ModeSet, row: int) -> str:
@@ -53,40 +56,34 @@ def sensor_name(modes: ModeSet, row: int) -> str:
     return f"{modes.nodes[row]}.{COMPONENTS[modes.components[row] - 1]}"
 
 
-def _frequencies(test: MeasuredModes) -> list[Finding]:
-    frequencies, found = test.modes.frequencies_hz, list[Finding]()
+def _frequencies(test: MeasuredModes) -> Iterator[Finding]:
+    frequencies = test.modes.frequencies_hz
     if not (frequencies > 0.0).all():
         rigid = [test.numbers[place] for place in np.flatnonzero(frequencies <= 0.0).tolist()]
-        return [
-            TEST.wrong(
-                "the frequency is not above zero",
-                f"test mode {listed(rigid)}",
-                "leave rigid-body modes out with `test.use`",
-            )
-        ]
+        yield TEST.wrong(
+            "the frequency is not above zero",
+            f"test mode {listed(rigid)}",
+            "leave rigid-body modes out with `test.use`",
+        )
+        return
     steps = np.diff(frequencies)
     if (steps < 0.0).any():
         late = [test.numbers[place + 1] for place in np.flatnonzero(steps < 0.0).tolist()]
-        found.append(
-            TEST.doubtful(
-                "the frequencies do not ascend",
-                f"test mode {listed(late)}",
-                "look whether columns were mixed up",
-            )
+        yield TEST.doubtful(
+            "the frequencies do not ascend",
+            f"test mode {listed(late)}",
+            "look whether columns were mixed up",
         )
     for first, second in combinations(range(len(test.numbers)), 2):
         if abs(frequencies[second] / frequencies[first] - 1.0) < COPIED:
-            found.append(
-                TEST.doubtful(
-                    f"two modes have one frequency, {frequencies[first]:.6g} Hz",
-                    f"test modes {test.numbers[first]} and {test.numbers[second]}",
-                    "leave one out with `test.use` if it was identified twice",
-                )
+            yield TEST.doubtful(
+                f"two modes have one frequency, {frequencies[first]:.6g} Hz",
+                f"test modes {test.numbers[first]} and {test.numbers[second]}",
+                "leave one out with `test.use` if it was identified twice",
             )
-    return found
 
 
-def _damping(test: MeasuredModes) -> list[Finding]:
+def _damping(test: MeasuredModes) -> Iterator[Finding]:
     damping = test.modes.damping_ratios
     strange = [
         place
@@ -94,81 +91,70 @@ def _damping(test: MeasuredModes) -> list[Finding]:
         if value < 0.0 or value > HIGHEST_DAMPING
     ]
     if not strange:
-        return []
+        return
     values = listed(f"{damping[place]:.3g}" for place in strange)
     percent = float(np.median(damping)) > HIGHEST_DAMPING
     remedy = "damping ratios are fractions of critical: divide by 100 if these are percent"
-    return [
-        TEST.doubtful(
-            f"damping ratio {values} is below zero or above 20 %",
-            f"test mode {listed(test.numbers[place] for place in strange)}",
-            remedy if percent else "identify the mode again, or leave it out",
-        )
-    ]
+    yield TEST.doubtful(
+        f"damping ratio {values} is below zero or above 20 %",
+        f"test mode {listed(test.numbers[place] for place in strange)}",
+        remedy if percent else "identify the mode again, or leave it out",
+    )
 
 
 def _alike(
     test: MeasuredModes, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]
-) -> list[Finding]:
-    shapes, found = test.modes.mode_shapes, []
+) -> Iterator[Finding]:
+    shapes = test.modes.mode_shapes
     n_dof, n_modes = shapes.shape
     if n_dof < n_modes:
-        found.append(
-            TEST.doubtful(
-                f"{n_dof} sensors cannot tell {n_modes} modes apart",
-                "",
-                "use fewer modes (`test.use`), or more sensors",
-            )
+        yield TEST.doubtful(
+            f"{n_dof} sensors cannot tell {n_modes} modes apart",
+            "",
+            "use fewer modes (`test.use`), or more sensors",
         )
     places = np.flatnonzero(moving)
     if n_dof < 2 or places.size < 2:
-        return found
+        return
     table = auto_mac(shapes[:, places])
     for first, second in combinations(range(places.size), 2):
         value = float(table[first, second])
         names = [test.numbers[places[place]] for place in (first, second)]
         where = f"test modes {names[0]} and {names[1]}"
         if n_dof > 2 and 1.0 - value < COPIED_MAC:
-            found.append(
-                TEST.wrong(
-                    "two modes have one shape",
-                    where,
-                    "one is a copy: export the test again, or leave it out with `test.use`",
-                )
+            yield TEST.wrong(
+                "two modes have one shape",
+                where,
+                "one is a copy: export the test again, or leave it out with `test.use`",
             )
         elif value > ALIKE:
-            found.append(
-                TEST.doubtful(
-                    f"the sensors hardly tell two modes apart (auto-MAC {value:.3f})",
-                    where,
-                    "pairs of these modes may be swapped; add sensors, or use one of them",
-                )
+            yield TEST.doubtful(
+                f"the sensors hardly tell two modes apart (auto-MAC {value:.3f})",
+                where,
+                "pairs of these modes may be swapped; add sensors, or use one of them",
             )
-    return found
 
 
-def _sensors(test: MeasuredModes) -> list[Finding]:
+def _sensors(test: MeasuredModes) -> Iterator[Finding]:
     sizes = np.abs(test.modes.mode_shapes)
     units = sizes / np.where(sizes.max(axis=0) > 0.0, sizes.max(axis=0), 1.0)
-    found = []
     still = np.flatnonzero(units.max(axis=1) < STILL)
     if still.size:
-        found.append(
-            TEST.doubtful(
-                f"no mode moves {_count(still.size)}",
-                listed(sensor_name(test.modes, row) for row in still.tolist()),
-                "a dead channel, or a direction that the structure does not take; leave the "
-                "row out if it was not measured",
-            )
+        yield TEST.doubtful(
+            f"no mode moves {_count(still.size)}",
+            listed(sensor_name(test.modes, row) for row in still.tolist()),
+            "a dead channel, or a direction that the structure does not take; leave the "
+            "row out if it was not measured",
         )
-    return found + _copied_rows(test, still.tolist()) + _outliers(test, units)
+    yield from _copied_rows(test, still.tolist())
+    yield from _outliers(test, units)
 
 
-def _copied_rows(test: MeasuredModes, still: list[int]) -> list[Finding]:
+def _copied_rows(test: MeasuredModes, still: list[int]) -> Iterator[Finding]:
     """Rows of like numbers, which three modes or more cannot have by chance."""
     shapes = test.modes.mode_shapes
     if shapes.shape[1] < 3:
-        return []
+        return
     firsts: dict[bytes, int] = {}
     copies = []
     for row, values in enumerate(shapes):
@@ -179,36 +165,30 @@ def _copied_rows(test: MeasuredModes, still: list[int]) -> list[Finding]:
         if first != row and np.allclose(np.abs(values), np.abs(shapes[first]), rtol=COPIED, atol=0):
             copies.append(f"{sensor_name(test.modes, first)} = {sensor_name(test.modes, row)}")
     if not copies:
-        return []
-    return [
-        TEST.doubtful(
-            "sensors have like numbers in all modes",
-            listed(copies),
-            "a channel may stand twice; leave one row out if so",
-        )
-    ]
+        return
+    yield TEST.doubtful(
+        "sensors have like numbers in all modes",
+        listed(copies),
+        "a channel may stand twice; leave one row out if so",
+    )
 
 
-def _outliers(test: MeasuredModes, units: Floats) -> list[Finding]:
+def _outliers(test: MeasuredModes, units: Floats) -> Iterator[Finding]:
     """Sensors that exceed all others by far, with the modes in which they do."""
     if units.shape[0] < FEW_SENSORS:
-        return []
+        return
     order = np.argsort(units, axis=0)
-    found = []
     columns = np.arange(units.shape[1])
     ratio = units[order[-1], columns] / np.maximum(units[order[-2], columns], 1e-300)
     dominated = (ratio > DOMINATES) & (units.max(axis=0) > 0.0)
     for row in np.unique(order[-1][dominated]).tolist():
         modes = [place for place in np.flatnonzero(dominated).tolist() if order[-1][place] == row]
-        found.append(
-            TEST.doubtful(
-                f"one sensor moves {min(ratio[modes].max(), 1e6):.3g} times as much as any other",
-                f"sensor {sensor_name(test.modes, row)} in test mode "
-                f"{listed(test.numbers[place] for place in modes)}",
-                "look at its calibration and mounting, or leave its row out",
-            )
+        yield TEST.doubtful(
+            f"one sensor moves {min(ratio[modes].max(), 1e6):.3g} times as much as any other",
+            f"sensor {sensor_name(test.modes, row)} in test mode "
+            f"{listed(test.numbers[place] for place in modes)}",
+            "look at its calibration and mounting, or leave its row out",
         )
-    return found
 
 
 def _count(sensors: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -98,86 +98,74 @@ def model_size(campaign: Campaign) -> float:
     return float(np.linalg.norm(np.ptp(places, axis=0))) * METRES[campaign.case.units]
 
 
-def size_findings(campaign: Campaign) -> list[Finding]:
+def size_findings(campaign: Campaign) -> Iterator[Finding]:
     """Whether the model's materials and its size fit its units; no size without geometry."""
     case, size = campaign.case, model_size(campaign)
     doubt = unit_doubt(case.units, case.solver)
-    found = [MODEL.doubtful(doubt, "model.units", UNITS)] if doubt else []
+    if doubt:
+        said = MODEL.doubtful(doubt, "model.units", UNITS)
+        yield accepted(campaign, said, "units")
     if np.isfinite(size):
-        found += _size(campaign, size)
-    return [*accepted(campaign, found, {UNITS: "units", SIZE: "size"}), *_masses(case.solver)]
+        yield accepted(campaign, _size(case.units, size), "size")
+    yield from _masses(case.solver)
 
 
-def _masses(solver: Solver) -> list[Finding]:
+def _masses(solver: Solver) -> Iterator[Finding]:
     """Whether the solver has the kind of masses that the deck asks for.
 
     Lumped ones are the cheaper choice that consistent ones better; not the other way round.
     """
     said = solver.other_masses
     if not said:
-        return []
+        return
     lumps = solver.program.capabilities.masses == "lumped"
     remedy = "run it on a solver that has them, or refine the mesh" if lumps else ""
-    return [Finding("doubtful" if lumps else "good", "model", said, "model.solver", remedy)]
+    yield Finding("doubtful" if lumps else "good", "model", said, "model.solver", remedy)
 
 
-def accepted(
-    campaign: Campaign, found: list[Finding], checks: Mapping[str, ModelCheck]
-) -> list[Finding]:
-    """Findings, those that the campaign accepts no longer doubtful.
-
-    checks: the names that doubts are accepted by, by their remedy.
-    """
-    return [
-        replace(item, level="good", what=f"{item.what} (accepted)", remedy="")
-        if checks.get(item.remedy) in campaign.case.accepted
-        else item
-        for item in found
-    ]
+def accepted(campaign: Campaign, found: Finding, check: ModelCheck) -> Finding:
+    """A finding, no longer doubtful where the campaign accepts that under this name."""
+    if found.level != "doubtful" or check not in campaign.case.accepted:
+        return found
+    return replace(found, level="good", what=f"{found.what} (accepted)", remedy="")
 
 
-def _size(campaign: Campaign, size: float) -> list[Finding]:
+def _size(units: Units, size: float) -> Finding:
     if SIZES_M[0] <= size <= SIZES_M[1]:
-        return [MODEL.good(f"{size:.4g} m across", "model.units")]
-    return [
-        MODEL.doubtful(
-            f"in units {campaign.case.units} the model is {size:.3g} m across", "model.units", SIZE
-        )
-    ]
+        return MODEL.good(f"{size:.4g} m across", "model.units")
+    return MODEL.doubtful(f"in units {units} the model is {size:.3g} m across", "model.units", SIZE)
 
 
-def mass_findings(campaign: Campaign, facts: ModelFacts) -> list[Finding]:
+def mass_findings(campaign: Campaign, facts: ModelFacts) -> Iterator[Finding]:
     """Whether mass, centre and inertia are plausible."""
     if not facts.mass_by:
-        return [
-            MODEL.good(
-                f"the mass is not known: {campaign.solver_name} does not tell it, and "
-                f"{facts.body_missing}"
-            )
-        ]
+        yield MODEL.good(
+            f"the mass is not known: {campaign.solver_name} does not tell it, and "
+            f"{facts.body_missing}"
+        )
+        return
     mass_kg, said = facts.mass_kg, f"the mass is {facts.mass_kg:.6g} kg"
     if facts.mass_by == "materials":
         said = f"the mass is about {mass_kg:.2g} kg, by sections and densities; point masses add"
-    found = [MODEL.good(said)]
+    found = MODEL.good(said)
     heavy = mass_kg > DENSEST * facts.size_m**3  # the cube round the diagonal: the largest volume
     if heavy or not MASSES_KG[0] <= mass_kg <= MASSES_KG[1]:
-        found = [
-            MODEL.doubtful(
-                f"in units {campaign.case.units} the mass is {mass_kg:.3g} kg"
-                + (f", in a model {facts.size_m:.3g} m across" if heavy else ""),
-                "model.units",
-                MASS,
-            )
-        ]
-    found = accepted(campaign, found, {MASS: "mass"})
-    return found + _body_findings(facts, campaign.case.units)
+        found = MODEL.doubtful(
+            f"in units {campaign.case.units} the mass is {mass_kg:.3g} kg"
+            + (f", in a model {facts.size_m:.3g} m across" if heavy else ""),
+            "model.units",
+            MASS,
+        )
+    yield accepted(campaign, found, "mass")
+    yield from _body_findings(facts, campaign.case.units)
 
 
-def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
+def _body_findings(facts: ModelFacts, units: Units) -> Iterator[Finding]:
     body = facts.body
     if body is None:
         unknown = f"centre of gravity and inertia are not known: {facts.body_missing}"
-        return [MODEL.good(unknown)]
+        yield MODEL.good(unknown)
+        return
     # Zero but for rounding, as along the normal of a plane of symmetry, is shown as zero.
     shown = np.where(np.abs(body.centre) < 1e-6 * np.abs(body.centre).max(), 0.0, body.centre)
     centre = ", ".join(f"{value:.5g}" for value in shown)
@@ -187,61 +175,55 @@ def _body_findings(facts: ModelFacts, units: Units) -> list[Finding]:
         f"centre of gravity ({centre}) {length}, moments of inertia about it ({moments}) "
         f"{mass} {length}^2"
     )
-    found = [MODEL.good(said)]
+    yield MODEL.good(said)
     if body.spread > MASS_TOLERANCE:
-        found.append(
-            MODEL.doubtful(
-                f"the mass differs by {100 * body.spread:.2g} % between directions",
-                "",
-                "a point mass may act in some directions only",
-            )
+        yield MODEL.doubtful(
+            f"the mass differs by {100 * body.spread:.2g} % between directions",
+            "",
+            "a point mass may act in some directions only",
         )
     apart = abs(body.mass / facts.mass - 1.0)
     if apart > MASS_TOLERANCE:
-        found.append(
-            MODEL.doubtful(
-                f"the rigid-body modes move a mass of {body.mass:.6g} {mass}, the solver "
-                f"tells {facts.mass:.6g} {mass}",
-                "",
-                "some mass is not joined to the structure, or not counted by the solver",
-            )
+        yield MODEL.doubtful(
+            f"the rigid-body modes move a mass of {body.mass:.6g} {mass}, the solver "
+            f"tells {facts.mass:.6g} {mass}",
+            "",
+            "some mass is not joined to the structure, or not counted by the solver",
         )
-    return found
 
 
-def rigid_findings(result: ModalResult, components: frozenset[int], by_hand: bool) -> list[Finding]:
+def rigid_findings(
+    result: ModalResult, components: frozenset[int], by_hand: bool
+) -> Iterator[Finding]:
     """Whether the model is free, held, or something in between.
 
     components: of its results; by_hand: whether the campaign says how many modes are rigid.
     """
     elastic = result.eigenvalues[result.n_rigid :]
     if elastic.size == 0:
-        return [
-            MODEL.wrong(
-                f"all {result.modes.n_modes} computed modes are rigid",
-                "",
-                "a mechanism of many motions, or wrong units",
-            )
-        ]
+        yield MODEL.wrong(
+            f"all {result.modes.n_modes} computed modes are rigid",
+            "",
+            "a mechanism of many motions, or wrong units",
+        )
+        return
     if (elastic <= 0.0).any():
         lowest = float(elastic.min())
-        return [
-            MODEL.wrong(
-                f"an elastic eigenvalue is not above zero ({lowest:.3g} (rad/s)^2)",
-                "",
-                "the stiffness is not positive: look for a mechanism or for preload "
-                "beyond buckling",
-            )
-        ]
+        yield MODEL.wrong(
+            f"an elastic eigenvalue is not above zero ({lowest:.3g} (rad/s)^2)",
+            "",
+            "the stiffness is not positive: look for a mechanism or for preload beyond buckling",
+        )
+        return
     if result.n_rigid == 0:
-        return [
-            MODEL.good(
-                f"held: no rigid-body mode, the first at {np.sqrt(elastic[0]) / 2 / np.pi:.4g} Hz"
-            )
-        ]
+        yield MODEL.good(
+            f"held: no rigid-body mode, the first at {np.sqrt(elastic[0]) / 2 / np.pi:.4g} Hz"
+        )
+        return
     free = len(components & {1, 2, 3}) if len(components & {1, 2, 3}) < 3 else RIGID_MODES
     if by_hand:
-        return [MODEL.good(f"{result.n_rigid} rigid modes, as `rigid_modes` says")]
+        yield MODEL.good(f"{result.n_rigid} rigid modes, as `rigid_modes` says")
+        return
     if result.n_rigid != free:
         said = f"{result.n_rigid} modes have no strain energy, a free structure has {free}"
         remedy = "look for parts that nothing joins, hinges, or nodes without stiffness"
@@ -251,8 +233,9 @@ def rigid_findings(result: ModalResult, components: frozenset[int], by_hand: boo
             said = f"half held: {said}, a held one none"
             remedy = "look at the supports; a mechanism shows so too"
         meant = f"; if it is meant, say `rigid_modes: {result.n_rigid}`"
-        return [MODEL.doubtful(said, "model.rigid_modes", remedy + meant)]
-    return [_near_zero(result, elastic)]
+        yield MODEL.doubtful(said, "model.rigid_modes", remedy + meant)
+        return
+    yield _near_zero(result, elastic)
 
 
 def _near_zero(result: ModalResult, elastic: Floats) -> Finding:

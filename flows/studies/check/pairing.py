@@ -98,10 +98,12 @@ def preview(
     )
 
 
-def uncertain_findings(test: MeasuredModes, elastic: ModeSet, rules: PairRules) -> list[Finding]:
+def uncertain_findings(
+    test: MeasuredModes, elastic: ModeSet, rules: PairRules
+) -> Iterator[Finding]:
     """Pairs without shapes that updating would not begin with unless they are confirmed."""
     found = uncertain_pairs(test, elastic, first_pairs(test, elastic, rules), rules)
-    return [
+    yield from (
         PAIRING.doubtful(
             f"paired by the order of frequencies alone: {reason}",
             f"test mode {number}",
@@ -109,7 +111,7 @@ def uncertain_findings(test: MeasuredModes, elastic: ModeSet, rules: PairRules) 
             "`test.use`",
         )
         for number, reason in found.items()
-    ]
+    )
 
 
 def mac_table(measured: ModeSet, computed: ModeSet) -> Floats:
@@ -173,33 +175,28 @@ def _by_shape(
 
 def pairing_findings(
     modes: tuple[ModePreview, ...], highest_hz: float, rules: PairRules | None = None
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """What is doubtful in the pairs. highest_hz: of the computed elastic modes."""
     rules = rules or PairRules()
-    factor = _factor(modes)
-    found = list(factor)
+    factor = list(_factor(modes))
+    yield from factor
     for mode in modes:
         where = f"test mode {mode.mode}"
         if mode.mode not in rules.by_hand and mode.judged_mac < LOST_MAC:
-            found.append(_lost(mode, where, highest_hz, rules))
+            yield _lost(mode, where, highest_hz, rules)
             continue
         if np.isfinite(mode.mac) and mode.judged_mac < WEAK_MAC:
-            found.append(
-                PAIRING.doubtful(
-                    f"its best pair, elastic mode {mode.elastic_mode}, has MAC "
-                    f"{mode.judged_mac:.2f}",
-                    where,
-                    "look at sensor directions, and at `modetune correlate`",
-                )
+            yield PAIRING.doubtful(
+                f"its best pair, elastic mode {mode.elastic_mode}, has MAC {mode.judged_mac:.2f}",
+                where,
+                "look at sensor directions, and at `modetune correlate`",
             )
         if mode.second_mac >= max(mode.judged_mac - AMBIGUOUS, LOST_MAC):
-            found.append(
-                PAIRING.doubtful(
-                    f"ambiguous: elastic mode {mode.elastic_mode} has MAC {mode.mac:.2f}, mode "
-                    f"{mode.second_mode} has {mode.second_mac:.2f}",
-                    where,
-                    "add sensors that tell the two apart, or leave the mode out",
-                )
+            yield PAIRING.doubtful(
+                f"ambiguous: elastic mode {mode.elastic_mode} has MAC {mode.mac:.2f}, mode "
+                f"{mode.second_mode} has {mode.second_mac:.2f}",
+                where,
+                "add sensors that tell the two apart, or leave the mode out",
             )
         far = beyond(mode.test_hz, mode.computed_hz, rules.reach)
         told = np.isfinite(mode.mac) or mode.mode in rules.by_hand
@@ -209,8 +206,7 @@ def pairing_findings(
             if far:
                 what += f", {reach_text(mode.computed_hz, rules.reach)}"
             remedy = "no parameter may reach so far: look at the model"
-            found.append(PAIRING.doubtful(what, where, remedy))
-    return found
+            yield PAIRING.doubtful(what, where, remedy)
 
 
 def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) -> Finding:
@@ -235,28 +231,26 @@ def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) ->
     )
 
 
-def _factor(modes: tuple[ModePreview, ...]) -> list[Finding]:
+def _factor(modes: tuple[ModePreview, ...]) -> Iterator[Finding]:
     """Whether all frequencies are off by the factor of a mistaken unit."""
     ratios = np.array([mode.test_hz / mode.computed_hz for mode in modes])
     if ratios.size < 2:
-        return []
+        return
     middle = float(np.median(ratios))
     for reason, factor in FACTORS.items():
         if (np.abs(ratios / factor - 1.0) < 2 * COMMON_FACTOR).all() and (
             abs(middle / factor - 1.0) < COMMON_FACTOR
         ):
-            return [
-                MODES.wrong(
-                    f"all measured frequencies are about {middle:.3g} times the computed "
-                    f"ones, as with {reason}",
-                    "",
-                    "look at the test's and the deck's units",
-                )
-            ]
-    return []
+            yield MODES.wrong(
+                f"all measured frequencies are about {middle:.3g} times the computed "
+                f"ones, as with {reason}",
+                "",
+                "look at the test's and the deck's units",
+            )
+            return
 
 
-def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> list[Finding]:
+def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> Iterator[Finding]:
     """Whether enough modes are computed above the test's band.
 
     all_there: the model has no further modes.
@@ -264,27 +258,26 @@ def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> l
     highest, last = float(test.modes.frequencies_hz.max()), float(elastic.frequencies_hz.max())
     said = f"{elastic.n_modes} elastic modes to {last:.4g} Hz, the test's reach {highest:.4g} Hz"
     if all_there or last >= (1.0 + MARGIN) * highest:
-        return [MODES.good(said)]
-    return [
-        MODES.doubtful(
-            f"{said}: less than {100 * MARGIN:.0f} % to spare",
-            "",
-            "updating widens the range when a mode is not found; a model much too soft, or "
-            "test modes that were left out, show so",
-        )
-    ]
+        yield MODES.good(said)
+        return
+    yield MODES.doubtful(
+        f"{said}: less than {100 * MARGIN:.0f} % to spare",
+        "",
+        "updating widens the range when a mode is not found; a model much too soft, or "
+        "test modes that were left out, show so",
+    )
 
 
 def unmeasured(
     test: MeasuredModes, elastic: ModeSet, modes: tuple[ModePreview, ...], left_out: bool
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Computed modes within the test's band that answer no test mode.
 
     A fault of the test unless the campaign left modes of it out (left_out), or its sensors hardly
     see such a mode or cannot tell it from another one; then it is told and no more.
     """
     if not test.has_shapes:
-        return []
+        return
     paired = {mode.elastic_mode for mode in modes}
     low, high = test.modes.frequencies_hz.min(), test.modes.frequencies_hz.max()
     free = [
@@ -293,22 +286,16 @@ def unmeasured(
         if place + 1 not in paired and low <= frequency <= high
     ]
     told_apart = [] if left_out else _told_apart(test, elastic, free, len(modes), paired)
-    found = (
-        [
-            MODES.doubtful(
-                f"the test has no mode for the model's {_at(elastic, told_apart)} within its band",
-                "",
-                "not excited, or not identified?",
-            )
-        ]
-        if told_apart
-        else []
-    )
+    if told_apart:
+        yield MODES.doubtful(
+            f"the test has no mode for the model's {_at(elastic, told_apart)} within its band",
+            "",
+            "not excited, or not identified?",
+        )
     rest = [place for place in free if place not in told_apart]
     if rest:
         said = f"elastic mode {_at(elastic, rest)} answers no mode of the test"
-        found.append(MODES.good(said))
-    return found
+        yield MODES.good(said)
 
 
 def _at(elastic: ModeSet, places: list[int]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from modetune.core.parameters import DAMPING, NOT_NEGATIVE, POWERS, Parameter
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.self_test import not_confirmed
-from modetune.flows.studies.check.findings import PARAMETERS, Finding, Level
+from modetune.flows.studies.check.findings import PARAMETERS, Finding
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 
 #: A parameter with less of the strain energy in every used mode cannot be found from them.
@@ -36,14 +37,11 @@ class EnergyShare:
         return float(self.shares.max(initial=0.0))
 
 
-def bound_findings(campaign: Campaign) -> list[Finding]:
+def bound_findings(campaign: Campaign) -> Iterator[Finding]:
     """What is strange about bounds, starts, and the number of parameters."""
-    found = [PARAMETERS.good(said) for said in campaign.splits]
+    yield from (PARAMETERS.good(said) for said in campaign.splits)
     for parameter in campaign.parameters.parameters:
-        found += [
-            Finding(level, "parameters", said, f"parameter {parameter.name}", remedy)
-            for level, said, remedy in _bounds(campaign, parameter)
-        ]
+        yield from _bounds(campaign, parameter)
     data = sum(
         int(case.weighting.frequencies_used.sum())
         + int(case.weighting.shapes_used.sum()) * case.test.modes.n_dof
@@ -51,63 +49,40 @@ def bound_findings(campaign: Campaign) -> list[Finding]:
     )
     count = len(campaign.parameters)
     if count >= data and campaign.update.step in DETERMINED:
-        found.append(
-            PARAMETERS.doubtful(
-                f"{count} parameters from {data} measured numbers by {campaign.update.step}, which "
-                "can match any test",
-                "update.step",
-                "compare more modes or shapes, use pulled_to_initial, or fewer parameters",
-            )
+        yield PARAMETERS.doubtful(
+            f"{count} parameters from {data} measured numbers by {campaign.update.step}, which "
+            "can match any test",
+            "update.step",
+            "compare more modes or shapes, use pulled_to_initial, or fewer parameters",
         )
-    return found
 
 
-def _bounds(campaign: Campaign, item: Parameter) -> list[tuple[Level, str, str]]:
+def _bounds(campaign: Campaign, item: Parameter) -> Iterator[Finding]:
     bounds = f"bounds {item.shown(item.lower):g} to {item.shown(item.upper):g}"
-    found: list[tuple[Level, str, str]] = []
+    where = f"parameter {item.name}"
     if item.quantity == "poissons_ratio":
         reach = item.number(campaign.case.solver.deck.deck_value(item), item.upper)
         if reach >= POISSON_LIMIT:
-            found.append(
-                ("wrong", f"{bounds} let Poisson's ratio reach {reach:.3g}", "keep it below 0.5")
-            )
+            said = f"{bounds} let Poisson's ratio reach {reach:.3g}"
+            yield PARAMETERS.wrong(said, where, "keep it below 0.5")
     if item.quantity in DAMPING and not campaign.case.needs("losses"):
-        found.append(
-            (
-                "doubtful",
-                f"{item.quantity.replace('_', ' ')} does not change frequencies and shapes of "
-                "undamped modes",
-                "leave it out; no response of this campaign tells it",
-            )
-        )
+        said = item.quantity.replace("_", " ")
+        said += " does not change frequencies and shapes of undamped modes"
+        remedy = "leave it out; no response of this campaign tells it"
+        yield PARAMETERS.doubtful(said, where, remedy)
     relative = item.values == "relative"
     if relative and not item.lower <= 1.0 <= item.upper:
-        found.append(
-            (
-                "doubtful",
-                f"{bounds} leave the deck's own value out",
-                "bounds are relative to the deck's value, 1",
-            )
-        )
+        said = f"{bounds} leave the deck's own value out"
+        yield PARAMETERS.doubtful(said, where, "bounds are relative to the deck's value, 1")
     if relative and (item.lower < 1.0 / WIDEST or item.upper > WIDEST):
-        found.append(
-            (
-                "doubtful",
-                f"{bounds} hold nothing back",
-                "give what is physically possible, such as 0.5 to 2",
-            )
-        )
+        remedy = "give what is physically possible, such as 0.5 to 2"
+        yield PARAMETERS.doubtful(f"{bounds} hold nothing back", where, remedy)
     if item.upper - item.lower < NARROWEST:
-        found.append(("doubtful", f"{bounds} leave no room", "widen them, or fix the parameter"))
+        remedy = "widen them, or fix the parameter"
+        yield PARAMETERS.doubtful(f"{bounds} leave no room", where, remedy)
     if min(item.initial - item.lower, item.upper - item.initial) < 1e-6:
-        found.append(
-            (
-                "doubtful",
-                f"it starts on a bound ({item.shown(item.initial):g})",
-                "start inside the bounds",
-            )
-        )
-    return found
+        said = f"it starts on a bound ({item.shown(item.initial):g})"
+        yield PARAMETERS.doubtful(said, where, "start inside the bounds")
 
 
 def from_nothing(campaign: Campaign) -> tuple[Parameter, ...]:
@@ -138,21 +113,19 @@ def joined_values(campaign: Campaign, nothing: tuple[Parameter, ...]) -> Floats:
 
 def loose_findings(
     campaign: Campaign, nothing: tuple[Parameter, ...], start: ModalResult, joined: ModalResult
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Whether parameters that start from nothing change the number of rigid modes."""
     if start.n_rigid == joined.n_rigid:
-        return []
+        return
     names = ", ".join(item.name for item in nothing)
     values = campaign.parameters.values(joined_values(campaign, nothing))
     shown = ", ".join(f"{item.shown(values[item.name]):g}" for item in nothing)
-    return [
-        PARAMETERS.doubtful(
-            f"it starts from nothing, where {start.n_rigid} modes are rigid; at {shown} "
-            f"{joined.n_rigid} are, so the order of elastic modes shifts as it moves",
-            f"parameter {names}",
-            "start it inside its bounds, about where it is expected",
-        )
-    ]
+    yield PARAMETERS.doubtful(
+        f"it starts from nothing, where {start.n_rigid} modes are rigid; at {shown} "
+        f"{joined.n_rigid} are, so the order of elastic modes shifts as it moves",
+        f"parameter {names}",
+        "start it inside its bounds, about where it is expected",
+    )
 
 
 def energy_shares(result: ModalResult, computed: Integers) -> tuple[EnergyShare, ...]:
@@ -169,9 +142,9 @@ def energy_shares(result: ModalResult, computed: Integers) -> tuple[EnergyShare,
 
 def energy_findings(
     campaign: Campaign, result: ModalResult, shares: tuple[EnergyShare, ...]
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Parameters that no used mode strains, and those of which the run cannot tell."""
-    found = [
+    yield from (
         PARAMETERS.doubtful(
             f"dead: at most {100 * item.largest:.2g} % of the strain energy of any used mode",
             f"parameter {item.parameter}",
@@ -179,33 +152,29 @@ def energy_findings(
         )
         for item in shares
         if item.largest < DEAD
-    ]
+    )
     told = {item.parameter for item in shares}
     silent = [name for name in campaign.parameters.names if name not in told]
     if silent:
-        found.append(
-            PARAMETERS.good(
-                "strain energies do not tell whether it is alive; the first sensitivity will",
-                f"parameter {', '.join(silent)}",
-            )
+        yield PARAMETERS.good(
+            "strain energies do not tell whether it is alive; the first sensitivity will",
+            f"parameter {', '.join(silent)}",
         )
     if campaign.sensitivity.method == "auto":
         reasons = [tell(campaign.case.solver) for tell in (not_linear, not_confirmed)]
-        found += [PARAMETERS.good(said) for said in reasons if said]
-    return found + _balance(campaign, result, bool(shares))
+        yield from (PARAMETERS.good(said) for said in reasons if said)
+    yield from _balance(campaign, result, bool(shares))
 
 
-def _balance(campaign: Campaign, result: ModalResult, told: bool) -> list[Finding]:
+def _balance(campaign: Campaign, result: ModalResult, told: bool) -> Iterator[Finding]:
     if campaign.sensitivity.method != "strain_energy" or not told:
-        return []
+        return
     balance = result.energy_balance
     if (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():
-        return []
-    return [
-        PARAMETERS.wrong(
-            f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
-            "eigenvalues say",
-            "sensitivity.method",
-            "use `auto`: the solver leaves some energy out (reduced elements)",
-        )
-    ]
+        return
+    yield PARAMETERS.wrong(
+        f"strain energies are {balance.min():.4g} to {balance.max():.4g} of what the "
+        "eigenvalues say",
+        "sensitivity.method",
+        "use `auto`: the solver leaves some energy out (reduced elements)",
+    )

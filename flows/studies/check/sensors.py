@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from modetune.core.modes import Integers
@@ -17,13 +19,13 @@ DOUBT = "doubtful:"
 ONE_DIRECTION = 0.99
 
 
-def sensor_findings(campaign: Campaign, said: str = "") -> list[Finding]:
+def sensor_findings(campaign: Campaign, said: str = "") -> Iterator[Finding]:
     """Sensors that are doubtful, left out, or see the same; what reader and mapping say.
 
     said: by measured shapes of the test's poses, in place of a doubt about these.
     """
     if not campaign.test.has_shapes:
-        return []
+        return
     mapping = campaign.case.mapping
     uncertain = [
         SENSORS.doubtful(what, "", remedy)
@@ -33,19 +35,17 @@ def sensor_findings(campaign: Campaign, said: str = "") -> list[Finding]:
     if said:
         remedy = CHOICE if mapping.others else ""
         uncertain.append(Finding("doubtful" if remedy else "good", "sensors", said, "", remedy))
-    found = (
-        [_of_note(note) for note in (*campaign.case.measurement.notes, *mapping.notes)]
-        + uncertain
-        + _by_reason(mapping.doubtful)
-        + _by_reason(mapping.left_out, "left out: ")
-    )
+    yield from (_of_note(note) for note in (*campaign.case.measurement.notes, *mapping.notes))
+    yield from uncertain
+    yield from _by_reason(mapping.doubtful)
+    yield from _by_reason(mapping.left_out, "left out: ")
     if mapping.alignment is not None:
         nodes, unit = np.unique(mapping.sensors.model_nodes).size, mapping.unit
         furthest = float(mapping.sensors.distances.max())
         said = f"{mapping.sensors.n_sensors} sensors on {nodes} nodes, at most"
         away = f"{furthest:.4g} {unit}".rstrip()
-        found.append(SENSORS.good(f"{said} {away} away"))
-    return found + _alike(campaign)
+        yield SENSORS.good(f"{said} {away} away")
+    yield from _alike(campaign)
 
 
 def _of_note(note: str) -> Finding:
@@ -55,7 +55,7 @@ def _of_note(note: str) -> Finding:
     return SENSORS.good(note)
 
 
-def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
+def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> Iterator[Finding]:
     """One finding for all sensors of one reason."""
     names: dict[str, list[str]] = {}
     for row in rows:
@@ -64,17 +64,17 @@ def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> list[Finding]:
     if len(names) > REASONS:
         others = [sensor for sensors in [*names.values()][REASONS:] for sensor in sensors]
         told.append(("for reasons like these", others))
-    return [
+    yield from (
         SENSORS.doubtful(
             f"{before}{reason}",
             f"sensor {listed(sensors)}",
             "look at the test's geometry and `test.sensors`, or name the node by hand",
         )
         for reason, sensors in told
-    ]
+    )
 
 
-def _alike(campaign: Campaign) -> list[Finding]:
+def _alike(campaign: Campaign) -> Iterator[Finding]:
     """Sensors that look along one direction at one node."""
     seen = campaign.case.sensors
     order = np.lexsort((seen.turns, seen.model_nodes))
@@ -89,14 +89,12 @@ def _alike(campaign: Campaign) -> list[Finding]:
         alike = same & (cosines > ONE_DIRECTION)
         pairs_found.append(np.sort(np.column_stack([one[alike], other[alike]]), axis=1))
     if not any(found.size for found in pairs_found):
-        return []
+        return
     found = np.unique(np.concatenate(pairs_found), axis=0)
     modes = campaign.test.modes
     pairs = [f"{sensor_name(modes, a)} and {sensor_name(modes, b)}" for a, b in found.tolist()]
-    return [
-        SENSORS.doubtful(
-            "they look along one direction at one node",
-            f"sensors {listed(pairs)}",
-            "refine the mesh there, or look at the sensors' places",
-        )
-    ]
+    yield SENSORS.doubtful(
+        "they look along one direction at one node",
+        f"sensors {listed(pairs)}",
+        "refine the mesh there, or look at the sensors' places",
+    )

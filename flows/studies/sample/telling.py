@@ -39,17 +39,22 @@ Said = Iterator[tuple[bool, str]]
 
 
 @dataclass(frozen=True, slots=True)
-class PosteriorFinding:
-    """A sentence; red where the posterior cannot be relied on."""
+class StudyFinding:
+    """A sentence; red where what was found cannot be relied on."""
 
     red: bool
     text: str
 
 
-def findings(record: PosteriorRecord) -> tuple[PosteriorFinding, ...]:
+def findings(record: PosteriorRecord) -> tuple[StudyFinding, ...]:
     """What is to be said of a posterior, red findings first."""
     told = (_of_checks, _of_chains, _of_peaks, _of_ends, _of_shapes, _of_prior, _of_ties)
-    found = [PosteriorFinding(*said) for of in told for said in of(record)]
+    return red_first(said for of in told for said in of(record))
+
+
+def red_first(said: Said) -> tuple[StudyFinding, ...]:
+    """Findings, red ones first."""
+    found = [StudyFinding(*item) for item in said]
     return tuple(sorted(found, key=lambda finding: not finding.red))
 
 

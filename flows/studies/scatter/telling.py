@@ -9,6 +9,7 @@ import numpy as np
 
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.sample.telling import Said, StudyFinding, red_first
 from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
 
 #: A likelihood of the measured scatter below it says that the parameters do not explain it.
@@ -17,14 +18,6 @@ UNLIKELY = 0.01
 SECOND = 0.01
 #: A share of the covariance that was negative, and an error of what was learned, that are told.
 NEGATIVE, ROUGH = 0.05, 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class ScatterFinding:
-    """A sentence; red where the answer cannot be relied on."""
-
-    red: bool
-    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,52 +96,47 @@ def summary(record: ScatterRecord) -> list[str]:
     return [said, own, *record.notes]
 
 
-def findings(record: ScatterRecord) -> list[ScatterFinding]:
+def findings(record: ScatterRecord) -> tuple[StudyFinding, ...]:
     """What is to be said of the answers, red findings first."""
-    found = []
+    return red_first(_findings(record))
+
+
+def _findings(record: ScatterRecord) -> Said:
     seen = [answer for answer in record.answers if answer.share >= SECOND]
     if len(seen) > 1:
-        text = (
+        yield (
+            True,
             f"{len(seen)} answers explain the mean of the tests, apart from each other; the "
-            "scatter of each is its own: bounds, a mode shape or another mode would tell them apart"
+            "scatter of each is its own: bounds, a mode shape or another mode would tell them "
+            "apart",
         )
-        found.append(ScatterFinding(True, text))
     for place, answer in enumerate(record.answers):
         of = f"answer {place + 1}: " if len(record.answers) > 1 else ""
-        found += [ScatterFinding(red, of + text) for red, text in _of_answer(record, answer)]
-    return sorted(found, key=lambda finding: not finding.red)
+        yield from ((red, of + text) for red, text in _of_answer(answer))
 
 
-def _of_answer(record: ScatterRecord, answer: ScatterAnswer) -> list[tuple[bool, str]]:
-    found = []
+def _of_answer(answer: ScatterAnswer) -> Said:
     if not answer.rounds:
-        found.append((True, "mean and covariance did not settle; narrow the parameters' bounds"))
+        yield True, "mean and covariance did not settle; narrow the parameters' bounds"
     if answer.lack < UNLIKELY:
-        found.append(
-            (
-                True,
-                "the frequencies do not scatter as these parameters make them (as unlikely as "
-                f"{answer.lack:.1g}): others differ from test to test too, or the measurement errs "
-                "by more",
-            )
+        yield (
+            True,
+            "the frequencies do not scatter as these parameters make them (as unlikely as "
+            f"{answer.lack:.1g}): others differ from test to test too, or the measurement errs by "
+            "more",
         )
     if answer.cut > NEGATIVE:
-        found.append(
-            (
-                False,
-                f"{100 * answer.cut:.0f} % of the covariance came out negative and is taken as "
-                "none: the measurement's own scatter is as large as that of some frequencies",
-            )
+        yield (
+            False,
+            f"{100 * answer.cut:.0f} % of the covariance came out negative and is taken as none: "
+            "the measurement's own scatter is as large as that of some frequencies",
         )
     if answer.off > ROUGH:
-        found.append(
-            (
-                answer.off > 1.0,
-                f"full solutions are {answer.off:.2g} deviations of the tests away from what was "
-                "learned; raise --points",
-            )
+        yield (
+            answer.off > 1.0,
+            f"full solutions are {answer.off:.2g} deviations of the tests away from what was "
+            "learned; raise --points",
         )
-    return found
 
 
 def told(record: ScatterRecord) -> dict[str, Json]:

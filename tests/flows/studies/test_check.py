@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
@@ -65,12 +65,13 @@ def changed(edit: Callable[[Any], None], n_modes: int = 3) -> MeasuredModes:
     return replace(test, modes=replace(test.modes, mode_shapes=shapes))
 
 
-def at(level: str, findings: Sequence[Finding]) -> list[str]:
+def at(level: str, findings: Iterable[Finding]) -> list[str]:
     return [f"{item.where}: {item.what}" for item in findings if item.level == level]
 
 
-def only(level: str, findings: Sequence[Finding]) -> str:
+def only(level: str, findings: Iterable[Finding]) -> str:
     """The one finding above good, which must be of this level."""
+    findings = list(findings)
     assert [item.level for item in findings if item.level != "good"] == [level]
     return at(level, findings)[0]
 
@@ -79,12 +80,12 @@ def only(level: str, findings: Sequence[Finding]) -> str:
 
 
 def test_a_sound_test_passes_without_a_word() -> None:
-    assert data_findings(sound_test()) == []
+    assert list(data_findings(sound_test())) == []
 
 
 def test_frequencies_alone_pass_too() -> None:
     modes = mode_set([1.0, 2.0])
-    assert data_findings(MeasuredModes((1, 2), modes)) == []
+    assert list(data_findings(MeasuredModes((1, 2), modes))) == []
 
 
 def test_frequencies_out_of_order_are_told() -> None:
@@ -174,7 +175,7 @@ def test_a_sensor_with_a_wrong_gain_is_named_with_its_modes() -> None:
     def amplify(shapes: Floats) -> None:
         shapes[3] = 50.0 * shapes[3] + 30.0 * np.array([1.0, -0.3, 0.5])
 
-    findings = data_findings(changed(amplify))
+    findings = list(data_findings(changed(amplify)))
     said = [text for text in at("doubtful", findings) if "times as much" in text]
     assert len(said) == 1
     assert said[0].startswith("sensor 4.z in test mode 1")
