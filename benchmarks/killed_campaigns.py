@@ -94,7 +94,13 @@ class Field:
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder = folder
         self.random = np.random.default_rng(seed)
-        written(LONG, folder / "case")
+        # In a process of its own: campaigns would share the supervisors that it starts, which then
+        # outlive them.
+        pid = os.fork()
+        if not pid:
+            written(LONG, folder / "case")
+            os._exit(0)
+        assert os.waitpid(pid, 0)[1] == 0, "the campaign cannot be written"
         self.log = folder / "started"
         ccx = shutil.which("ccx")
         assert ccx is not None, "CalculiX (ccx) is not here"
@@ -139,9 +145,9 @@ class Field:
             had |= {path.name[:64] for path in (place / "store").glob("??/*.h5")}
             self.log.write_text("")
             pid = self._start(command, place)
-            ended = self._waits(pid, longest_s * self.random.uniform())
+            blow = str(self.random.choice(["campaign", "all", "solver"]))
+            ended = self._waits(pid, longest_s * self.random.uniform(), blow != "campaign")
             if not ended:
-                blow = str(self.random.choice(["campaign", "all", "solver"]))
                 ended = self._strike(blow, pid, found)
             found.repeated += len(had.intersection(self.log.read_text().split()))
             if ended:
@@ -151,7 +157,7 @@ class Field:
         """Kill what a blow is named for; whether the campaign came to its end all the same."""
         solvers = self._processes(solving=True)
         if blow != "campaign" and not solvers:
-            blow = "campaign"  # no solver runs just now
+            blow = "campaign"  # it ended this very moment
         found.blows[blow] += 1
         for victim in {"campaign": [], "all": self._processes(), "solver": solvers}[blow]:
             _kill(victim)
@@ -193,10 +199,10 @@ class Field:
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         assert code in (0, 3), f"it ended with code {code}; look at the logs in {self.folder}"
 
-    def _waits(self, pid: int, seconds: float) -> bool:
-        """Whether a process ends within so many seconds."""
+    def _waits(self, pid: int, seconds: float, solving: bool) -> bool:
+        """Whether a process ends within so many seconds, and until a solver runs, if it has to."""
         deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
+        while time.monotonic() < deadline or (solving and not self._processes(solving=True)):
             done, status = os.waitpid(pid, os.WNOHANG)
             if done:
                 assert os.waitstatus_to_exitcode(status) in (0, 3)

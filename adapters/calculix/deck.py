@@ -9,8 +9,10 @@ kept.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import count, pairwise, repeat
@@ -23,6 +25,8 @@ from modetune.core.errors import ModelError
 
 #: ccx reads at most this many characters of a number.
 FIELD_WIDTH = 20
+#: Relative difference of a number that was cut to them from itself: digits that nobody misses.
+CUT = 1e-12
 #: What comments start with. ccx passes over `>**` before the first keyword and in steps.
 COMMENTS = ("**", ">**")
 INCLUDE = re.compile(r"\s*\*\s*INCLUDE", re.IGNORECASE)
@@ -211,6 +215,24 @@ def format_number(value: float) -> str:
     """A number in at most 20 characters, as many as ccx reads."""
     text = repr(float(value))
     return text if len(text) <= FIELD_WIDTH else f"{value:.12e}"
+
+
+def check_width(line: Line, texts: Iterable[str]) -> None:
+    """Raise ModelError where ccx, which takes 20 characters of each, reads another number."""
+    for text in map(str.strip, texts):
+        if len(text) <= FIELD_WIDTH:
+            continue
+        with suppress(ValueError):  # what is not a number at all is told elsewhere
+            whole, left = float(text), text[:FIELD_WIDTH]
+            try:
+                same = math.isclose(float(left), whole, rel_tol=CUT)
+            except ValueError:
+                same = False
+            if not same:
+                raise ModelError(
+                    f"{line.where}: of {text} ccx reads {FIELD_WIDTH} characters alone, {left}: "
+                    "write it with fewer digits"
+                )
 
 
 def replace_field(text: str, place: int, value: str) -> str:

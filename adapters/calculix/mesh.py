@@ -6,7 +6,13 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, canonical_name
+from modetune.adapters.calculix.deck import (
+    FIELD_WIDTH,
+    KeywordCard,
+    KeywordDeck,
+    canonical_name,
+    check_width,
+)
 from modetune.core.errors import ModelError
 
 #: Number of nodes of the element types whose name does not end with it.
@@ -51,12 +57,13 @@ class CalculixMesh:
 
 def read_mesh(deck: KeywordDeck) -> CalculixMesh:
     """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
-    nodes = {
-        number
-        for card in deck.named("*NODE")
-        for position in card.data
-        for number in _whole(deck, position, deck.lines[position].text.split(",", 1)[:1])
-    }
+    nodes = set[int]()
+    for card in deck.named("*NODE"):
+        for position in card.data:
+            fields = deck.lines[position].text.split(",")
+            nodes.update(_whole(deck, position, fields[:1]))
+            if max(map(len, fields)) > FIELD_WIDTH:
+                check_width(deck.lines[position], fields)
     sets: dict[str, set[int]] = {}
     elements: dict[int, Element] = {}
     used: set[int] = set()

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, canonical_name
+from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, canonical_name, check_width
 from modetune.adapters.calculix.incidence import roles_of
 from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh
 from modetune.adapters.solver import ModelSummary
@@ -120,6 +120,7 @@ class CalculixModel:
         """A number of the deck. Raises ModelError where there is none."""
         fields = self.deck.fields(line)
         text = fields[place] if place < len(fields) else ""
+        check_width(self.deck.lines[line], [text])
         try:
             return read_number(text)
         except ValueError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from modetune.adapters.calculix.sections import elastic_constants, point_mass
 from modetune.adapters.calculix.solver import CalculixDeck
 from modetune.core.errors import ModelError
 from modetune.core.parameters import TARGETS, Parameter, Quantity
+from tests.adapters.ccx_decks import bar
+from tests.adapters.solved import needs_ccx
 
 # A block of two hexahedra, a shell beside it, a spring to ground and a mass.
 DECK = """\
@@ -380,3 +383,43 @@ def test_numbers_are_read_as_fortran_reads_them(text: str) -> None:
 def test_what_is_no_finite_number_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"not finite|could not convert"):
         read_number(text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("11, 1, 1, 1\n", "11, 1, 1, 6.123233995736766e-15\n", 12),
+        ("11, 1, 1, 1\n", "11, 1, -1.2345678901234567e-05, 1\n", 12),
+    ],
+)
+def test_a_coordinate_that_ccx_would_cut_is_refused(
+    old: str, new: str, line: int, tmp_path: Path
+) -> None:
+    assert old in DECK
+    with pytest.raises(ModelError, match=rf"line {line}: of .* ccx reads 20 characters alone"):
+        model_of(tmp_path, DECK.replace(old, new))
+
+
+def test_digits_that_nobody_misses_may_be_cut(tmp_path: Path) -> None:
+    model_of(tmp_path, DECK.replace("11, 1, 1, 1\n", f"11, 1, 1.{'0' * 25}1,{' ' * 30}1\n"))
+
+
+def test_a_modulus_that_ccx_would_cut_is_refused(tmp_path: Path) -> None:
+    model = model_of(tmp_path, DECK.replace("71000., 0.3", "7.100000000000000e+04, 0.3"))
+    with pytest.raises(ModelError, match="write it with fewer digits"):
+        find_fields(model, parameter("youngs_modulus", "AL"))
+
+
+@needs_ccx
+def test_ccx_reads_twenty_characters_of_a_number(tmp_path: Path) -> None:
+    """7.000000000000000e+04 is 7.0 to it: frequencies are a hundredth of those of 70000."""
+    lowest = []
+    for name, modulus in (("whole", "70000."), ("cut", "7.000000000000000e+04")):
+        text = bar("C3D8I", bricks=2).replace("70000., 0.3", f"{modulus}, 0.3")
+        assert f"{modulus}, 0.3" in text
+        (tmp_path / f"{name}.inp").write_text(f"{text}*STEP\n*FREQUENCY\n2\n*END STEP\n")
+        subprocess.run(["ccx", name], cwd=tmp_path, check=True, capture_output=True)
+        table = (tmp_path / f"{name}.dat").read_text().split("E I G E N V A L U E")[1]
+        rows = [line.split() for line in table.splitlines()]
+        lowest.append(next(float(row[3]) for row in rows if len(row) == 5 and row[0] == "1"))
+    assert lowest[1] == pytest.approx(lowest[0] / 100.0, rel=1e-5)  # seven digits printed

@@ -50,7 +50,8 @@ def test_a_cylinder_under_internal_pressure_widens_as_lame_says(tmp_path: Path) 
 
     def at(i: int, j: int) -> tuple[float, float]:
         r, t = a + (b - a) * i / (2 * radial), pi / 4 * j / around
-        return r * cos(t), r * sin(t)
+        # Twelve decimals: ccx reads 20 characters, and 6.1e-15 of cos(pi/2) as 0.61.
+        return round(r * cos(t), 12), round(r * sin(t), 12)
 
     nodes = [(n, *at(i, j), 5.0 * k) for (i, j, k), n in ids.items()]
     corners = ((0, 0), (2, 0), (2, 2), (0, 2))
@@ -85,8 +86,8 @@ def test_a_cylinder_under_internal_pressure_widens_as_lame_says(tmp_path: Path) 
         cases=f"      - {{load: 1, displacements: {{{ids[0, 0, 1]}.x: {wide:.8g}}}, "
         "tolerance: 1.0e-4}",
     )  # fmt: skip
-    # Seen with bricks of 16.7 mm by 15 degrees: 0.57 %.
-    assert value * 200000.0 == pytest.approx(young, rel=1e-2)
+    # Bricks of 16.7 mm by 15 degrees are stiffer by 5e-6; ccx's own run of its *DLOAD is the same.
+    assert value * 200000.0 == pytest.approx(young, rel=1e-4)
 
 
 @mystran
