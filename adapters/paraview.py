@@ -11,9 +11,9 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -108,10 +108,9 @@ def write_series(
                 grid.field_data[TIME] = np.array([float(mode)])
                 file = f"mode_{mode:0{digits}}.vtu"
                 grid.save(part / file)
-                label = quoteattr(f"mode {mode}: {hz:.6g} Hz")
                 lines.append(
-                    f'    <DataSet timestep="{mode}" part="0" name={label} '
-                    f"file={quoteattr(f'{name}/{file}')}/>"
+                    f'    <DataSet timestep="{mode}" part="0" name="mode {mode}: {hz:.6g} Hz" '
+                    f'file="{escape(name)}/{file}"/>'
                 )
         except BaseException:
             shutil.rmtree(part, ignore_errors=True)

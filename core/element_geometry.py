@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy import special
+import scipy
 
 from modetune.core.mesh import CellKind
 from modetune.core.modes import Floats
@@ -190,7 +190,7 @@ def _slopes(exponents: Floats, at: Floats, axis: int) -> Floats:
 
 def _rule(shape: ElementShape) -> tuple[Floats, Floats]:
     """Points (n, n_dim) and weights (n,); a simplex is a cube with a side drawn together."""
-    places, weights = special.roots_legendre(GAUSS_POINTS)
+    places, weights = scipy.special.roots_legendre(GAUSS_POINTS)
     n_dim = shape.nodes.shape[1]
     at = np.array(list(product(places, repeat=n_dim)))
     weight = np.prod(np.array(list(product(weights, repeat=n_dim))), axis=1)

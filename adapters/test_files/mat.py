@@ -23,9 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
 from modetune.adapters.hdf5_reader import ALL, read_hdf5
 from modetune.adapters.regular_file import read_regular
@@ -57,7 +56,7 @@ DOFS = ("dof", "dofs", "sensors", "channels", "labels", "names", "channel_names"
 POINTS = ("node", "nodes", "geometry", "points", "xyz", "coordinates", "grid")
 #: What SciPy raises on files that are damaged or something else.
 _BROKEN = (
-    *(MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, EOFError, AttributeError),
+    *(ValueError, TypeError, KeyError, IndexError, OSError, EOFError, AttributeError),
     *(MemoryError, NotImplementedError, OverflowError, struct.error, zlib.error),
 )
 Variables = dict[str, NDArray[Any]]
@@ -94,8 +93,8 @@ def _variables(path: Path, said: str) -> Variables:
         return {name.replace("/", "."): np.atleast_1d(array) for name, array in found.items()}
     try:
         data = io.BytesIO(read_regular(path))
-        content = loadmat(data, struct_as_record=True, squeeze_me=False, chars_as_strings=True)  # type: ignore[arg-type]  # any stream
-    except _BROKEN as error:
+        content = scipy.io.loadmat(data, chars_as_strings=True)  # type: ignore[arg-type]  # stream
+    except (scipy.io.matlab.MatReadError, *_BROKEN) as error:
         raise CampaignError(f"{path} is {said} that cannot be read: {error}") from error
     return dict(
         item for name, value in content.items() if name[:2] != "__" for item in _flat(name, value)

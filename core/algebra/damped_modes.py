@@ -29,10 +29,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
-from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from modetune.core.assignment import least_cost
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
 
@@ -163,7 +163,7 @@ def _chosen(
             "frequencies and ratios are nearest", names,
         )  # fmt: skip
         apart = np.abs(roots[own] / like[asked, None] - 1.0) ** 2
-        for row, column in zip(*linear_sum_assignment(apart), strict=True):
+        for row, column in zip(*least_cost(apart), strict=True):
             chosen[asked[row]] = int(own[column])
     return chosen
 

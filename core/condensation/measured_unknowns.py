@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, sparse
-from scipy.optimize import linear_sum_assignment
 
+from modetune.core.assignment import least_cost
 from modetune.core.errors import ModesError
 from modetune.core.modes import Integers
 
@@ -57,7 +57,7 @@ def measured_model(
         )
     chosen, rest = order[:n_seen], order[n_seen:]
     # Each sensor takes the place of the unknown that it sees most of.
-    chosen = chosen[linear_sum_assignment(-np.abs(small[:, chosen]))[1]]
+    chosen = chosen[least_cost(-np.abs(small[:, chosen]))[1]]
     own = np.linalg.inv(small[:, chosen])
     own[np.abs(own) < np.finfo(np.float64).eps * np.abs(own).max()] = 0.0
     rows = columns[chosen].astype(np.int64)

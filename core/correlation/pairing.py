@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 
+from modetune.core.assignment import least_cost
 from modetune.core.correlation.correlation import Shapes, mac, subspace_macs
 from modetune.core.errors import ModesError
 from modetune.core.modes import CLOSE, Floats, Integers, ModeSet, close_sets, common_dofs
@@ -116,7 +116,7 @@ def pair_by_shape(
     cost = -(likeness - FREQUENCY_TIE_BREAK * np.minimum(apart, 1.0))
     ratios = measured.frequencies_hz[:, None] / computed.frequencies_hz[None, :]
     impossible = (ratios < reach[0]) | (ratios > reach[1])
-    kept, columns = linear_sum_assignment(np.where(impossible, 1.0, cost))
+    kept, columns = least_cost(np.where(impossible, 1.0, cost))
     macs, spaces = _cluster_macs(measured, computed, kept, columns, table, resolution)
     reasons, lost = [], np.zeros(kept.size, dtype=np.bool_)
     for pair, (row, column) in enumerate(zip(kept.tolist(), columns.tolist(), strict=True)):
@@ -262,7 +262,7 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     shapes_before = without_rounding(previous.mode_shapes)[:, before.computed]
     shapes_now = without_rounding(computed.mode_shapes)
     table = mac_or_zero(shapes_before, shapes_now)
-    rows, columns = linear_sum_assignment(-table)
+    rows, columns = least_cost(-table)
     reasons = []
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         cluster = close_modes(computed.frequencies_hz, column)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
+from modetune.core.assignment import least_cost
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.correlation.pairing import mac_or_zero
 from modetune.core.modes import Floats
@@ -106,5 +106,5 @@ def _exchange(matrix: Floats) -> str:
 def _mean_mac(measured: Shapes, computed: Shapes) -> float:
     """Mean MAC of the best one-to-one pairing."""
     table = mac_or_zero(measured, computed)
-    rows, columns = linear_sum_assignment(-table)
+    rows, columns = least_cost(-table)
     return float(table[rows, columns].sum() / measured.shape[1])

@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from modetune.core.modes import Floats, Integers
 
@@ -48,7 +48,7 @@ class SurfacePoints:
 
     corners: Floats
     samples: Floats
-    classes: tuple[tuple[KDTree, Integers], ...]
+    classes: tuple[tuple[scipy.spatial.KDTree, Integers], ...]
 
     @classmethod
     def of(cls, corners: Floats) -> SurfacePoints:
@@ -63,7 +63,7 @@ class SurfacePoints:
             rows = np.flatnonzero(level == this)
             # Triangles below the coarsest are one sample each, larger ones are cut.
             points, owner = _cover(corners[rows], coarsest)
-            classes.append((KDTree(points), rows[owner]))
+            classes.append((scipy.spatial.KDTree(points), rows[owner]))
             samples.append(points)
         return cls(corners, np.concatenate(samples), tuple(classes))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from modetune.core.modes import Floats, Integers
 
@@ -96,7 +96,7 @@ def step(
 def nudged(poses: Poses, places: Floats, delta: Floats, lengths: Floats) -> Poses:
     """Poses after a turn, a shift (in sizes of the test) and a growth (m, 7) about the middle."""
     centres = places.mean(axis=1)
-    turns = np.asarray(Rotation.from_rotvec(delta[:, :3]).as_matrix())
+    turns = np.asarray(scipy.spatial.transform.Rotation.from_rotvec(delta[:, :3]).as_matrix())
     growth = np.exp(delta[:, 6])
     arms = np.einsum("mij,mj->mi", turns, poses.translations - centres)
     return Poses(

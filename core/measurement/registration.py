@@ -21,8 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from modetune.core.measurement.alignment import Alignment, Registration, require_spread
 from modetune.core.measurement.closest_points import SurfacePoints
@@ -73,7 +72,7 @@ def register(
     """
     require_spread(points, "the test's points")
     require_spread(nodes, "the model's nodes")
-    search = _Search(spread(points, MANY), surface, KDTree(nodes), scale)
+    search = _Search(spread(points, MANY), surface, scipy.spatial.KDTree(nodes), scale)
     fits, costs, exact = search.fits(near)
     thinness = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     mirrored = False
@@ -90,7 +89,7 @@ def refined(points: Floats, surface: SurfacePoints, nodes: Floats, near: Alignme
 
     points: (n_points, 3) of the test. nodes: (n_nodes, 3), of the model.
     """
-    search = _Search(spread(points, MANY), surface, KDTree(nodes), near.scale)
+    search = _Search(spread(points, MANY), surface, scipy.spatial.KDTree(nodes), near.scale)
     fitted = search.fitted(_poses(near), search.points, REFINED)
     exact = search.on_nodes(fitted)
     return search.told((fitted if exact is None else exact).take([0]), points)
@@ -100,7 +99,7 @@ def refined(points: Floats, surface: SurfacePoints, nodes: Floats, near: Alignme
 class _Search:
     points: Floats
     surface: SurfacePoints
-    nodes: KDTree
+    nodes: scipy.spatial.KDTree
     scale: float | None
 
     @property
@@ -154,7 +153,7 @@ class _Search:
     @property
     def spacing(self) -> float:
         """Median distance of a point from the next one, the test's length."""
-        apart = np.asarray(KDTree(self.points).query(self.points, k=[2])[0])
+        apart = np.asarray(scipy.spatial.KDTree(self.points).query(self.points, k=[2])[0])
         return float(np.median(apart)) or self.size / 100.0  # several sensors in one place
 
     def distinct(self, poses: Poses, at_most: int, points: Floats, same: float = SAME) -> list[int]:
@@ -235,7 +234,8 @@ class _Search:
         along = apart[first, second] / np.maximum(far[first, second], 1e-300)[:, None]
         before = wanted / np.linalg.norm(wanted)
         # Small turns: the cross product of unit vectors is the turn between them.
-        turns = np.asarray(Rotation.from_rotvec(np.cross(before, along)).as_matrix())
+        vectors = np.cross(before, along)
+        turns = np.asarray(scipy.spatial.transform.Rotation.from_rotvec(vectors).as_matrix())
         count = len(first)
         scales = np.repeat(pose.scales, count)
         moved = np.einsum("mij,j->mi", turns, pose.translations[0] - places[one])

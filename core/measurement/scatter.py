@@ -23,8 +23,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtri, fdtri
 
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
@@ -152,7 +152,7 @@ def _consistent(x: Floats, mean: Floats, covariance: Floats) -> Floats:
     """The covariance with which half of all rows are nearer than half of normal ones are."""
     counts = np.isfinite(x).sum(axis=1)
     there = counts > 0
-    ratio = _squares(x, mean, covariance)[there] / chdtri(counts[there], 0.5)
+    ratio = _squares(x, mean, covariance)[there] / scipy.special.chdtri(counts[there], 0.5)
     return np.asarray(covariance * np.median(ratio))
 
 
@@ -161,7 +161,8 @@ def _usual(x: Floats, mean: Floats, covariance: Floats) -> Mask:
     n, m = x.shape
     sizes = np.arange(1, m + 1)
     limits = np.zeros(m + 1)
-    limits[1:] = sizes * (n**2 - 1) / (n * (n - sizes)) * fdtri(sizes, n - sizes, 1.0 - FALSE / n)
+    quantiles = scipy.special.fdtri(sizes, n - sizes, 1.0 - FALSE / n)
+    limits[1:] = sizes * (n**2 - 1) / (n * (n - sizes)) * quantiles
     used = np.isfinite(x)
     for row, there in zip(x, used, strict=True):
         counted = int(there.sum())

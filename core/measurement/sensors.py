@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy import sparse
-from scipy.spatial import KDTree
 
 from modetune.core.errors import ModesError
 from modetune.core.mesh import CORNERS, CellKind, Mesh
@@ -107,7 +107,7 @@ class NextNodes:
 
 def next_nodes(places: Floats, mesh: Mesh) -> NextNodes:
     """The nodes of a mesh, with at least one, next to places (n, 3) in its axes and length."""
-    distances, rows = KDTree(mesh.coordinates).query(places, k=2)
+    distances, rows = scipy.spatial.KDTree(mesh.coordinates).query(places, k=2)
     return NextNodes(
         mesh.nodes[np.minimum(rows, mesh.nodes.size - 1)], np.asarray(distances, np.float64)
     )

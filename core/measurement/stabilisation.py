@@ -26,8 +26,8 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
+from modetune.core.assignment import least_cost
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import Complexes
@@ -252,7 +252,7 @@ def _link(
         (1.0 - mac(item.shapes, shapes)) / (10.0 * criteria.shape),
     )
     cost = np.where(np.logical_and.reduce([part <= 1.0 for part in parts]), sum(parts), 1e6)
-    rows, columns = linear_sum_assignment(cost)
+    rows, columns = least_cost(cost)
     return {
         int(pole): int(track)
         for pole, track in zip(rows, columns, strict=True)

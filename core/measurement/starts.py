@@ -9,8 +9,7 @@ from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
-from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from modetune.core.measurement.poses import Poses, diagonal, umeyamas
 from modetune.core.modes import Floats
@@ -62,7 +61,7 @@ def promising(poses: Poses, points: Floats, samples: Floats, free: bool) -> Pose
     shape = np.ceil((np.ptp(samples, axis=0) + 2.0 * margin) / cube).astype(np.int64)
     few = samples[:: max(len(samples) // SAMPLES, 1)]
     grid = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    nearest = few[KDTree(few).query(low + (grid + 0.5) * cube)[1]]
+    nearest = few[scipy.spatial.KDTree(few).query(low + (grid + 0.5) * cube)[1]]
 
     def closest(places: Floats) -> Floats:
         inside = np.clip(((places - low) / cube).astype(np.int64), 0, shape - 1)
@@ -112,4 +111,5 @@ def _super_fibonacci(count: int) -> Floats:
     r, big_r = np.sqrt(s / count), np.sqrt(1.0 - s / count)
     alpha, beta = 2.0 * np.pi * s / np.sqrt(2.0), 2.0 * np.pi * s / 1.533751168755204288118041
     parts = [r * np.sin(alpha), r * np.cos(alpha), big_r * np.sin(beta), big_r * np.cos(beta)]
-    return np.asarray(Rotation.from_quat(np.column_stack(parts)).as_matrix())
+    quaternions = np.column_stack(parts)
+    return np.asarray(scipy.spatial.transform.Rotation.from_quat(quaternions).as_matrix())

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from modetune.core.modes import Floats, Integers
 
@@ -46,7 +46,7 @@ class Spacing:
         # Rounding must not decide among the equals of a symmetric structure.
         order = np.lexsort((np.arange(worth.size), -np.round(worth, 9)))
         free = np.ones(self.nodes.size, dtype=np.bool_)
-        tree, kept = KDTree(self.coordinates), []
+        tree, kept = scipy.spatial.KDTree(self.coordinates), []
         for place in order.tolist():
             if free[place]:
                 kept.append(place)

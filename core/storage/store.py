@@ -104,7 +104,9 @@ class Store:
         path = self.path(key)
         with storage_errors(path):
             found = path.is_file()
-        if not found and any(path.parent.glob(f"{key}.*h5")):
+            there = not found and path.parent.is_dir()
+            beside = [item.name for item in path.parent.iterdir()] if there else []
+        if any(name.startswith(f"{key}.") and name.endswith("h5") for name in beside):
             _tell_of_other_formats(self.folder)
         return found
 

@@ -32,8 +32,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
@@ -141,7 +141,7 @@ def model_form(
     return ModelForm(
         statistic=statistic,
         dof=dof,
-        p_value=float(chdtrc(dof, statistic)) if dof > 0 else float("nan"),
+        p_value=float(scipy.special.chdtrc(dof, statistic)) if dof > 0 else float("nan"),
         level=level,
         change=change,
         at_bound=at_bound,

@@ -24,12 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import linalg, optimize
+from scipy import linalg
 from scipy.sparse.csgraph import connected_components
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import RANK_TOLERANCE
+from modetune.core.updating.estimation import RANK_TOLERANCE, least_squares_in
 
 #: Columns whose |cosine| reaches this count as saying the same; an angle of 18 degrees.
 COLLINEAR = 0.95
@@ -152,8 +152,7 @@ def _misfit(
     picked = columns[:, chosen]
     left = target - picked @ np.linalg.lstsq(picked, target, rcond=RANK_TOLERANCE)[0]
     if np.isfinite([*low, *high]).any():
-        found = optimize.lsq_linear(picked, target, (low, high), method="bvls")
-        left = target - picked @ found.x
+        left = target - picked @ least_squares_in(low, high, picked, target)
     return float(left @ left)
 
 

@@ -23,12 +23,7 @@ from typing import Protocol, TypeVar
 from modetune.adapters.licence import licence_refusal
 from modetune.adapters.process import disk_full, run_process
 from modetune.adapters.solver import Command, Program, Solver
-from modetune.core.algebra.factor_room import (
-    MEMORY_VARIABLE,
-    FactorRoom,
-    factor_room,
-    machine_memory,
-)
+from modetune.core.algebra.factor_room import MEMORY_VARIABLE, FactorRoom, factor_room
 from modetune.core.errors import (
     LicenceDenied,
     ModelError,
@@ -157,7 +152,7 @@ class JobEngine:
     @property
     def memory_bytes(self) -> int:
         """Memory of this machine that may be taken."""
-        return self.policy.memory_bytes or machine_memory()
+        return self.policy.memory_bytes or self.memory.of_machine
 
     @property
     def solver(self) -> Solver:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 
 from modetune.adapters.solver import (
     Analysis,
@@ -80,7 +80,7 @@ class JobNote:
 
     def text(self) -> str:
         """The note as JSON."""
-        return json.dumps(asdict(self))
+        return json.dumps({item.name: getattr(self, item.name) for item in fields(self)})
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import logging
 import os
 import threading
 
+from modetune.core.algebra.factor_room import machine_memory
 from modetune.flows.jobs.limits import MEMORY, Limit
 
 logger = logging.getLogger(__name__)
@@ -23,6 +24,7 @@ class JobMemory:
     """
 
     def __init__(self) -> None:
+        self.of_machine = machine_memory()  # some twenty files tell it: not with every job
         self._peaks: dict[tuple[str, str, str], int] = {}
         self._lock = threading.Lock()
 

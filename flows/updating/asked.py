@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.distance import cdist
+import scipy
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.factor_room import factor_room
@@ -150,7 +150,9 @@ class ModeTrack:
 
     def _distances(self, thetas: Floats) -> Floats:
         known = np.stack([evaluation.theta for evaluation in self.known])
-        return np.asarray(cdist(thetas / self.width, known / self.width, "sqeuclidean"))
+        return np.asarray(
+            scipy.spatial.distance.cdist(thetas / self.width, known / self.width, "sqeuclidean")
+        )
 
 
 #: A piece of work of a case.

@@ -110,9 +110,9 @@ class ByMatrices:
             if isinstance(item, NoResult):
                 raise UnlikeMatrices(str(item)) from item
             unless_failed(item)
-        if self._modes is None:
-            self._modes = MatrixModes(self.campaign, self.engine, self.source)
-        return self._modes
+        found = self._modes or MatrixModes(self.campaign, self.engine, self.source)
+        self._modes = found  # who confirms may release it meanwhile
+        return found
 
 
 @dataclass(frozen=True, slots=True)

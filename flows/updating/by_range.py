@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -120,6 +122,7 @@ class ReducedRanges:
     def __init__(self, evaluator: Evaluator) -> None:
         self.evaluator = evaluator
         self._finders: list[ByRange] = []
+        self._confirming: tuple[Evaluation, Future[Evaluation | None]] | None = None
         self._confirmed: tuple[str, float, str] | None = None
         self._refused = False
 
@@ -149,18 +152,28 @@ class ReducedRanges:
         )
 
     def within(
-        self, campaign: Campaign, around: Evaluation, in_full: bool = True
+        self, campaign: Campaign, around: Evaluation, in_full: bool = True, ahead: bool = False
     ) -> Evaluator | None:
         """What evaluates sets of a campaign within the bounds, another test of the same models
         among them; None where a case has no such model, or the solver does not confirm it.
 
         around: an evaluated set of the evaluator's own campaign; in_full: whether sets at which
-        the reduced model may be off are solved in full.
+        the reduced model may be off are solved in full; ahead: sets may be evaluated while the
+        solver confirms the model, and are to be believed if it `stands`.
         """
         if not self._finders and not self._refused:
             self._finders = self._made(around)
-            self._refused = not self._finders or not self._believed(around)
+            self._refused = not self._finders or not self._asked(around)
+        if not ahead:
+            self.stands()
         return None if self._refused else self._evaluator(campaign, in_full)
+
+    def stands(self) -> bool:
+        """Whether the solver confirms the frequencies where they were worst; its run is awaited."""
+        if self._confirming is not None:
+            (there, run), self._confirming = self._confirming, None
+            self._refused = not self._agrees(there, run.result())
+        return not self._refused
 
     def _evaluator(self, campaign: Campaign, in_full: bool = True) -> Evaluator:
         """The evaluator's cases on the ranges, as this campaign compares them or judges by them."""
@@ -181,8 +194,8 @@ class ReducedRanges:
         ]
         return Evaluator(campaign, states, self.evaluator.execution, self.evaluator.ledger)
 
-    def _believed(self, around: Evaluation) -> bool:
-        """Whether the solver confirms the frequencies where they were worst."""
+    def _asked(self, around: Evaluation) -> bool:
+        """Whether the solver can be asked about the frequencies where they were worst; it is."""
         place = max(range(len(self._finders)), key=lambda n: self._finders[n].range.errors[-1])
         finder, state = self._finders[place], self.evaluator.used[place]
         theta = around.theta.copy()
@@ -193,7 +206,14 @@ class ReducedRanges:
         if not isinstance(there, Evaluation):
             logger.info("the reduced model cannot be confirmed: %s", there)
             return False
-        confirmed = self.evaluator.confirmed(0, there)
+        pool = ThreadPoolExecutor(1, thread_name_prefix="modetune-confirm")
+        run = pool.submit(copy_context().run, self.evaluator.confirmed, 0, there)
+        pool.shutdown(wait=False)
+        self._confirming = there, run
+        return True
+
+    def _agrees(self, there: Evaluation, confirmed: Evaluation | None) -> bool:
+        """Whether the solver's frequencies are those of the reduced model."""
         assert confirmed is not None
         apart = float(np.max(np.abs(confirmed.errors - there.errors)))
         if apart > CONFIRMED:
@@ -201,7 +221,7 @@ class ReducedRanges:
             return False
         names = self.evaluator.campaign.parameters.names
         where = ", ".join(
-            f"{n} {value:.4g}" for n, value in zip(names, theta.tolist(), strict=True)
+            f"{n} {value:.4g}" for n, value in zip(names, there.theta.tolist(), strict=True)
         )
         self._confirmed = confirmed.solved_by, apart, where
         return True

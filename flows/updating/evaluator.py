@@ -99,10 +99,16 @@ class Ranges(Protocol):
         ...
 
     def within(
-        self, campaign: Campaign, around: Evaluation, in_full: bool = True
+        self, campaign: Campaign, around: Evaluation, in_full: bool = True, ahead: bool = False
     ) -> Evaluator | None:
         """What evaluates sets of a campaign within the bounds, another test of the same models
-        among them; None where a case has no such model, or the solver does not confirm it."""
+        among them; None where a case has no such model, or the solver does not confirm it.
+
+        ahead: sets may be evaluated meanwhile, and are to be believed if the model `stands`."""
+        ...
+
+    def stands(self) -> bool:
+        """Whether the solver confirms the frequencies where they were worst; its run is awaited."""
         ...
 
 
@@ -231,18 +237,20 @@ class Evaluator:
         """
         within = None
         if self.ranges and known and len(thetas) >= MANY:
-            within = self.ranges.within(self.campaign, known[0], in_full)
+            within = self.ranges.within(self.campaign, known[0], in_full, ahead=True)
         parameters = self.campaign.parameters
         track = ModeTrack(parameters.upper - parameters.lower, list(known), grows)
         for first in range(0, len(thetas), TOGETHER):
             some = thetas[first : first + TOGETHER]
-            if within is None:
-                yield from self._points(title, some, track)
-                continue
-            name = f"{len(some)} sets by the reduced model"  # one piece for whoever watches
-            with doing(title), told(self.used[0].engine.watcher, name), one_thread():
-                found = within._points(title, some, track)
-            yield from found
+            if within is not None and self.ranges is not None:
+                name = f"{len(some)} sets by the reduced model"  # one piece for whoever watches
+                with doing(title), told(self.used[0].engine.watcher, name), one_thread():
+                    found = within._points(title, some, track)
+                if self.ranges.stands():
+                    yield from found
+                    continue
+                within, track.known = None, list(known)
+            yield from self._points(title, some, track)
 
     def _points(
         self, title: str, thetas: Floats, track: ModeTrack

@@ -11,8 +11,8 @@ import logging
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
+from modetune.core.assignment import least_cost
 from modetune.core.correlation.pairing import mac_or_zero
 from modetune.core.errors import CampaignError, NotStored, SolverError
 from modetune.core.updating.results import ModalResult
@@ -104,5 +104,5 @@ def modal_job(campaign: Campaign) -> Job:
 def _mean_mac(case: Case, mapping: Mapping, result: ModalResult) -> float:
     seen = mapping.sensors.observe(result.elastic)
     table = mac_or_zero(case.test.modes.mode_shapes, seen.mode_shapes)
-    rows, columns = linear_sum_assignment(-table)
+    rows, columns = least_cost(-table)
     return float(table[rows, columns].mean())

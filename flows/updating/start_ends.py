@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.sparse.csgraph import connected_components
-from scipy.special import chdtri
 
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats, Integers
@@ -69,7 +69,7 @@ class StartEnd:
         if self.updated is None or answer.updated is None:
             return False
         if self.least and answer.least:
-            noise = float(chdtri(self.updated.size, LEVEL))
+            noise = float(scipy.special.chdtri(self.updated.size, LEVEL))
             return self.misfit <= max(AS_WELL * answer.misfit, answer.misfit + noise)
         if self.rank[0] == 0 or answer.rank[0] == 0:
             return self.rank[0] == answer.rank[0]

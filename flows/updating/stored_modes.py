@@ -50,6 +50,9 @@ logger = logging.getLogger(__name__)
 #: Raised by hand when the same matrices are reduced to other numbers.
 REDUCED_VERSION = 5
 RANGE_VERSION = 3
+#: Unknowns from which a range's full solutions are kept until it is made: those of smaller models
+#: are found again in a few times what it takes to keep them.
+KEPT_FROM = 50_000
 #: The same of exact derivatives.
 DERIVATIVES_VERSION = 1
 
@@ -148,6 +151,8 @@ class MatrixModes:
         kept: list[str] = []
 
         def keep(at: Floats, solve: Callable[[], SolvedModes]) -> SolvedModes:
+            if self._model.matrices.base.nodes.size < KEPT_FROM:
+                return solve()
             # What it begins with, and so its last digits, follows from the ones before.
             one: Json = {"full solution": len(kept), "of": asked, "theta": at.tolist()}
             kept.append(content_key(canonical_json(one)))

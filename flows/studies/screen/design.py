@@ -123,13 +123,19 @@ def _factorial(empty: Design, points: int | None) -> Design:
 
 
 def _morris(empty: Design, points: int | None, rng: np.random.Generator) -> Design:
-    from SALib.sample.morris import sample
-
-    each = empty.lower.size + 1
+    """Trajectories from a random point of the grid, along each parameter once, in random order, by
+    half of the levels up or down (Morris 1991)."""
+    count, levels = empty.lower.size, empty.levels
+    each = count + 1
     n = TRAJECTORIES if points is None else points // each
     _enough("morris", n * each if points is None else points, 2 * each)
-    made = sample(empty.problem, n, num_levels=empty.levels, seed=_seed(rng))
-    return _placed(empty, np.asarray(made, np.float64), np.repeat(np.arange(n), each))
+    base = rng.integers(0, levels // 2, (n, 1, count))
+    turn = rng.permuted(np.tile(np.arange(count), (n, 1, 1)), axis=2)
+    moved = turn < np.arange(each)[:, None]
+    above = moved == rng.integers(0, 2, (n, 1, count), dtype=np.bool_)
+    unit = (base + levels // 2 * above).reshape(-1, count) / (levels - 1)
+    made = empty.lower + unit * (empty.upper - empty.lower)
+    return _placed(empty, made, np.repeat(np.arange(n), each))
 
 
 def _sobol(empty: Design, points: int | None, rng: np.random.Generator) -> Design:
@@ -138,10 +144,6 @@ def _sobol(empty: Design, points: int | None, rng: np.random.Generator) -> Desig
     each = empty.lower.size + 2
     _enough("sobol", points if points is not None else BASE_SAMPLES * each, 8 * each)
     n = BASE_SAMPLES if points is None else 2 ** int(np.log2(points // each))
-    made = sample(empty.problem, n, calc_second_order=False, seed=_seed(rng))
+    seed = int(rng.integers(1, 2**31))  # SALib takes zero for none
+    made = sample(empty.problem, n, calc_second_order=False, seed=seed)
     return _placed(empty, np.asarray(made, np.float64), np.repeat(np.arange(n), each))
-
-
-def _seed(rng: np.random.Generator) -> int:
-    """A seed for SALib, which takes zero for none."""
-    return int(rng.integers(1, 2**31))

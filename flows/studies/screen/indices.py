@@ -1,8 +1,9 @@
 """Indices: what a design's responses say of each parameter.
 
 * Morris: elementary effects (y(x + d) - y(x)) / d in units of the whole range; mu their mean, mu*
-  the mean of their sizes, sigma their spread, which is large where a parameter acts in curves or
-  together with others (Morris 1991; Campolongo, Cariboni and Saltelli 2007). By SALib.
+  the mean of their sizes with the half width of its 95 % interval, sigma their spread, which is
+  large where a parameter acts in curves or together with others (Morris 1991; Campolongo, Cariboni
+  and Saltelli 2007).
 * Sobol: the share of a response's variance that goes with a parameter alone (first) and with it
   and all its interactions (total), with half widths of 95 % intervals (Saltelli and others 2010).
   By SALib.
@@ -23,7 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import rankdata
+import scipy
 
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
@@ -31,6 +32,8 @@ from modetune.flows.studies.screen.design import Design, Method
 
 #: Range of a uniform spread over its standard deviation.
 UNIFORM_RANGE = float(np.sqrt(12.0))
+#: Half width of an interval that holds 95 % of normal values, in standard deviations.
+NORMAL = 1.96
 #: A response that varies less than this, relative to its size, is constant but for rounding.
 CONSTANT = 1e-12
 #: Measures of each method, in the order of `Indices.values`.
@@ -112,20 +115,17 @@ def varies(responses: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 
 
 def _morris(design: Design, responses: Floats, rng: np.random.Generator) -> Indices:
-    from SALib.analyze.morris import analyze
-
-    n, count = responses.shape[1], design.lower.size
-    values = np.zeros((4, n, count))
-    for place in np.flatnonzero(varies(responses)).tolist():
-        found = analyze(
-            design.problem,
-            design.points,
-            responses[:, place],
-            num_levels=design.levels,
-            seed=int(rng.integers(1, 2**31)),
-        )
-        names = ("mu", "mu_star", "sigma", "mu_star_conf")
-        values[:, place] = [np.asarray(found[name], np.float64) for name in names]
+    m, count = responses.shape[1], design.lower.size
+    unit = design.points / (design.upper - design.lower)
+    steps = np.diff(unit.reshape(-1, count + 1, count), axis=1)
+    moved = np.abs(steps).argmax(axis=2)
+    changes = np.diff(responses.reshape(-1, count + 1, m), axis=1)
+    effects = np.zeros((len(steps), count, m))
+    effects[np.arange(len(steps))[:, None], moved] = changes / steps.sum(axis=2)[:, :, None]
+    sizes, n = np.abs(effects), len(effects)
+    half = NORMAL * sizes.std(axis=0, ddof=1) / np.sqrt(n)
+    found = np.stack([effects.mean(axis=0), sizes.mean(axis=0), effects.std(axis=0, ddof=1), half])
+    values = found.swapaxes(1, 2) * varies(responses)[:, None]
     return _indices(design, values, values[1])
 
 
@@ -152,11 +152,13 @@ def _sobol(design: Design, responses: Floats, rng: np.random.Generator) -> Indic
 def _hypercube(design: Design, responses: Floats, rng: np.random.Generator) -> Indices:
     points = _standard(design.points)
     targets = _standard(responses)
-    ranks = _standard(rankdata(design.points, axis=0)).T @ _standard(rankdata(responses, axis=0))
+    ranks, told = (
+        _standard(scipy.stats.rankdata(columns, axis=0)) for columns in (design.points, responses)
+    )
     regression = np.linalg.lstsq(points, targets, rcond=None)[0]
     left = ((targets - points @ regression) ** 2).mean(axis=0)
     alive = varies(responses)
-    values = np.stack([ranks.T / len(points), regression.T]) * alive[None, :, None]
+    values = np.stack([(ranks.T @ told).T / len(points), regression.T]) * alive[None, :, None]
     # Steps of the hypercube are even, so bounds tell the parameters' own spread.
     slopes = np.abs(values[1]) * responses.std(axis=0)[:, None] / design.points.std(axis=0)
     explained = np.where(alive, 1.0 - left, np.nan)

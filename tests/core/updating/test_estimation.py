@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 
 from modetune.core.errors import CampaignError
 from modetune.core.updating.estimation import (
     LinearForm,
     StepProblem,
     l_curve,
+    least_squares_in,
     parameter_covariance,
     parameter_step,
 )
@@ -202,3 +204,27 @@ def test_what_is_held_has_no_variance_and_the_rest_that_of_the_condition(prior: 
     np.testing.assert_allclose(found, wanted, atol=1e-12)
     unseen = parameter_covariance(slopes * [0.0, 1.0, 1.0, 1.0], variances, 1.0 / variances)
     assert np.isinf(unseen[0, 0])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_least_squares_in_bounds_are_those_of_the_bounded_variable_method(seed: int) -> None:
+    """Columns of sizes four decades apart, bounds of which some leave no room, and some none."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 12))
+    rows = rng.standard_normal((n + 3, n)) * 10.0 ** rng.uniform(-2.0, 2.0, n)
+    target = 3.0 * rng.standard_normal(n + 3)
+    lower, upper = -rng.uniform(0.0, 1.0, n), rng.uniform(0.0, 1.0, n)
+    closed = rng.random(n) < 0.2
+    upper[closed] = lower[closed]
+    upper[rng.random(n) < 0.1] = np.inf
+    found = least_squares_in(lower, upper, rows, target)
+    assert (found >= lower).all()
+    assert (found <= upper).all()
+    best, room = lower.copy(), lower < upper
+    if room.any():
+        left = target - rows[:, ~room] @ lower[~room]
+        bounds = lower[room], upper[room]
+        best[room] = lsq_linear(rows[:, room], left, bounds, method="bvls", tol=1e-14).x
+    # No sum of squares is less, but for rounding of numbers of this size.
+    ours, theirs = (np.linalg.norm(rows @ x - target) for x in (found, best))
+    assert ours <= theirs + 1e-13 * np.linalg.norm(target)

@@ -39,7 +39,7 @@ def test_an_update_requires_no_extra(tmp_path: Path) -> None:
     ("arguments", "package"),
     [
         (("sample", "campaign.yaml", "--no-prefect"), "emcee"),
-        (("screen", "campaign.yaml", "--no-prefect", "--method", "morris"), "SALib"),
+        (("screen", "campaign.yaml", "--no-prefect", "--method", "sobol"), "SALib"),
     ],
 )
 def test_a_study_says_which_extra_it_requires(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -97,6 +98,33 @@ def test_morris_of_a_square_has_the_two_effects_of_its_grid() -> None:
     assert found.measure("mu_star")[0, 0] == pytest.approx(1.0, abs=0.06)
     assert found.measure("sigma")[0, 0] == pytest.approx(1.0 / 3.0, abs=0.01)
     assert found.measure("mu_star")[0, 1] == 0.0
+
+
+@pytest.mark.parametrize("levels", [4, 10])
+def test_morris_designs_and_effects_are_those_of_salib(levels: int) -> None:
+    """Of a product and a sine, at bounds that differ in size; SALib reads our design and tells the
+    same effects, its interval by drawing 100 times (good to 7 %) where ours is their limit."""
+    from SALib.analyze.morris import analyze
+
+    lower, upper = np.array([0.0, 2.0, -5.0]), np.array([1.0, 2.5, 95.0])
+    design = make_design("morris", lower, upper, np.random.default_rng(3), 400, levels)
+    x = design.points
+    unit = (x - lower) / (upper - lower)
+    on_grid = unit * (levels - 1)
+    np.testing.assert_allclose(on_grid, np.round(on_grid), atol=1e-9)
+    moves = np.diff(unit.reshape(-1, 4, 3), axis=1)
+    half = levels / 2 / (levels - 1)
+    np.testing.assert_allclose(np.sort(np.abs(moves), axis=1)[:, -1], half)  # each one once
+    np.testing.assert_allclose(np.abs(moves).sum(axis=(1, 2)), 3 * half)
+    assert 0.4 < (moves > 0.0).sum() / 300 < 0.6
+    assert {tuple(order) for order in np.abs(moves).argmax(axis=2)} == set(permutations(range(3)))
+    y = x[:, 0] * x[:, 1] ** 3 + np.sin(0.1 * x[:, 2])
+    found = design_indices(design, y[:, None], np.random.default_rng(0))
+    theirs = analyze(design.problem, x, y, num_levels=levels, seed=1)
+    for name in ("mu", "mu_star", "sigma"):
+        np.testing.assert_allclose(found.measure(name)[0], np.asarray(theirs[name]), rtol=1e-9)
+    confidence = np.asarray(theirs["mu_star_conf"])
+    np.testing.assert_allclose(found.measure("mu_star_confidence")[0], confidence, rtol=0.25)
 
 
 def test_latin_hypercube_of_a_linear_response_has_its_shares_of_the_spread() -> None:
