@@ -16,6 +16,11 @@ import pytest
 for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+#: Processes that tests start find the byte code of their modules, as those of an installed package
+#: do: to compile them takes each two seconds.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 CCX_ONCE = Path(__file__).with_name("adapters") / "ccx_once.py"
 
 
