@@ -29,6 +29,10 @@ factorisation is the shorter way, that is gone from where they are. Nothing can 
 factors: random vectors beside the start shapes stay in the block to the end and turn to the lowest
 of what the others lack, and a mode among the lowest has to converge like the rest.
 
+Factors in single precision (core/algebra/factor_room) are those of a similar matrix too, some 6e-8
+of K away. They take half the memory, and modes come from them in the same way as from an earlier
+model's, with products in double precision, from random vectors on where nothing is known.
+
 Rounding sets a limit to all ways: lambda is known to about 10^-16 of the largest eigenvalue, as
 the computed eigenvalues of rigid modes show. Small models are solved whole by LAPACK
 (core/algebra/dense_modes). How the shift is found: core/algebra/pencil.
@@ -46,6 +50,7 @@ from scipy.linalg.blas import dgemm
 
 from modetune.core.algebra.dense_modes import solve_condensed, solve_whole
 from modetune.core.algebra.krylov import (
+    DAVIDSON,
     RitzPairs,
     block_davidson,
     unit_combinations,
@@ -65,7 +70,7 @@ from modetune.core.algebra.pencil import (
     triangle_product,
 )
 from modetune.core.algebra.solved_modes import SolvedModes, completed, of_pairs
-from modetune.core.errors import ModelError
+from modetune.core.errors import ModelError, SolverExhausted
 from modetune.core.modes import Floats
 
 logger = logging.getLogger(__name__)
@@ -90,6 +95,8 @@ TOLERANCE = 2e-5
 RANDOM_TOLERANCE = 2e-6
 #: Blocks with an earlier model's factors: fewer are too few to try, more never came to an end.
 LEAST_BLOCKS, MOST_BLOCKS = 3, 8
+#: The same with factors in single precision, for which there are no others.
+SINGLE_BLOCKS = 30
 #: Solved columns that a column of such a block costs, with its products and its part of the basis,
 #: and that a mode costs with factors of its own (three blocks, the later ones smaller).
 BLOCK_COLUMN, KRYLOV_MODE = 2.5, 4.5
@@ -100,6 +107,11 @@ _SAME = 1e-6
 def most_vectors(n_modes: int) -> int:
     """Vectors of a space from nothing, each twice (M times it); half of them is common."""
     return VECTORS * n_modes + MORE_VECTORS
+
+
+def similar_vectors(n_modes: int) -> int:
+    """Vectors beside the factors of a similar matrix."""
+    return DAVIDSON * (n_modes + GUARD)
 
 
 class ModeSolver:
@@ -143,7 +155,7 @@ class ModeSolver:
             raise ModelError(f"{n_modes} modes were asked of a model with {size} unknowns")
         if self._pencil is None or not self._pencil.update(stiffness, mass):
             self._pencil = None  # its memory is free before the next one takes any
-            self._pencil = Pencil(stiffness, mass, most_vectors(n_modes))
+            self._pencil = Pencil(stiffness, mass, most_vectors(n_modes), self._similar(n_modes))
             self._shift = None
         pencil = self._pencil
         if size <= DENSE or n_modes > size // 2:
@@ -160,11 +172,14 @@ class ModeSolver:
             self._shift = factorise_below(pencil, shift)
             inverted, shapes = solve_condensed(pencil, n_modes)
             return completed(pencil, inverted, shapes, "condensed", pencil.n_with_mass, True)
+        if not pencil.exact:
+            return self._from_similar(pencil, n_modes, shift, start, kept_blocks)
         if start is not None and start.shape[1] >= n_modes and start.shape[0] == size:
             if kept_blocks and not self._count and pencil.kept_shift is not None:
-                pairs = self._with_kept(pencil, n_modes, pencil.kept_shift, start, kept_blocks)
+                pairs = _by_similar(pencil, n_modes, pencil.kept_shift, start, kept_blocks)
                 if pairs is not None and pairs.converged:
-                    return self._kept(pairs, n_modes, pencil.kept_shift)
+                    self._shift = None
+                    return _solved(pairs, n_modes, pencil.kept_shift, "kept factors")
                 logger.info("the model is too far from the one factorised: factorised anew")
                 start = start if pairs is None else pairs.vectors
             found = self._from_start(pencil, n_modes, shift, np.asfortranarray(start))
@@ -176,7 +191,7 @@ class ModeSolver:
         """Only the factors of a model, for one that is like it. As `solve`, shift as it told."""
         if self._pencil is None or not self._pencil.update(stiffness, mass):
             self._pencil = None
-            self._pencil = Pencil(stiffness, mass)
+            self._pencil = Pencil(stiffness, mass, 0, self._similar(0))
         self._shift = factorise_below(self._pencil, shift)
 
     def blocks_that_pay(self, n_modes: int) -> int:
@@ -195,10 +210,16 @@ class ModeSolver:
         """Whether the factors at hand are the last model's, or will be when they are asked for."""
         return self._shift is not None
 
+    @property
+    def inverts_exactly(self) -> bool:
+        """Whether `inverse` is that of the last model: by its own factors, in double precision."""
+        return self.has_own_factors and self._pencil is not None and self._pencil.exact
+
     def inverse(self, block: Floats) -> Floats:
         """(K - s M)^-1 block of the last model, (n,) or (n, n_columns), s as in its `SolvedModes`.
 
-        Of the earlier model whose factors are at hand, where the last one was solved by these.
+        Of a similar matrix where it was solved by an earlier model's factors, or by factors in
+        single precision.
         """
         if self._pencil is None or (self._shift is None and self._pencil.kept_shift is None):
             raise ModelError("no model has been solved yet: there is nothing to invert")
@@ -207,37 +228,42 @@ class ModeSolver:
         return self._pencil.inverse(block)
 
     @property
-    def on_disk(self) -> bool:
-        """Whether the factors did not fit in memory."""
-        return self._pencil is not None and self._pencil.on_disk
+    def held(self) -> str:
+        """How the factors are held, where that is not in double precision in memory."""
+        return "" if self._pencil is None else self._pencil.held
 
-    def _with_kept(
-        self, pencil: Pencil, n_modes: int, shift: float, start: Floats, blocks: int
-    ) -> RitzPairs | None:
-        """With an earlier model's factors."""
+    def _similar(self, n_modes: int) -> int | None:
+        """Vectors beside factors that are not exact, by which nothing can be counted."""
+        return None if self._count else similar_vectors(n_modes)
 
-        def mass(block: Floats) -> Floats:
-            return triangle_product(pencil.mass, block)
-
-        block = with_random(start, GUARD)
-        block[:, -GUARD:] = pencil.inverse(mass(np.asfortranarray(block[:, -GUARD:])))
-        return block_davidson(
-            pencil.inverse,
-            lambda x, inertia: pencil.stiff(x) - shift * inertia,
-            mass,
-            block,
-            n_modes,
-            TOLERANCE,
-            blocks,
-        )
-
-    def _kept(self, pairs: RitzPairs, n_modes: int, shift: float) -> SolvedModes:
-        self._shift = None
-        values, shapes = 1.0 / pairs.inverted[:n_modes] + shift, pairs.vectors[:, :n_modes]
-        residuals = pairs.residuals[:n_modes]
-        return SolvedModes(
-            values, shapes, residuals, shift, "kept factors", False, pairs.solutions + GUARD
-        )
+    def _from_similar(
+        self,
+        pencil: Pencil,
+        n_modes: int,
+        shift: float,
+        start: Floats | None,
+        kept_blocks: int,
+    ) -> SolvedModes:
+        """By factors in single precision, this model's or an earlier one's."""
+        if kept_blocks and start is not None and pencil.kept_shift is not None:
+            self._shift, shift = None, pencil.kept_shift
+            pairs = _by_similar(pencil, n_modes, shift, start, kept_blocks)
+            if pairs is not None and pairs.converged:
+                return _solved(pairs, n_modes, shift, "kept factors in single precision")
+            start = start if pairs is None else pairs.vectors
+        self._shift = factorise_below(pencil, shift)
+        if not pencil.is_invertible():
+            raise singular_together(pencil)
+        shapes = np.zeros((pencil.n, 0)) if start is None else start
+        pairs = _by_similar(pencil, n_modes, self._shift, shapes, SINGLE_BLOCKS)
+        if pairs is None or not pairs.converged:
+            largest = np.inf if pairs is None else float(pairs.residuals[:n_modes].max())
+            raise SolverExhausted(
+                f"{n_modes} modes of {pencil.n} equations were not found with factors in single "
+                f"precision: the largest residual is {largest:.1e}; take factors in double "
+                "precision, which need up to twice the memory, or take that of the disk"
+            )
+        return _solved(pairs, n_modes, self._shift, "single precision")
 
     def _from_start(
         self, pencil: Pencil, n_modes: int, shift: float, start: Floats
@@ -345,6 +371,32 @@ def solve_modes(
     upper = [upper_triangle(sparse.csr_array(a).astype(np.float64)) for a in (stiffness, mass)]
     solved = ModeSolver().solve(upper[0], upper[1], n_modes, shift)
     return solved.eigenvalues, solved.shapes
+
+
+def _by_similar(
+    pencil: Pencil, n_modes: int, shift: float, start: Floats, blocks: int
+) -> RitzPairs | None:
+    """By the factors at hand, whose matrix is not this model's."""
+
+    def mass(block: Floats) -> Floats:
+        return triangle_product(pencil.mass, block)
+
+    def shifted(block: Floats, inertia: Floats) -> Floats:
+        forces = pencil.stiff(block)
+        for own, of in zip(forces.T, inertia.T, strict=True):
+            own -= shift * of
+        return forces
+
+    known = start.shape[1]
+    block = with_random(start, max(n_modes - known, 0) + GUARD)
+    pencil.inverse(mass(block[:, known:]), block[:, known:])
+    return block_davidson(pencil.inverse, shifted, mass, block, n_modes, TOLERANCE, blocks)
+
+
+def _solved(pairs: RitzPairs, n_modes: int, shift: float, way: str) -> SolvedModes:
+    values, shapes = 1.0 / pairs.inverted[:n_modes] + shift, pairs.vectors[:, :n_modes]
+    residuals = pairs.residuals[:n_modes]
+    return SolvedModes(values, shapes, residuals, shift, way, False, pairs.solutions + GUARD)
 
 
 def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:

@@ -1,11 +1,13 @@
-"""Where the factors of a matrix have room: in memory, or in files where they do not fit.
+"""Where the factors of a matrix have room: in memory, in single precision, or in files.
 
 PARDISO tells after its symbolic phase what the factors will take. With that, what this process
-holds already and what its vectors will take, memory suffices or does not; where it does not the
-unknowns are ordered once more for factors in files (what PARDISO does in two levels of parallel
-work goes in memory alone). Files are written once a factorisation and read twice a solution, and
-all the memory that is left buffers them: with a third of what the factors take a solution was seen
-to take two times, and a factorisation two to six times, as long as in memory.
+holds already and what its vectors will take, memory suffices or does not. Where it does not, and
+whoever asks can do with the factors of a similar matrix, half as much is taken in single precision.
+Where that does not fit either the unknowns are ordered once more for factors in files (what PARDISO
+does in two levels of parallel work goes in memory alone). Files are written once a factorisation
+and read twice a solution, and all the memory that is left buffers them: with a third of what the
+factors take a solution was seen to take two times, and a factorisation two to six times, as long as
+in memory.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ class FactorRoom:
 
     memory_bytes: of this process, all that it holds; disk_bytes: of files; files: makes an empty
     folder for the files of one matrix, with what removes it; memory_key, disk_key: what users call
-    both limits.
+    both limits; single: factors in single precision wherever they will do, nowhere, or (None) where
+    those in double precision do not fit in memory.
     """
 
     memory_bytes: int
@@ -49,6 +52,7 @@ class FactorRoom:
     files: Callable[[], FactorFiles]
     memory_key: str = "the limit of memory"
     disk_key: str = "the limit of disk"
+    single: bool | None = None
 
 
 _room: ContextVar[FactorRoom | None] = ContextVar("factor_room", default=None)
@@ -64,48 +68,64 @@ def factor_room(room: FactorRoom) -> Iterator[None]:
         _room.reset(token)
 
 
-def roomy_factors(upper: sparse.csr_array, *, matching: bool = False, columns: int = 0) -> Pardiso:
+def roomy_factors(
+    upper: sparse.csr_array,
+    *,
+    matching: bool = False,
+    columns: int = 0,
+    similar: int | None = None,
+) -> Pardiso:
     """A matrix with its unknowns ordered, for factors in memory or in files.
 
     upper, matching: as `Pardiso` has them; columns: vectors (n,) that will be in memory beside the
-    factors. Raises as `Pardiso` does, SolverExhausted where neither memory nor disk suffices.
+    factors; similar: the same where the factors are those of a similar matrix, None where these
+    will not do. Raises as `Pardiso` does, SolverExhausted where neither memory nor disk suffices.
     """
     room = _room.get()
     if room is None:
         return Pardiso(upper, matching=matching)
-    factors, said = _roomy(upper, matching, columns, room)
-    if factors.on_disk:
+    factors, said = _roomy(upper, matching, columns, similar, room)
+    if factors.held:
         logger.info("%s", said)
     return factors
 
 
-def factor_forecast(upper: sparse.csr_array, columns: int, room: FactorRoom) -> tuple[bool, str]:
+def factor_forecast(
+    upper: sparse.csr_array, columns: int, similar: int | None, room: FactorRoom
+) -> tuple[bool, str]:
     """Whether factors go to disk, and what they take, in words; the unknowns are only ordered.
 
     Raises as `roomy_factors` does.
     """
-    factors, said = _roomy(upper, False, columns, room)
+    factors, said = _roomy(upper, False, columns, similar, room)
     factors.close()
     return factors.on_disk, said
 
 
 def _roomy(
-    upper: sparse.csr_array, matching: bool, columns: int, room: FactorRoom
+    upper: sparse.csr_array, matching: bool, columns: int, similar: int | None, room: FactorRoom
 ) -> tuple[Pardiso, str]:
-    held = _resident()
-    factors = Pardiso(upper, matching=matching)
-    beside, peak = held + 8 * columns * factors.n, factors.memory.peak
+    single = similar is not None and room.single is True
+    factors = Pardiso(upper, matching=matching, single=single)
+    held, told, vector = _resident(), factors.memory, 8 * factors.n
+    beside, peak = held + vector * (similar or 0 if single else columns), told.peak
     text = (
-        f"the factors of {factors.n} equations take {_gb(peak)}, beside {_gb(beside)} of what else "
-        f"is in memory, and {_gb(room.memory_bytes)} may be taken ({room.memory_key}, or else what "
-        "machine or container have)"
+        f"the factors of {factors.n} equations{factors.held} take {_gb(peak)}, beside "
+        f"{_gb(beside)} of what else is in memory, and {_gb(room.memory_bytes)} may be taken "
+        f"({room.memory_key}, or else what machine or container have)"
     )
     if beside + peak <= room.memory_bytes:
-        return factors, text
+        return factors, f"{text}: they stay in memory"
     factors.close()
+    if similar is not None and room.single is None:
+        single, beside, peak = True, held + vector * similar, told.single_peak
+        text = f"{text}; in single precision {_gb(peak)}, beside {_gb(beside)}"
+        if beside + peak <= room.memory_bytes:
+            said = "so they are made, and lead by products in double precision to the same modes"
+            return Pardiso(upper, single=True), f"{text}: {said}"
     files = room.files()
     try:
-        return _in_files(upper, matching, room, files, beside, text)
+        return _in_files(upper, matching, single, room, files, beside, text)
     except BaseException:
         files.remove()
         raise
@@ -114,12 +134,13 @@ def _roomy(
 def _in_files(
     upper: sparse.csr_array,
     matching: bool,
+    single: bool,
     room: FactorRoom,
     files: FactorFiles,
     beside: int,
     text: str,
 ) -> tuple[Pardiso, str]:
-    factors = Pardiso(upper, matching=matching, files=files)
+    factors = Pardiso(upper, matching=matching, files=files, single=single)
     least, disk = beside + factors.memory_on_disk, factors.memory.factors
     free = disk_usage(files.folder).free
     if least > room.memory_bytes:
@@ -137,7 +158,7 @@ def _in_files(
             f"{text}; on disk they take up to {_gb(disk)}, and the disk of {files.folder} has "
             f"{_gb(free)}; free some space, or raise {room.memory_key}"
         )
-    files.memory_mb = (room.memory_bytes - beside) // 10**6
+    files.memory_mb = -((beside - room.memory_bytes) // 10**6)
     return factors, (
         f"{text}: they go to disk, up to {_gb(disk)} below {files.folder.parent}, written once a "
         "factorisation and read twice a solution: expect solutions to take some two times, and "

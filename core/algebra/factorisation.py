@@ -45,11 +45,15 @@ class SymmetricFactors(Protocol):
     """The factors of one real symmetric matrix after the other, all of one sparsity.
 
     negative_pivots: how many eigenvalues of the matrix are negative. lifted_pivots: how many were
-    as good as zero. factor_entries: of the factor L. on_disk: whether they are in files.
+    as good as zero. factor_entries: of the factor L. exact: whether they are in double precision.
+    held: how they are held, where that is not in double precision in memory.
     """
 
     @property
-    def on_disk(self) -> bool: ...
+    def exact(self) -> bool: ...
+
+    @property
+    def held(self) -> str: ...
     @property
     def negative_pivots(self) -> int: ...
     @property
@@ -155,15 +159,18 @@ def symmetric_matrix(matrix: Matrix, name: str) -> sparse.csr_array:
     return a
 
 
-def symmetric_factors(upper: sparse.csr_array, columns: int = 0) -> SymmetricFactors:
+def symmetric_factors(
+    upper: sparse.csr_array, columns: int = 0, similar: int | None = None
+) -> SymmetricFactors:
     """Order a real symmetric matrix for factorisation by the program that is here.
 
     upper: (n, n), the upper triangle, sorted, with each diagonal entry. `refactor` gives values.
-    columns: vectors (n,) that will be in memory beside the factors.
-    Raises ModelError where it is no such triangle, SolverExhausted where memory does not suffice.
+    columns: vectors (n,) that will be in memory beside the factors; similar: beside those of a
+    similar matrix, where they will do. Raises ModelError where it is no such triangle,
+    SolverExhausted where memory does not suffice.
     """
     if not _superlu_only.get() and is_available():
-        return roomy_factors(upper, columns=columns)
+        return roomy_factors(upper, columns=columns, similar=similar)
     return _SymmetricSuperLu(upper)
 
 
@@ -244,7 +251,8 @@ class _SymmetricSuperLu:
     """SuperLU with pivots on the diagonal, whose signs then count eigenvalues; pivoting: share of
     the largest in its column below which an entry of the diagonal is no pivot."""
 
-    on_disk = False
+    held = ""
+    exact = True
 
     def __init__(self, upper: sparse.csr_array, pivoting: float = 0.0) -> None:
         self._pivoting = pivoting

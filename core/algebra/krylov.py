@@ -16,7 +16,8 @@ Where only P, the inverse of a similar matrix, is at hand, the next block is P r
 r = (K - s M) x - M x / theta: with the inverse itself that is A x / theta less x, and so the same
 space (generalised Davidson: Morgan and Scott 1986). Its basis V is orthonormal with respect to
 K - s M, which needs no mass, and theta are the eigenvalues of V^T M V. ||P r||_M / ||x||_M is then
-the residual above but for what P is off.
+the residual above but for what P is off. The basis is held to a few blocks: where there is no room
+for the next one, the best pairs stay, and what they were one block before.
 """
 
 from __future__ import annotations
@@ -34,6 +35,10 @@ from modetune.core.modes import Floats
 Product = Callable[[Floats, Floats], object]
 
 _ROWS_AT_ONCE = 4096  # of tall blocks that are combined in their place
+
+#: Vectors that `block_davidson` has in memory, in columns of its start.
+DAVIDSON = 9
+_BASIS_BLOCKS = 3  # of it in the basis, two of which stay at a restart
 
 _DEPENDENT = 1e-14  # of a Gram matrix of unit columns: directions that are rounding
 _TOLD_APART = 1e-2  # residual of a pair beyond those wanted, from which on it is one of its own
@@ -134,28 +139,32 @@ def block_davidson(
     give up, or as soon as residuals fall so slowly that these will not do. It goes on until the
     pair next to those wanted is known well enough to be none of them. As many pairs as start has
     columns are given back, without images, for whoever goes on; None where K - s M is not positive.
+    In memory are DAVIDSON vectors (n,) a column of start.
     """
     width = start.shape[1]
-    room = width * (n_blocks + 1)
+    room = width * min(n_blocks + 1, _BASIS_BLOCKS)
     v = np.empty((start.shape[0], room), order="F")
-    sv, mv = np.empty_like(v, order="F"), np.empty_like(v, order="F")
+    sv = np.empty_like(v, order="F")
     t = np.zeros((room, room))
     slow, used, solutions, before, residuals = 0, 0, 0, np.inf, np.full(width, np.inf)
-    w, mw = start, mass(start)
+    w, ritz, last = start, np.zeros((0, 0)), np.zeros((0, 0))
     for left in range(n_blocks, -1, -1):
-        sw = shifted(w, mw)
+        if used + w.shape[1] > room:
+            used, ritz = _restart(v, sv, t, used, ritz, last)
+        sw = shifted(w, mass(w))
         part = sv[:, :used].T @ w
         _subtract(w, v[:, :used], part)
         _subtract(sw, sv[:, :used], part)
         block = slice(used, used + _append_orthonormal(w, sw, v, sv, used, 0.0))
+        del w, sw
         used = block.stop
-        mv[:, block] = mass(v[:, block])
-        t[:used, block] = v[:, :used].T @ mv[:, block]
+        t[:used, block] = v[:, :used].T @ mass(v[:, block])
         t[block, : block.start] = t[: block.start, block].T
-        theta, ritz = eigh(0.5 * (t[:used, :used] + t[:used, :used].T))
-        theta, ritz = theta[: -width - 1 : -1], np.asfortranarray(ritz[:, : -width - 1 : -1])
+        theta, found = eigh(0.5 * (t[:used, :used] + t[:used, :used].T))
+        theta, found = theta[: -width - 1 : -1], np.asfortranarray(found[:, : -width - 1 : -1])
         if theta.size <= n_pairs or not theta[-1] > 0.0:
             return None
+        last, ritz = ritz, found
         worst, beside = float(residuals[:n_pairs].max()), theta[n_pairs - 1] / theta[n_pairs] - 1.0
         converged = worst <= tolerance and residuals[n_pairs] <= max(beside, _TOLD_APART)
         # At the rate of the last two blocks the residuals are too large after the last one there
@@ -166,15 +175,32 @@ def block_davidson(
             x = dgemm(1.0, v[:, :used], ritz / np.sqrt(theta))
             return RitzPairs(theta, x, x, residuals, solutions, bool(converged))
         r = dgemm(1.0, sv[:, :used], ritz)
-        _subtract(r, mv[:, :used], ritz / theta)
+        for pair in range(width):  # one by one: their block would be as large as any here
+            r[:, pair] -= mass(v[:, :used] @ (ritz[:, pair] / theta[pair]))
         w = nearly(r)
-        mw = mass(w)
+        del r
         solutions += w.shape[1]
-        squares = np.sum(w * mw, axis=0) / theta
+        squares = np.array([x @ mass(x) for x in w.T]) / theta
         before, residuals = worst, np.sqrt(np.maximum(squares, 0.0))
-        kept = residuals > _DROPPED * tolerance
-        w, mw = (np.asfortranarray(a[:, kept]) for a in (w, mw))
+        w = np.asfortranarray(w[:, residuals > _DROPPED * tolerance])
     raise AssertionError("the last block ends it")
+
+
+def _restart(
+    v: Floats, sv: Floats, t: Floats, used: int, ritz: Floats, last: Floats
+) -> tuple[int, Floats]:
+    """Keep of a basis the pairs and what they were a block ago, as LOBPCG does, in its place.
+
+    ritz (used, width), last: both in the basis, last's on its first vectors. Returns how many
+    vectors there are now and the pairs in them. Source: Stathopoulos and Saad 1998; Knyazev 2001.
+    """
+    before = np.pad(last, ((0, used - last.shape[0]), (0, 0)))
+    kept = np.asfortranarray(np.linalg.qr(np.hstack([ritz, before]))[0])
+    size = kept.shape[1]
+    for vectors in (v, sv):
+        _combined(vectors[:, :used], kept, vectors)
+    t[:size, :size] = kept.T @ t[:used, :used] @ kept
+    return size, np.asfortranarray(kept.T @ ritz)
 
 
 def with_random(shapes: Floats, count: int, turn: int = 0) -> Floats:

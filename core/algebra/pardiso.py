@@ -8,6 +8,11 @@ that of parallel nested dissection (METIS).
 The matrix is A = L D L^T with 1x1 and 2x2 pivots (type -2), whose signs are the signs of A's
 eigenvalues (Sylvester).
 
+Factors in single precision take half the room and are those of a similar matrix, 6e-8 of each
+number of A away: whoever takes their answers for A's must make them better with A itself. A is
+scaled by a power of two, right-hand sides by their largest number, so that neither leaves the range
+of single precision.
+
 The library is the one that pypardiso finds and loads; its own solve is not used, for it copies
 and compares the whole matrix with each call. PARDISO uses all cores in a call, and calls come
 one at a time whatever the number of threads. Source: Intel oneMKL reference, PARDISO parameters
@@ -17,6 +22,7 @@ one at a time whatever the number of threads. Source: Intel oneMKL reference, PA
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import sys
 import threading
@@ -76,6 +82,11 @@ class FactorMemory:
     def peak(self) -> int:
         return max(self.ordering_peak, self.permanent + self.factors)
 
+    @property
+    def single_peak(self) -> int:
+        """The same of factors in single precision, by those in double precision."""
+        return max(self.ordering_peak, self.permanent + self.factors // 2)
+
 
 @dataclass(slots=True, weakref_slot=True, eq=False)
 class FactorFiles:
@@ -121,31 +132,38 @@ class Pardiso:
         matching: bool = False,
         files: FactorFiles | None = None,
         long_integers: bool = False,
+        single: bool = False,
     ) -> None:
         """Order the unknowns of a matrix; `refactor` gives it its values.
 
         upper: (n, n), the upper triangle, sorted, with each diagonal entry; matching: scale and
         pair unknowns by their values first, for matrices with zeros on the diagonal; files: keep
         the factors there, not in memory; long_integers: for factors of more than 2^31 entries
-        (turned to anyhow where PARDISO asks for it). Raises ModelError where upper is not such a
-        triangle, SolverExhausted where memory or disk do not suffice.
+        (turned to anyhow where PARDISO asks for it); single: factors in single precision. Raises
+        ModelError where upper is not such a triangle, SolverExhausted where memory or disk do not
+        suffice.
         """
         _check_triangle(upper)
         self.n = int(upper.shape[0])
-        self._settings = _settings(matching, files is not None)
+        self._settings = _settings(matching, files is not None, single)
         self.files = files
-        self._values = upper.data
+        self.exact = not single
+        self._unit = 1.0
+        self._values: NDArray[Any] = upper.data
         self._open(upper.indptr + 1, upper.indices + 1, long_integers)
 
     def refactor(self, values: Floats) -> None:
         """Factorise the matrix with these values in the same places.
 
-        values: (n_entries,), kept, not copied. Raises ModelError where the matrix is singular,
-        SolverExhausted.
+        values: (n_entries,), kept, not copied, but for single precision. Raises ModelError where
+        the matrix is singular, SolverExhausted.
         """
         if values.shape != self._values.shape or values.dtype != np.float64:
             raise ModelError(f"{values.size} values for {self._values.size} entries of a matrix")
         self._values = np.ascontiguousarray(values)
+        if not self.exact:
+            self._unit = _unit_of(values)
+            self._values = _rounded(values, self._unit)
         self._call(_FACTORISE)
 
     def solve(self, block: Floats, out: Floats | None = None) -> Floats:
@@ -158,8 +176,13 @@ class Pardiso:
         x = np.empty(given.shape, order="F") if out is None else out
         assert x.shape == given.shape
         assert x.flags.f_contiguous
-        if given.size:
+        if given.size and self.exact:
             self._call(_SOLVE, given, x)
+        elif given.size:
+            units = np.apply_along_axis(_unit_of, 0, given)
+            answer = np.empty(given.shape, dtype=np.float32, order="F")
+            self._call(_SOLVE, _rounded(given, units), answer)
+            np.multiply(answer, self._unit / units, out=x)
         return x
 
     def close(self) -> None:
@@ -170,6 +193,12 @@ class Pardiso:
     def on_disk(self) -> bool:
         """Whether the factors are in files."""
         return self.files is not None
+
+    @property
+    def held(self) -> str:
+        """How the factors are held, where that is not in double precision in memory."""
+        single = "" if self.exact else " in single precision"
+        return f"{single} on disk" if self.on_disk else single
 
     @property
     def negative_pivots(self) -> int:
@@ -211,7 +240,9 @@ class Pardiso:
         self._release.atexit = False
         self._call(_ANALYSE)
 
-    def _call(self, phase: int, rhs: Floats | None = None, out: Floats | None = None) -> None:
+    def _call(
+        self, phase: int, rhs: NDArray[Any] | None = None, out: NDArray[Any] | None = None
+    ) -> None:
         error = self._handle.call(phase, self._values, rhs, out)
         if error == _TOO_LONG and not self._handle.long_integers:
             before = self._handle
@@ -242,7 +273,13 @@ class _Handle:
         self._permutation = np.zeros(1, dtype=iparm.dtype)  # none is given
         self._closed = False
 
-    def call(self, phase: int, values: Floats, rhs: Floats | None, out: Floats | None) -> int:
+    def call(
+        self,
+        phase: int,
+        values: NDArray[Any],
+        rhs: NDArray[Any] | None,
+        out: NDArray[Any] | None,
+    ) -> int:
         """Run a phase; returns PARDISO's error number."""
         integer: Any = ctypes.c_int64 if self.long_integers else ctypes.c_int32
         program = _program(self.long_integers)
@@ -312,21 +349,32 @@ def _program(long_integers: bool) -> Any:
     return program
 
 
-def _settings(matching: bool, out_of_core: bool) -> NDArray[np.int64]:
+def _settings(matching: bool, out_of_core: bool, single: bool) -> NDArray[np.int64]:
     iparm = np.zeros(64, dtype=np.int64)
     # 1: own settings; 2: parallel METIS; 10: pivots below 1e-20 of the norm are lifted, zeros
     # that is, for masses and rotations make small ones; 24: factors in two levels of parallel
     # work, which halves the time of single solves. Left at 0 is 8: solutions are refined only
     # after a lifted pivot, for refining takes twice as long again as solving. 37: unknowns whose
     # rows are 95 % alike, as those of a node are, are ordered as one, which halves the ordering.
-    chosen = {1: 1, 2: 3, 10: 20, 18: -1, 21: 1, 24: 1, 37: -95, 60: 2 if out_of_core else 0}
+    chosen = {1: 1, 2: 3, 10: 20, 18: -1, 21: 1, 24: 1, 28: int(single), 37: -95}
     if matching:  # 10: the scaled matrix is of norm one; 24 does not go with 11 and 13
         chosen |= {2: 2, 10: 16, 11: 1, 13: 1, 24: 0, 37: 0}
     if out_of_core:  # no two levels for factors on disk, and no blocks
-        chosen |= {24: 0, 37: 0}
+        chosen |= {24: 0, 37: 0, 60: 2}
     for number, value in chosen.items():
         iparm[number - 1] = value
     return iparm
+
+
+def _unit_of(values: Floats) -> float:
+    """A power of two that brings the largest of these to about one."""
+    largest = max(float(values.max()), -float(values.min()))
+    return 2.0 ** -math.frexp(largest)[1] if largest > 0.0 else 1.0
+
+
+def _rounded(values: Floats, units: Floats | float) -> NDArray[np.float32]:
+    single = np.empty(values.shape, dtype=np.float32, order="F")
+    return np.multiply(values, units, out=single, casting="same_kind")
 
 
 def _check_triangle(upper: sparse.csr_array) -> None:

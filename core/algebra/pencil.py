@@ -29,7 +29,12 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.factorisation import SymmetricFactors, symmetric_factors
-from modetune.core.algebra.krylov import RitzPairs, block_krylov, with_random
+from modetune.core.algebra.krylov import (
+    RitzPairs,
+    block_krylov,
+    unit_combinations,
+    with_random,
+)
 from modetune.core.algebra.matrices import places_in, same_pattern, union
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
@@ -50,6 +55,7 @@ SHIFT = -0.1
 #: were measured between 17,000 and 1,240,000 equations of shells and solids.
 FACTORISED_COLUMNS = 0.5
 _LOST = 1e-2  # of a known solution, relative: beyond this the matrix has no inverse to speak of
+_WITHOUT_ENERGY = 1e-14  # of that of its unknowns by themselves: rounding
 
 
 def shifted_pattern(stiffness: sparse.csr_array, mass: sparse.csr_array) -> sparse.csr_array:
@@ -68,13 +74,18 @@ class Pencil:
     """
 
     def __init__(
-        self, stiffness: sparse.csr_array, mass: sparse.csr_array, columns: int = 0
+        self,
+        stiffness: sparse.csr_array,
+        mass: sparse.csr_array,
+        columns: int = 0,
+        similar: int | None = None,
     ) -> None:
         """Order the unknowns; nothing is factorised yet.
 
         stiffness, mass: (n, n), upper triangles, sorted, kept and not copied; columns: vectors
-        (n,) that will be in memory beside the factors. Raises ModelError
-        where they are not a model, SolverExhausted where memory does not suffice.
+        (n,) that will be in memory beside the factors; similar: beside those of a similar matrix,
+        None where `exact` ones are needed. Raises ModelError where they are not a model,
+        SolverExhausted where memory does not suffice.
         """
         _check(stiffness, mass)
         self.n = int(stiffness.shape[0])
@@ -86,7 +97,7 @@ class Pencil:
         self._stiffness_places = _places(pattern, stiffness)
         self._mass_places = _places(pattern, mass)
         self._take(stiffness, mass)
-        self._factors: SymmetricFactors = symmetric_factors(pattern, columns)
+        self._factors: SymmetricFactors = symmetric_factors(pattern, columns, similar)
 
     def update(self, stiffness: sparse.csr_array, mass: sparse.csr_array) -> bool:
         """Take the next model; false, and nothing done, where its sparsity is another."""
@@ -97,9 +108,14 @@ class Pencil:
         return True
 
     @property
-    def on_disk(self) -> bool:
-        """Whether the factors are in files."""
-        return self._factors.on_disk
+    def held(self) -> str:
+        """How the factors are held, where that is not in double precision in memory."""
+        return self._factors.held
+
+    @property
+    def exact(self) -> bool:
+        """Whether the inverse is that of the matrix, and not of one that is similar."""
+        return self._factors.exact
 
     def factorise(self, shift: float) -> None:
         """Factorise K - shift M. Raises ModelError where it is exactly singular."""
@@ -159,13 +175,23 @@ class Pencil:
         return largest if largest > 0.0 else 1.0
 
     def is_invertible(self) -> bool:
-        """Whether the factors give a known solution back, in the scale of each unknown."""
+        """Whether the factors give a known solution back, in the scale of each unknown.
+
+        In single precision: whether nothing that forces at random move most is without energy.
+        """
         known = np.random.default_rng(1).standard_normal(self.n)
         shift = 0.0 if self.shift is None else self.shift
         diagonal = np.abs(self.stiffness.diagonal()) + abs(shift) * self.mass.diagonal()
         if not diagonal.all():
             return False
         known /= np.sqrt(diagonal)
+        if not self.exact:
+            random = with_random(np.zeros((self.n, 0)), BLOCK)
+            moved = self.inverse(random * np.sqrt(diagonal)[:, None])
+            forces = self.stiff(moved) - shift * triangle_product(self.mass, moved)
+            factor = unit_combinations(moved.T @ (diagonal[:, None] * moved), 0.0)
+            energies = np.linalg.eigvalsh(factor.T @ (moved.T @ forces) @ factor)
+            return bool(energies[0] > _WITHOUT_ENERGY)
         forces = triangle_product(self.stiffness, known)
         forces -= shift * triangle_product(self.mass, known)
         lost = (self.inverse(forces) - known) * np.sqrt(diagonal)

@@ -68,6 +68,11 @@ class Case:
     gauged: tuple[int, ...] = ()
 
     @property
+    def single_factors(self) -> bool | None:
+        """Whether factors are asked for in single precision or double; None: as memory has it."""
+        return {"pardiso": False, "mixed_precision": True}.get(self.eigensolver)
+
+    @property
     def responses(self) -> tuple[Response, ...]:
         """All that is compared, in the order of the residual's rows."""
         shapes = (Shapes(self.tolerances.mac),) if self.weighting.with_shapes else ()

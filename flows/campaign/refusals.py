@@ -74,19 +74,17 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
             f"{where}: update.confirm: matrices confirms modes that come from matrices, and "
             "`model.eigensolver: solver` takes the solver's own; leave one of the two out"
         ]
-    if file.model.eigensolver == "pardiso" and file.test.modes == NO_TEST:
-        where = source.where(("model", "eigensolver"))
-        return [
-            f"{where}: eigensolver pardiso: before there is a test the modes are the solver's own; "
-            "use `auto` or solver"
-        ]
-    if file.model.eigensolver == "pardiso":
+    if file.model.eigensolver not in ("auto", "solver"):
         from modetune.flows.campaign.matrix_plan import unsuitable
 
-        reason = unsuitable(solver, file.parameter_set().parameters, method)
+        where = f"{source.where(('model', 'eigensolver'))}: eigensolver {file.model.eigensolver}"
+        reason = (
+            "before there is a test the modes are the solver's own"
+            if file.test.modes == NO_TEST
+            else unsuitable(solver, file.parameter_set().parameters, method)
+        )
         if reason is not None:
-            where = source.where(("model", "eigensolver"))
-            return [f"{where}: eigensolver pardiso: {reason}; use `auto` or solver"]
+            return [f"{where}: {reason}; use `auto` or solver"]
     if method == "semi_analytic" and shapes and not solver.deck.summary.solid_shapes:
         return [
             f"{place}: shape sensitivities from matrices need a model of solids without dependent "

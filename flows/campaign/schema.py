@@ -36,7 +36,7 @@ SolverName = Literal["calculix", "nastran", "mystran", "matrices", "command"]
 BY_NAME = ("command",)
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 NastranDialect = Literal["msc", "nx"]
-Eigensolver = Literal["auto", "solver", "pardiso"]
+Eigensolver = Literal["auto", "solver", "pardiso", "mixed_precision"]
 ModelCheck = Literal["units", "size", "mass"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
 #: Names the store's folder for all campaigns.
@@ -59,7 +59,8 @@ class ModelSection(Section):
     eigensolver: Eigensolver = "auto"
     """Who finds the modes while updating: `solver`, the solver itself; `pardiso`, modetune from the
     matrices that CalculiX or MYSTRAN assembles once, with the solver's own modes at the end;
-    `auto`, what is expected to take less."""
+    `mixed_precision`, the same with factors in single precision, which take half the memory;
+    `auto`, what is expected to take less, in single precision where memory asks for it."""
     units: Units
     """The consistent units that the deck is written in."""
     rigid_modes: Literal["auto"] | Annotated[int, Field(ge=0, le=1000)] = "auto"

@@ -147,6 +147,7 @@ class JobEngine:
             lambda: factor_files(store),
             "`run.memory_gb`",
             "`run.disk_gb`",
+            self.policy.single_factors,
         )
 
     @property

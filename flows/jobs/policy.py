@@ -34,7 +34,7 @@ class Policy:
     the machine, is never tried again. disk_bytes: what a job's files and output may take.
     licence_messages: what says that no licence was free, besides what is known. memory_bytes: what
     jobs side by side, or this process with its factors, may take of this machine; 0: what that
-    has.
+    has. single_factors: whether those are in single precision, None where memory decides.
     """
 
     timeout_s: float
@@ -46,6 +46,7 @@ class Policy:
     disk_bytes: int = JOB_DISK
     licence_messages: tuple[str, ...] = ()
     memory_bytes: int = 0
+    single_factors: bool | None = None
 
     def chances(self, error: SolverError) -> int:
         """How often a job that ended so may be tried again."""

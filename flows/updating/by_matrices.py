@@ -62,8 +62,8 @@ class ByMatrices:
 
     @property
     def name(self) -> str:
-        on_disk = self._modes is not None and self._modes.on_disk
-        return f"{MATRICES}, factors on disk" if on_disk else MATRICES
+        held = "" if self._modes is None else self._modes.held
+        return f"{MATRICES}, factors{held}" if held else MATRICES
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         if self._modes is not None:

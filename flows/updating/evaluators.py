@@ -70,4 +70,5 @@ def engine_of(engine: JobEngine, campaign: Campaign, case: Case) -> JobEngine:
     limits = [limit for limit in engine.limits if limit.name == CORES]
     if name in campaign.run.licences:
         limits.append(Limit(name, campaign.run.licences[name], 1))
-    return replace(engine, plans=Plans(solver), limits=tuple(limits))
+    policy = replace(engine.policy, single_factors=case.single_factors)
+    return replace(engine, plans=Plans(solver), limits=tuple(limits), policy=policy)

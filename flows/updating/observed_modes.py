@@ -33,7 +33,7 @@ from modetune.flows.updating.semi_analytic import UnlikeMatrices
 Assembled = Callable[[Job], MatrixResult]
 
 #: Raised by hand when the same matrices are solved to other numbers.
-MODES_VERSION = 5
+MODES_VERSION = 6
 #: Unobservable nodes that a message names.
 NAMED = 5
 

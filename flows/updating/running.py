@@ -62,6 +62,7 @@ def job_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> JobEngi
             disk_bytes=round(1e9 * run.disk_gb),
             licence_messages=run.licence_messages,
             memory_bytes=round(1e9 * (run.memory_gb or 0.0)),
+            single_factors=campaign.cases[0].single_factors,
         ),
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,

@@ -137,9 +137,9 @@ class Solutions:
         self._factors: FactorsAt | None = None
 
     @property
-    def on_disk(self) -> bool:
-        """Whether the factors did not fit in memory."""
-        return self._solver.on_disk
+    def held(self) -> str:
+        """How the factors are held, where that is not in double precision in memory."""
+        return self._solver.held
 
     def modes(self, item: ModalSet) -> SolutionAt:
         """The modes of a set with shapes of all unknowns."""
@@ -195,7 +195,7 @@ class Solutions:
                     solved.n_rigid,
                     observer,
                     solved.previous,
-                    exact=self._solver.has_own_factors,
+                    exact=self._solver.inverts_exactly,
                 )
             self._basis = ReducedBasis(around, solved.n_rigid, solved.factors, *made)
         return self._basis

@@ -235,9 +235,9 @@ class MatrixModes:
         return self.engine.derived(asked, compute, kind, self.campaign.case.of(name))
 
     @property
-    def on_disk(self) -> bool:
-        """Whether the factors did not fit in memory."""
-        return self._solutions.on_disk
+    def held(self) -> str:
+        """How the factors are held, where that is not in double precision in memory."""
+        return self._solutions.held
 
     @property
     def _newest(self) -> ReducedAround | None:

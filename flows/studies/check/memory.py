@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modetune.core.algebra.eigen import DENSE, most_vectors
+from modetune.core.algebra.eigen import DENSE, most_vectors, similar_vectors
 from modetune.core.algebra.factor_room import factor_forecast
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.algebra.pencil import shifted_pattern
@@ -34,11 +34,12 @@ def memory_findings(state: CaseState) -> list[Finding]:
     pattern = shifted_pattern(base.upper_stiffness, base.upper_mass)
     if pattern.shape[0] <= DENSE:
         return []
-    columns = most_vectors(state.analysis.n_modes)
+    n_modes, room = state.analysis.n_modes, state.engine.room
+    vectors = most_vectors(n_modes), similar_vectors(n_modes)
     try:
-        on_disk, said = factor_forecast(pattern, columns, state.engine.room)
+        on_disk, said = factor_forecast(pattern, vectors[0], vectors[1], room)
     except SolverExhausted as error:
         return [Finding("wrong", "model", str(error), LIMIT)]
     if not on_disk:
-        return [Finding("good", "model", f"{said}: they stay in memory", LIMIT)]
+        return [Finding("good", "model", said, LIMIT)]
     return [Finding("doubtful", "model", said, LIMIT, "raise it where there is more memory")]

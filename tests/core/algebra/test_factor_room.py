@@ -98,7 +98,7 @@ def test_modes_with_factors_in_files_are_those_with_factors_in_memory(
     with factor_room(room(tmp_path, vectors + least * 9 // 10)):
         solver = ModeSolver()
         outside = solver.solve(stiffness, mass, 8)
-        assert solver.on_disk
+        assert solver.held == " on disk"
         assert any(tmp_path.rglob("mkl_pardiso_lnz.bin"))
     largest = float(np.max(stiffness.diagonal()))  # rounding is of the largest eigenvalue
     np.testing.assert_allclose(
@@ -114,7 +114,7 @@ def test_factors_stay_in_memory_where_they_fit(tmp_path: Path) -> None:
     with factor_room(room(tmp_path, 10**12)):
         solver = ModeSolver()
         solver.solve(stiffness, mass, 4)
-    assert not solver.on_disk
+    assert not solver.held
     assert not list(tmp_path.iterdir())
 
 

@@ -568,6 +568,21 @@ def test_a_limit_of_memory_holds_whoever_finds_the_modes(
     assert not list((tmp_path / "store").glob("jobs/factors-*"))
 
 
+def test_factors_in_single_precision_lead_to_the_same_answer(tmp_path: Path, watcher: Any) -> None:
+    file = written(replace(BAR, deck=row_of_materials(60)), tmp_path / "long")
+    mixed, double = (
+        update(file, tmp_path / way, watcher, f"model.eigensolver={way}")
+        for way in ("mixed_precision", "pardiso")
+    )
+    makers = [item.solved_by for item in mixed.iterations[:-1]]
+    assert set(makers) == {"stored matrices, factors in single precision"}
+    assert mixed.best.solved_by == "calculix"
+    assert mixed.status == double.status == "converged"
+    for way in (mixed, double):
+        assert (way.runs.sensitivity, way.runs.modal) == (2, 1)
+    np.testing.assert_allclose(mixed.updated, double.updated, rtol=1e-6)
+
+
 def test_its_own_matrices_at_the_end_confirm_as_its_modes_do(
     bar_file: Path, bar_stored: CampaignRecord, tmp_path: Path, watcher: Any
 ) -> None:
