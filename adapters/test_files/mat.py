@@ -214,8 +214,6 @@ def _points(found: Variables) -> TestGeometry | None:
                 nodes.astype(np.int64),
                 values[:, -3:].astype(np.float64),
                 np.tile(np.eye(3), (nodes.size, 1, 1)),
-                np.zeros((0, 2), dtype=np.int64),
-                np.zeros((0, 3), dtype=np.int64),
             )
     return None
 

@@ -101,7 +101,5 @@ def _as_test(path: Path, modes: ModeSet, points: Points) -> Measurement:
         nodes[places],
         coordinates[places],
         np.tile(np.eye(3), (int(places.sum()), 1, 1)),
-        np.zeros((0, 2), dtype=np.int64),
-        np.zeros((0, 3), dtype=np.int64),
     )
     return Measurement(measured, geometry, notes=tuple(notes))

@@ -103,7 +103,6 @@ def lab_measurement() -> Measurement:
             coordinates=1e-3 * (places - LAB_ORIGIN) @ LAB_AXES.T,
             frames=np.tile(np.eye(3), (len(POINTS), 1, 1)),
             lines=np.array(OUTLINE),
-            faces=np.zeros((0, 3), dtype=np.int64),
             metres=1.0,
         ),
         frfs=noisy_functions(LINES_HZ, values, sensors, HAMMERS, NOISE, random),

@@ -99,7 +99,6 @@ def lab_measurement() -> Measurement:
             coordinates=1e-3 * (moved - TAIL) @ LAB_AXES.T,
             frames=frames,
             lines=np.array([pair for line in OUTLINE for pair in pairwise(line)]),
-            faces=np.zeros((0, 3), dtype=np.int64),
             metres=1.0,
         ),
         frfs=noisy_functions(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
@@ -31,8 +31,8 @@ class TestGeometry:
     nodes: Integers
     coordinates: Floats
     frames: Floats
-    lines: Integers
-    faces: Integers
+    lines: Integers = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    faces: Integers = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
     metres: float = float("nan")
 
     def __post_init__(self) -> None:

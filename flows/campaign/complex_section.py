@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -36,8 +37,8 @@ class ComplexSection(ModewiseSection):
             DampedPairs(given.deck.damping),
         )
 
-    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> Iterator[tuple[Place, str]]:
         if given.complex_shapes is None:
-            return [((), "the test's shapes are real: compare them by `shape_weight`")]
-        said = given.deck.undamped()
-        return [((), said)] if said else []
+            yield (), "the test's shapes are real: compare them by `shape_weight`"
+        elif said := given.deck.undamped():
+            yield (), said

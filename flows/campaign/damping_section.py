@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from modetune.adapters.yaml_file import Place
 from modetune.core.measurement.repeated import damping_covariance
 from modetune.core.updating.damped_pairs import DampedPairs
@@ -27,16 +29,15 @@ class DampingSection(ModewiseSection):
             return DampingRatios(*own)
         return DampingRatios(*own, damping_covariance(given.repeats, given.test.numbers))
 
-    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> Iterator[tuple[Place, str]]:
         ratios = given.test.modes.damping_ratios
         if not ratios.size:
-            return [((), "the test has no damping ratios: leave this out")]
+            yield (), "the test has no damping ratios: leave this out"
+            return
         weights = self.weights(given.test.numbers)
-        found: list[tuple[Place, str]] = [
-            (("weight",), f"mode {number} has the damping ratio {ratio:g}, which must be above "
-             "zero: give it weight 0")
-            for number, ratio in zip(given.test.numbers, ratios.tolist(), strict=True)
-            if ratio <= 0.0 and weights[number]
-        ]  # fmt: skip
-        said = given.deck.undamped()
-        return [*found, *([((), said)] if said else [])]
+        for number, ratio in zip(given.test.numbers, ratios.tolist(), strict=True):
+            if ratio <= 0.0 and weights[number]:
+                said = f"mode {number} has the damping ratio {ratio:g}, which must be above zero"
+                yield ("weight",), f"{said}: give it weight 0"
+        if said := given.deck.undamped():
+            yield (), said

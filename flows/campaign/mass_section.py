@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from pydantic import model_validator
 
@@ -112,14 +113,10 @@ class MassSection(ResponseSection):
     def counts(self) -> bool:
         return any(item.weight for item in self.targets.values())
 
-    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        if given.deck.mesh().nodes.size:
-            return []
-        return [
-            ((name,), "the model has no places, and so a mass alone: leave this out")
-            for name in self.targets
-            if name != "mass"
-        ]
+    def problems(self, given: TestedModel) -> Iterator[tuple[Place, str]]:
+        for name in self.targets:
+            if name != "mass" and not given.deck.mesh().nodes.size:
+                yield (name,), "the model has no places, and so a mass alone: leave this out"
 
     def response(self, given: TestedModel) -> MassResponse:
         targets = {name: self.targets[name] for name in MASS_QUANTITIES if name in self.targets}

@@ -91,7 +91,7 @@ class ResidualSection(Section):
         """Why these kinds do not fit a test and a model, each with file and line."""
         found = []
         for kind, section in self.kinds.items():
-            said = section.problems(given)
+            said = list(section.problems(given))
             if "matrices" in section.response(given).needs:
                 if not solver.program.capabilities.matrices:
                     name = solver.program.name

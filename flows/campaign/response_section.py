@@ -34,9 +34,9 @@ class ResponseSection(Section):
     def response(self, given: TestedModel) -> Response:
         """The kind as a test and a model have it, without what `problems` tells of."""
 
-    def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
+    def problems(self, given: TestedModel) -> Iterable[tuple[Place, str]]:
         """Why some of it cannot be compared, each with its place below the section."""
-        return []
+        return ()
 
 
 class ModewiseSection(ResponseSection):

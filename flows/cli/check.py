@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
+from modetune.core.errors import CampaignError
+from modetune.core.near_names import named
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import (
     AsJson,
     ModelPath,
@@ -20,13 +23,11 @@ from modetune.flows.cli.options import (
     stoppable,
     with_model,
 )
-from modetune.flows.report.tables import json_object
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.report.ci_files import CheckOutcome
-    from modetune.flows.report.tables import Table
     from modetune.flows.studies.check.findings import Finding
     from modetune.flows.studies.check.judging import PreCheckReport
     from modetune.flows.studies.check.model import ModelFacts
@@ -81,8 +82,6 @@ def check(
     changed = with_model(settings, solver, units)
     if against is not None or record is not None:
         if no_run and record is None:
-            from modetune.core.errors import CampaignError
-
             raise CampaignError("--against needs a solver run; with --record nothing is run")
         bands = frequency_band, mac_band
         with stoppable():
@@ -93,8 +92,6 @@ def check(
         if as_json:
             typer.echo(json.dumps(_told_check(found, state, bands)))
         else:
-            from modetune.flows.report.tables import show
-
             show([_comparison_table(found), *found.remarks, _comparison_end(found)])
         raise typer.Exit(0 if found.within else 3)
     with begun(f"reading {campaign_file}"):
@@ -158,7 +155,6 @@ def _show(campaign: Campaign, report: PreCheckReport) -> None:
     from rich.text import Text
 
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.report.tables import show
 
     console = terminal()
     model = campaign.case.solver.deck.summary
@@ -189,7 +185,6 @@ def _sizes(campaign: Campaign) -> list[str]:
 
 
 def _tables(report: PreCheckReport) -> list[Table]:
-    from modetune.flows.report.tables import table_of
     from modetune.flows.studies.check.pairing import ModePreview
 
     modes = table_of("Modes before updating", report.modes, ModePreview)
@@ -207,8 +202,6 @@ def _end(report: PreCheckReport) -> str:
 
 
 def _energy_table(report: PreCheckReport) -> Table:
-    from modetune.flows.report.tables import Column, Table
-
     columns = [Column("parameter", words=True)]
     columns += [Column(f"mode {mode.mode}", form=".1f") for mode in report.modes]
     rows = tuple((item.parameter, *(100.0 * item.shares)) for item in report.shares)
@@ -225,8 +218,6 @@ def compared(
     no_prefect: bool = True,
 ) -> tuple[Campaign, BaselineCheck]:
     """A campaign, and its model beside a baseline's, or that of a record."""
-    from modetune.core.errors import CampaignError
-    from modetune.core.near_names import named
     from modetune.flows.campaign.campaign import load_campaign
     from modetune.flows.updating.baseline import Band, State, check_deck, check_record
 
@@ -246,7 +237,6 @@ def compared(
 
 
 def _comparison_table(found: BaselineCheck) -> Table:
-    from modetune.flows.report.tables import table_of
     from modetune.flows.updating.baseline import ModeCheck
 
     outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
@@ -271,7 +261,6 @@ def outcome_of_comparison(name: str, found: BaselineCheck) -> CheckOutcome:
 def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
     """What the pre-check found, for CI: only what is wrong fails."""
     from modetune.flows.report.ci_files import CheckOutcome, Judged
-    from modetune.flows.report.tables import table_of
     from modetune.flows.studies.check.pairing import ModePreview
 
     said = [(item.subject, item.level, _finding(item)) for item in report.findings]

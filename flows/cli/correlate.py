@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
+from modetune.core.errors import CampaignError
+from modetune.core.near_names import listed, named
+from modetune.core.storage.files import writing
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.options import (
     AsJson,
@@ -24,7 +28,6 @@ from modetune.flows.cli.options import (
 from modetune.flows.report.tables import Column, Table, frame, json_object, table_of
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.studies.correlate.correlate import Correlation, Orthogonality
 
 #: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
@@ -81,8 +84,6 @@ def correlate(
     can be compared; a test stands first beside a model.
     """
     with begun(f"comparing {first}{f' with {second}' if second else ''}"):
-        from modetune.core.errors import CampaignError
-        from modetune.core.near_names import named
         from modetune.flows.studies.correlate.figures import correlation_charts
         from modetune.flows.studies.correlate.sides import (
             METHODS,
@@ -220,8 +221,6 @@ def _write(found: Correlation, out: Path) -> list[Path]:
 
 
 def _write_csv(path: Path, rows: Sequence[ComparedPair | ComparedSensor], kind: type) -> Path:
-    from modetune.core.storage.files import writing
-
     with writing(path) as part:
         frame(rows, kind).to_csv(part, index=False, lineterminator="\n")
     return path
@@ -240,7 +239,6 @@ def _tables(found: Correlation) -> list[Table]:
 
 def _lines(found: Correlation) -> list[str]:
     from modetune.core.modes import dof_name
-    from modetune.core.near_names import listed
 
     lines = (
         [f"{len(found.dofs)} common degree{'' if len(found.dofs) == 1 else 's'} of freedom"]

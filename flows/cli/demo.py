@@ -12,8 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.errors import CampaignError
+from modetune.core.near_names import suggestion
+from modetune.core.storage.files import check_writable
 from modetune.flows.cli.options import AsJson, begun, stoppable
-from modetune.flows.cli.update import run_update, show
+from modetune.flows.cli.update import run_update
+from modetune.flows.cli.update import show as show_update
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.configs.claims import Beside, Claim
@@ -37,10 +42,6 @@ def demo(
     """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
     with begun(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
-        from modetune.core.errors import CampaignError
-        from modetune.core.near_names import suggestion
-        from modetune.core.storage.files import check_writable
-        from modetune.flows.report.tables import json_object
         from modetune.flows.updating.recording import summary
 
         if case not in DEMOS:
@@ -61,7 +62,7 @@ def demo(
             )
         )
     else:
-        show(run)
+        show_update(run)
         _show(found)
     holds = all(claim.holds for claim in found.claims)
     raise typer.Exit(0 if run.record.status == "converged" and holds else 3)
@@ -142,8 +143,6 @@ def _figures(result: Outcome, folder: Path) -> list[Path]:
 
 
 def _show(found: CaseVerdict) -> None:
-    from modetune.flows.report.tables import Column, Table, show, table_of
-
     for item in found.tables:
         columns = tuple(
             Column(heading, words=place == 0) for place, heading in enumerate(item.headings)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.studies.condensation.direct import DirectCorrection
 
 

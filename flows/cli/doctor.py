@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
+from modetune.core.near_names import named
+from modetune.core.storage.files import writing
 from modetune.flows.cli.options import AsJson, stoppable
 
 if TYPE_CHECKING:
@@ -41,8 +43,6 @@ def doctor(
     A commercial solver is tried only when named, for it takes a licence. What it passes is noted,
     and `auto` uses it from then on. Ends with 4 where something failed.
     """
-    from modetune.core.near_names import named
-    from modetune.core.storage.files import writing
     from modetune.flows.campaign.schema import NastranDialect
     from modetune.flows.campaign.terminal import terminal
     from modetune.flows.studies.doctor.doctor import run_doctor

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import typer
 
 from modetune.core.storage.files import writing
+from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Table, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.text import Text
 
-    from modetune.core.storage.keys import Json
     from modetune.flows.report.chart import Chart
     from modetune.flows.updating.prefect import Pages
 

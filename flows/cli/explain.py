@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.errors import CampaignError
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import AsJson, StorePlace, store_and_campaign
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.jobs.explain import AskedJob, Nearest
     from modetune.flows.updating.lookup import Explanation
 
@@ -29,7 +30,6 @@ def explain(
     as_json: AsJson = False,
 ) -> None:
     """Tell what a job is, what became of it, and in what it differs from the nearest result."""
-    from modetune.core.errors import CampaignError
     from modetune.flows.updating.lookup import explain_job, key_start
 
     start = key_start(job)

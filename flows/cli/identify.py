@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.errors import CampaignError
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
 from modetune.flows.report.tables import Column, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.core.measurement.measurement import Measurement
     from modetune.core.measurement.time_histories import TimeHistories
-    from modetune.core.storage.keys import Json
     from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
     from modetune.flows.studies.identify.operational import OperationalModes
 
@@ -67,7 +68,6 @@ def identify(
         begun(f"reading {names}") as tell,
     ):
         from modetune.adapters.test_files.writing import check_out
-        from modetune.core.errors import CampaignError
         from modetune.flows.studies.identify.files import write_modes
         from modetune.flows.studies.identify.identify import identify as identify_modes
         from modetune.flows.studies.identify.reading import read_functions, spectra_settings
@@ -141,7 +141,6 @@ def _operational(
 def _settings(
     band: tuple[float, float] | None, order: int, pick: str | None, criteria: str
 ) -> IdentificationSettings:
-    from modetune.core.errors import CampaignError
     from modetune.core.measurement.stabilisation import Criteria
     from modetune.flows.studies.identify.identify import IdentificationSettings
 
@@ -215,8 +214,6 @@ def _lines(found: Identification, notes: tuple[str, ...]) -> list[str]:
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:
-    from modetune.core.errors import CampaignError
-
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:

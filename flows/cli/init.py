@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.near_names import listed
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import (
     AsJson,
     SolverChoice,
@@ -20,7 +21,6 @@ from modetune.flows.cli.options import (
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.studies.init.draft import Draft
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from modetune.core.errors import CampaignError
 from modetune.flows.cli.options import AsJson
 from modetune.flows.report.tables import Column, json_object, show, table_of
 
@@ -69,7 +70,6 @@ def inspect(
 
 def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path]:
     from modetune.adapters.test_files.writing import write_test
-    from modetune.core.errors import CampaignError
 
     if measurement.is_empty:
         raise CampaignError([f"nothing of the files can be written to {path}", *measurement.notes])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import CampaignOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
@@ -16,7 +17,6 @@ from modetune.flows.report.tables import Column, Table, json_object, table_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from modetune.core.storage.keys import Json
     from modetune.core.updating.localisation import Removal
     from modetune.flows.report.chart import Chart
     from modetune.flows.studies.localise.error_maps import ErrorMaps

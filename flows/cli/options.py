@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.core.errors import CampaignStopped
+from modetune.core.errors import CampaignError, CampaignStopped
 
 if TYPE_CHECKING:
     from modetune.core.storage.store import Store
@@ -74,7 +74,6 @@ StorePlace = Annotated[
 
 def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
     """The store that was named, by its folder or by a campaign. Raises CampaignError."""
-    from modetune.core.errors import CampaignError
     from modetune.core.storage.store import Store
 
     place = given or Path(os.environ.get("MODETUNE_STORE") or ".modetune/store")

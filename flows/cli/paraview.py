@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.errors import CampaignError
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import AsJson, Settings, stoppable
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.studies.paraview.paraview import Series
 
 
@@ -38,7 +39,6 @@ def paraview(
     as_json: AsJson = False,
 ) -> None:
     """Write mode shapes on the whole mesh, before and after updating, for ParaView."""
-    from modetune.core.errors import CampaignError
     from modetune.flows.studies.paraview.paraview import (
         open_source,
         states_of,

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from modetune.core.near_names import named
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import AsJson, NoPrefect, Settings, begun, paged, stoppable
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 
 if TYPE_CHECKING:
     from modetune.core.planning.placement import Quality
-    from modetune.core.storage.keys import Json
-    from modetune.flows.report.tables import Table
     from modetune.flows.studies.pretest.running import Pretest
 
 
@@ -62,7 +63,6 @@ def pretest(
 ) -> None:
     """Choose places for sensors and exciters from the model alone, before there is a test."""
     with begun(f"reading {campaign_file}") as tell:
-        from modetune.core.near_names import named
         from modetune.flows.studies.pretest.candidates import Directions
         from modetune.flows.studies.pretest.settings import (
             Method,
@@ -133,7 +133,6 @@ def told_pretest(
     found: Pretest, out: Path | None = None, picture: Path | None = None
 ) -> dict[str, Json]:
     """The `--json` object of `modetune pretest`."""
-    from modetune.flows.report.tables import json_object
     from modetune.flows.studies.pretest.file import sensor_dofs
 
     return json_object(
@@ -170,8 +169,6 @@ def told_pretest(
 
 
 def _told_quality(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]:
-    from modetune.flows.report.tables import json_object
-
     return json_object(
         quality,
         "auto_mac condition determinant efficiency",
@@ -181,8 +178,6 @@ def _told_quality(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]
 
 
 def _show(found: Pretest) -> None:
-    from modetune.flows.report.tables import show
-
     sensors, *others = _tables(found)
     held = ", ".join(f"{item.node} ({100 * item.share:.0f} %)" for item in found.suspension)
     suspension = [f"moves least, for a suspension: nodes {held}"] if held else []
@@ -191,7 +186,6 @@ def _show(found: Pretest) -> None:
 
 
 def _tables(found: Pretest) -> list[Table]:
-    from modetune.flows.report.tables import table_of
     from modetune.flows.studies.pretest.information import Knowledge
 
     title = "Standard deviations of the parameters"
@@ -218,8 +212,6 @@ def quality_lines(found: Pretest) -> list[str]:
 
 
 def _sensor_table(found: Pretest) -> Table:
-    from modetune.flows.report.tables import Column, Table
-
     columns = (
         Column("sensor"),
         Column("node"),
@@ -244,8 +236,6 @@ def _words(found: Pretest) -> str:
 
 
 def _exciter_table(found: Pretest) -> Table:
-    from modetune.flows.report.tables import Column, Table
-
     known = any(item.rigid_kg is not None for item in found.exciters)
     columns = (
         Column("node"),

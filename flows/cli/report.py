@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from modetune.core.near_names import named
 from modetune.flows.cli.options import AsJson, begun
 from modetune.flows.report.tables import json_object
 
@@ -25,7 +26,6 @@ def report(
 ) -> None:
     """Draw a campaign's report: one HTML file that needs no network, and pictures if asked for."""
     with begun(f"reading {record}") as tell:
-        from modetune.core.near_names import named
         from modetune.core.storage.record_file import read_record
         from modetune.flows.report.page import write_page
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from modetune.core.storage.files import writing
+
 
 def schema(
     out: Annotated[
@@ -14,7 +16,6 @@ def schema(
     ] = None,
 ) -> None:
     """Tell the JSON schema of campaign files, by which editors complete and check them."""
-    from modetune.core.storage.files import writing
     from modetune.flows.campaign.json_schema import schema_text
 
     text = schema_text()

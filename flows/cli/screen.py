@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from modetune.core.near_names import named
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import Opened, RunOptions, study
 
@@ -39,7 +40,6 @@ def screen(
     Leaves screening.h5 in the campaign's run folder, and with --json screening.json. The same
     screening again starts no solver.
     """
-    from modetune.core.near_names import named
     from modetune.flows.studies.screen.design import METHODS
     from modetune.flows.studies.screen.figures import screening_charts
     from modetune.flows.studies.screen.proposal import check_out, write_proposal

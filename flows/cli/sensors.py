@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import AsJson, CampaignPath, Settings, begun
 from modetune.flows.report.tables import Column, Table, json_object, show
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.campaign.mapping import Mapping, SensorRow
 
 #: Sensors in the table: nobody reads more, and a terminal takes minutes to lay them out.

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.errors import CampaignError, StoreDamaged
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import AsJson, StorePlace, stoppable, store_and_campaign
 from modetune.flows.report.tables import Column, show, table_of
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.jobs.store_files import StoreFile
     from modetune.flows.jobs.store_index import IndexedEntry, Order
 
@@ -140,7 +141,6 @@ def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
 
     Exit code 5 where one was damaged.
     """
-    from modetune.core.errors import StoreDamaged
     from modetune.flows.jobs.store_files import check
 
     place, _ = store_and_campaign(store)
@@ -200,7 +200,6 @@ def store_forget(
     as_json: AsJson = False,
 ) -> None:
     """Remove one job's result and folders; it is computed again when it is needed."""
-    from modetune.core.errors import CampaignError
     from modetune.flows.jobs.store_files import files_of, remove
     from modetune.flows.updating.lookup import key_start, one_key
 
@@ -245,8 +244,6 @@ def _shown(value: float, units: Mapping[str, float], form: str = ".4g") -> str:
 
 
 def _measure(text: str, units: Mapping[str, float], what: str, example: str) -> float:
-    from modetune.core.errors import CampaignError
-
     match = re.fullmatch(r"(\d+(?:\.\d+)?) ?([A-Za-z]+)", text.strip(), re.ASCII)
     by_name = {unit.lower(): value for unit, value in units.items()}
     if match is None or match[2].lower() not in by_name:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from typer.models import ArgumentInfo
 
+from modetune.core.storage.files import check_writable
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.options import (
     AsJson,
@@ -142,8 +143,6 @@ class RunOptions(CampaignOptions):
     runs: Runs = Path("runs")
 
     def folder_of(self, campaign: Campaign) -> Path:
-        from modetune.core.storage.files import check_writable
-
         folder = self.runs / campaign.name
         check_writable(folder, "name another place for run folders with --runs")
         return folder

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.explain import SHORT, nearest_line, told_job
 from modetune.flows.cli.options import (
     AsJson,
@@ -25,7 +26,6 @@ from modetune.flows.cli.options import (
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
-    from modetune.core.storage.keys import Json
     from modetune.flows.updating.dry_run import DryRun, PlannedJob
     from modetune.flows.updating.forecast import Forecast
     from modetune.flows.updating.run import CampaignRun

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import (
     AsJson,
     CampaignPath,
@@ -16,12 +17,11 @@ from modetune.flows.cli.options import (
     paged,
     stoppable,
 )
+from modetune.flows.report.tables import OUTSIDE, Column, Table, json_object, show
 
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from modetune.core.storage.keys import Json
-    from modetune.flows.report.tables import Table
     from modetune.flows.studies.validate.leave_out import Validation
 
 
@@ -43,7 +43,6 @@ def validate(
     with begun(f"reading {campaign_file}"):
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.report.held_out_tables import held_out_table
-        from modetune.flows.report.tables import show
         from modetune.flows.studies.validate.leave_out import leave_one_out
         from modetune.flows.studies.validate.leave_out import validate as by_held_out
 
@@ -68,7 +67,6 @@ def validate(
 def told(found: Validation, one_out: bool) -> dict[str, Json]:
     """The `--json` object of `modetune validate`."""
     from modetune.flows.report.held_out_tables import held_out_rows
-    from modetune.flows.report.tables import json_object
 
     spread = zip(found.parameters, *found.spread, strict=True)
     return json_object(
@@ -96,7 +94,6 @@ def _parts(found: Validation) -> list[Table | Text | str]:
     """What was found, for people."""
     from rich.text import Text
 
-    from modetune.flows.report.tables import OUTSIDE, Column, Table
     from modetune.flows.updating.display import held_out_parts
 
     parts: list[Table | Text | str] = [*held_out_parts(found.held_out)]

@@ -60,14 +60,13 @@ class ComplexShapes:
         measured = state.pairing.measured
         away = np.array([u * np.vdot(u, v) - v for u, v, _ in self._units(state)])
         n = self.shapes.shape[0]
-        numbers = [state.test.numbers[place] for place in measured.tolist()]
         far = (np.abs(away) ** 2).sum(axis=1) ** 2
         return residual_of(
             self.kind,
-            [f"complex shape of mode {number}" for number in numbers],
+            [f"complex shape of mode {number}" for number in state.numbers],
             np.full(measured.size, 2 * n),
             np.hstack([away.real, away.imag]).ravel(),
-            np.repeat([self.weights[number] for number in numbers], 2 * n),
+            np.repeat([self.weights[number] for number in state.numbers], 2 * n),
             np.full(measured.size * 2 * n, self.deviation**2 / n),
             unknown=np.repeat(far / n, 2 * n),
             scaled=True,

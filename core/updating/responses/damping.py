@@ -44,13 +44,12 @@ class DampingRatios:
     def residual(self, state: ModelState) -> Residual:
         pairs = state.pairing.measured
         measured = state.test.modes.damping_ratios[pairs]
-        numbers = [state.test.numbers[place] for place in pairs.tolist()]
         return residual_of(
             self.kind,
-            [f"damping of mode {number}" for number in numbers],
+            [f"damping of mode {number}" for number in state.numbers],
             None,
             measured - self.pairs.of(state).modes.damping_ratios,
-            np.array([self.weights[number] for number in numbers]),
+            np.array([self.weights[number] for number in state.numbers]),
             self.covariance[np.ix_(pairs, pairs)]
             if self.covariance.size
             else (self.deviation * np.where(measured > 0.0, measured, 1.0)) ** 2,

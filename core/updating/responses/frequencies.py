@@ -34,7 +34,7 @@ class Frequencies:
         measured, computed = state.pairing.measured, state.pairing.computed
         own = state.weighting.modes(measured)
         lam_m = state.test.modes.eigenvalues[measured]
-        names = [f"frequency of mode {state.test.numbers[place]}" for place in measured.tolist()]
+        names = [f"frequency of mode {number}" for number in state.numbers]
         values = (lam_m - state.seen.eigenvalues[computed]) / lam_m
         noise = 4.0 * own.frequency_covariance
         return residual_of(self.kind, names, None, values, own.frequency_weights, noise)

@@ -53,21 +53,20 @@ class Mac:
 
     def residual(self, state: ModelState) -> Residual:
         measured = state.pairing.measured
-        numbers = [state.test.numbers[place] for place in measured.tolist()]
         q = np.zeros(measured.size)
         for cluster in clusters(state):
             q[cluster.pairs] = np.sum(cluster.away**2) / cluster.pairs.size
         by_shape = state.weighting.shape_deviations[measured]
         if self.quantity == "one_minus_mac":
             by_shape = by_shape**2
-        given = np.array([self.deviations.get(number, np.nan) for number in numbers])
+        given = np.array([self.deviations.get(number, np.nan) for number in state.numbers])
         root = self.quantity == "root"
         return residual_of(
             self.kind,
-            [f"MAC of mode {number}" for number in numbers],
+            [f"MAC of mode {number}" for number in state.numbers],
             None,
             -np.sqrt(q) if root else -q,
-            np.array([self.weights.get(number, 0.0) for number in numbers]),
+            np.array([self.weights.get(number, 0.0) for number in state.numbers]),
             np.asarray(np.where(np.isfinite(given), given, by_shape) ** 2, dtype=np.float64),
             unknown=q**2 if root else None,
         )

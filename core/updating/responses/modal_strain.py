@@ -101,12 +101,10 @@ class ModalStrain:
 
     def _pairs(self, state: ModelState) -> Integers:
         """Positions of the pairs whose strains were measured."""
-        numbers = [state.test.numbers[place] for place in state.pairing.measured.tolist()]
-        return np.flatnonzero([number in self.measured for number in numbers])
+        return np.flatnonzero([number in self.measured for number in state.numbers])
 
     def _numbers(self, state: ModelState) -> list[int]:
-        measured = state.pairing.measured[self._pairs(state)]
-        return [state.test.numbers[place] for place in measured.tolist()]
+        return [number for number in state.numbers if number in self.measured]
 
     def _measured(self, state: ModelState) -> Floats:
         """(n_gauges, n_pairs)."""

@@ -84,6 +84,11 @@ class ModelState:
     matrices: MatricesAt | None = None
     mesh: Mesh | None = None
 
+    @property
+    def numbers(self) -> list[int]:
+        """The test's numbers of the pairs."""
+        return [self.test.numbers[place] for place in self.pairing.measured.tolist()]
+
 
 @dataclass(frozen=True, slots=True)
 class StateDerivatives:

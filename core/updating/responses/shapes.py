@@ -61,7 +61,7 @@ class Shapes:
             spread[cluster.pairs] = (float(np.sum(away**2)) / cluster.pairs.size) ** 2 * shares
         return residual_of(
             self.kind,
-            [f"shape of mode {state.test.numbers[place]}" for place in measured.tolist()],
+            [f"shape of mode {number}" for number in state.numbers],
             np.full(measured.size, sensors.size),
             shapes.ravel(),
             np.outer(own.shape_weights, state.weighting.sensor_weights[sensors]).ravel(),

@@ -52,8 +52,6 @@ def write_files(
             frames=np.array(
                 [mesh.frames.get(node, np.eye(3)) for node in mesh.nodes[nodes].tolist()]
             ).reshape(-1, 3, 3),
-            lines=np.zeros((0, 2), dtype=np.int64),
-            faces=np.zeros((0, 3), dtype=np.int64),
             metres=METRES[campaign.case.units],
         )
         said = (f"modetune expand: {found.sentence}",)

@@ -56,8 +56,6 @@ def write_sensor_file(path: Path, pretest: Pretest, units: Units) -> None:
         nodes=np.array([item.node for item in found], dtype=np.int64),
         coordinates=np.array([item.place for item in found]),
         frames=np.array([_axes(item) for item in found]),
-        lines=np.zeros((0, 2), dtype=np.int64),
-        faces=np.zeros((0, 3), dtype=np.int64),
         metres=METRES[units],
     )
     write_geometry_csv(path, geometry, comment)
