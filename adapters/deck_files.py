@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from modetune.adapters.regular_file import largest, read_regular
+from modetune.adapters.regular_file import largest, read_errors, read_regular
 from modetune.core.errors import ModelError
 from modetune.core.storage.files import writing
 
@@ -64,10 +64,8 @@ Renamed = Callable[[Sequence[Line], Path, Path], list[str]]
 
 def read_text(path: Path) -> str:
     """The text of a deck file, bytes that are not UTF-8 kept. Raises ModelError."""
-    try:
+    with read_errors(path, ModelError):
         data = read_regular(path)
-    except OSError as error:
-        raise ModelError(f"{path} cannot be read: {error.strerror}") from error
     if b"\0" in data:
         number = data.count(b"\n", 0, data.index(b"\0")) + 1
         raise ModelError(f"{path}, line {number}: not a text file, it holds zero bytes")

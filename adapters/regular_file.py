@@ -9,6 +9,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,6 +29,15 @@ def open_regular(path: Path) -> BinaryIO:
         said = os.strerror(errno.EISDIR) if stat.S_ISDIR(kind) else "it is a pipe or a device"
         raise OSError(number, f"{said}, and a regular file is needed", str(path))
     return os.fdopen(handle, "rb")
+
+
+@contextmanager
+def read_errors(path: Path | str, kind: Callable[[str], Exception]) -> Iterator[None]:
+    """Tell as an error of this kind that a file cannot be read; path: what people call it."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def read_regular(path: Path, most: int | None = None) -> bytes:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.regular_file import open_regular
+from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 
 
@@ -21,7 +21,7 @@ def read_frd(path: Path) -> ModeSet:
     shapes: list[dict[int, list[float]]] = []
     inside = closed = modal = False
     frequency = 0.0
-    try:
+    with read_errors("it", ValueError):
         with open_regular(path) as file, io.TextIOWrapper(file, encoding="latin-1") as source:
             for number, line in enumerate(source, start=1):
                 try:
@@ -40,8 +40,6 @@ def read_frd(path: Path) -> ModeSet:
                     closed = line.strip() == "9999"
                 except ValueError as error:
                     raise ValueError(f"line {number}: {error}") from error
-    except OSError as error:
-        raise ValueError(f"it cannot be read: {error.strerror}") from error
     if not shapes or not closed:
         said = "ends before its closing line" if shapes else "holds no displacements of modes"
         raise ValueError(f"it {said}")
@@ -63,7 +61,7 @@ def read_frd_points(path: Path) -> tuple[Integers, Floats]:
     nodes: list[int] = []
     places: list[list[float]] = []
     inside = False
-    try:
+    with read_errors("it", ValueError):
         with open_regular(path) as file, io.TextIOWrapper(file, encoding="latin-1") as source:
             for number, line in enumerate(source, start=1):
                 try:
@@ -75,6 +73,4 @@ def read_frd_points(path: Path) -> tuple[Integers, Floats]:
                     inside = inside or line.startswith("    2C")
                 except ValueError as error:
                     raise ValueError(f"line {number}: {error}") from error
-    except OSError as error:
-        raise ValueError(f"it cannot be read: {error.strerror}") from error
     return np.array(nodes, dtype=np.int64), np.array(places).reshape(-1, 3)

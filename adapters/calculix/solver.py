@@ -47,7 +47,7 @@ from modetune.adapters.cross_checks import check_energies, mark_of, without_spar
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.numbers import Number
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
-from modetune.adapters.regular_file import read_regular
+from modetune.adapters.regular_file import read_errors, read_regular
 from modetune.adapters.solver import (
     AffectedElements,
     Analysis,
@@ -376,10 +376,8 @@ def in_frames(modes: ModeSet, frames: Mapping[int, Floats]) -> ModeSet:
 
 def _node_set(folder: Path) -> str:
     """What a job calls the nodes whose shapes it wants. Raises NoResult where its deck is gone."""
-    try:
+    with read_errors(f"{folder / JOB}.inp", NoResult):
         text = read_regular(folder / f"{JOB}.inp").decode("utf-8", "surrogateescape")
-    except OSError as error:
-        raise NoResult(f"{folder / JOB}.inp cannot be read: {error.strerror}") from error
     return text[text.rfind(NODES) :].partition(",")[0]
 
 

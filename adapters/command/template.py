@@ -24,7 +24,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from modetune.adapters.command.settings import CommandSettings, NumberRule
-from modetune.adapters.regular_file import read_regular
+from modetune.adapters.regular_file import read_errors, read_regular
 from modetune.core.errors import ModelError
 
 #: The placeholder that is no parameter's, and what it is in a deck that nobody asks anything of.
@@ -151,10 +151,8 @@ def read_template(deck: Path, settings: CommandSettings) -> Template:
     files = []
     for name in ("", *settings.inputs):
         path = deck.parent / name if name else deck
-        try:
+        with read_errors(path, ModelError):
             text = read_regular(path).decode("utf-8", "surrogateescape")
-        except OSError as error:
-            raise ModelError(f"{path} cannot be read: {error.strerror}") from error
         spots = _placeholders(path, text, settings.delimiters, problems)
         for rule in settings.edits:
             if (rule.file or "") in (name, name or deck.name):

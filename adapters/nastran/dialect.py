@@ -15,6 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+from modetune.adapters.regular_file import read_errors
 from modetune.adapters.solver import Capabilities
 from modetune.core.errors import SolverMissing
 
@@ -94,11 +95,9 @@ def _digest(program: Path, size: int, modified_ns: int) -> str:
 
 def program_version(program: Path) -> str:
     """Name of a program's file and the first 12 digits of its SHA-256. Raises SolverMissing."""
-    try:
+    with read_errors(f"the program {program}", SolverMissing):
         status = program.stat()
         digest = _digest(program, status.st_size, status.st_mtime_ns)
-    except OSError as error:
-        raise SolverMissing(f"the program {program} cannot be read: {error.strerror}") from error
     return f"{program.name} {digest[:12]}"
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from modetune.adapters.nastran.eigenvectors import GridShape, shape_matrix
 from modetune.adapters.nastran.number import read_number
-from modetune.adapters.regular_file import open_regular
+from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.core.modes import ModeSet, mode_set
 
 EIGENVALUE = re.compile(r"\$EIGENVALUE\s*=\s*(\S+)\s+MODE\s*=\s*(\d+)")
@@ -37,11 +37,9 @@ def read_punch(path: Path) -> ModeSet:
     shapes: dict[int, list[tuple[int, str, list[float]]]] = {}
     eigenvalues: dict[int, float] = {}
     mode, reading = 0, False
-    try:
+    with read_errors("it", ValueError):
         with open_regular(path) as file, io.TextIOWrapper(file, encoding="latin-1") as source:
             lines = [line.rstrip("\r\n") for line in source]
-    except OSError as error:
-        raise ValueError(f"it cannot be read: {error.strerror}") from error
     for number, line in enumerate(lines, start=1):
         try:
             if line.startswith("$"):

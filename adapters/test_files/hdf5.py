@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from modetune.adapters.regular_file import largest, read_regular
+from modetune.adapters.regular_file import largest, read_errors, read_regular
 from modetune.adapters.test_files.kinds import OWN_TITLE
 from modetune.core.errors import CampaignError, ModesError, StoreDamaged
 from modetune.core.measurement.measurement import (
@@ -98,10 +98,8 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
 
 def read_test_hdf5(path: Path) -> Measurement:
     """Read a test. Raises CampaignError where the file is damaged or of another form."""
-    try:
+    with read_errors(f"test file {path}", CampaignError):
         data = read_regular(path, largest(0.5))
-    except OSError as error:
-        raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
     if title_of(data) != FORMAT:
         raise CampaignError(
             f"test file {path} is not a test that modetune wrote as HDF5; write one with "

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from modetune.adapters.regular_file import open_regular
+from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import listed
 from modetune.core.storage.seal import title_of
@@ -82,11 +82,8 @@ class FileKind:
 
 def kind_of(path: Path) -> FileKind:
     """What a file is. Raises CampaignError where it cannot be opened."""
-    try:
-        with open_regular(path) as file:
-            start = file.read(START)
-    except OSError as error:
-        raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
+    with read_errors(f"test file {path}", CampaignError), open_regular(path) as file:
+        start = file.read(START)
     if not start:
         return FileKind("", "an empty file", "copy or export it again")
     return _binary(path, start) or _text(start)

@@ -15,7 +15,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from modetune.adapters.regular_file import largest, open_regular, read_regular
+from modetune.adapters.regular_file import largest, open_regular, read_errors, read_regular
 from modetune.core.errors import CampaignError
 
 SEPARATORS = (";", "\t", ",")
@@ -78,12 +78,10 @@ class FileTable:
 
 def read_tables(path: Path) -> list[FileTable]:
     """The tables of a file: one of a text, one a sheet. Raises CampaignError."""
-    try:
+    with read_errors(f"test file {path}", CampaignError):
         with open_regular(path) as file:
             zipped = file.read(4) == b"PK\x03\x04"
         tables = _sheets(path) if zipped else [_text_table(path, read_regular(path))]
-    except OSError as error:
-        raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
     for table in tables:
         _check_marks(table)
     return tables

@@ -15,7 +15,7 @@ from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from modetune.adapters.regular_file import open_regular
+from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.adapters.solver import Solver
 from modetune.core.errors import ModelError
 from modetune.core.near_names import suggestion
@@ -118,14 +118,12 @@ SOLVERS: dict[str, Callable[[ModelSection, Path, tuple[Parameter, ...]], Solver]
 
 def is_nastran(deck: Path) -> bool:
     """Whether a deck is Nastran's: its first line of content is not a CalculiX keyword."""
-    try:
-        with (
-            open_regular(deck) as file,
-            io.TextIOWrapper(file, encoding="utf-8", errors="replace") as lines,
-        ):
-            first = next((line for line in lines if line.strip()), "")
-    except OSError as error:
-        raise ModelError(f"{deck} cannot be read: {error.strerror}") from error
+    with (
+        read_errors(deck, ModelError),
+        open_regular(deck) as file,
+        io.TextIOWrapper(file, encoding="utf-8", errors="replace") as lines,
+    ):
+        first = next((line for line in lines if line.strip()), "")
     if not first:
         raise ModelError(f"{deck} is empty; a deck was expected")
     return NASTRAN_START.match(first) is not None

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from modetune.adapters.regular_file import read_regular
+from modetune.adapters.regular_file import read_errors, read_regular
 from modetune.core.errors import CampaignError
 
 _MARK = re.compile(rb"^ {4}-1[ \t]*\r?(?:\n|\Z)", re.MULTILINE)
@@ -82,10 +82,8 @@ def _blocks(path: Path, data: bytes) -> tuple[DatasetBlock, ...]:
 
 def read_file(path: Path) -> bytes:
     """A test file's bytes. Raises CampaignError where it cannot be read or is empty."""
-    try:
+    with read_errors(f"test file {path}", CampaignError):
         data = read_regular(path)
-    except OSError as error:
-        raise CampaignError(f"test file {path} cannot be read: {error.strerror}") from error
     if not data.strip():
         raise CampaignError(f"test file {path} is empty")
     return data.removeprefix(b"\xef\xbb\xbf")  # what some editors put before UTF-8

@@ -45,6 +45,7 @@ def at(theta: Any, shapes: Any) -> tuple[ComplexShapes, Any]:
     test = MeasuredModes((1, 2, 3), mode_set(hz, np.zeros((0, 3)), (), (), np.full(3, 0.01)))
     state: Any = SimpleNamespace(
         test=test,
+        numbers=[1, 2, 3],
         pairing=SimpleNamespace(measured=np.arange(3), computed=np.arange(3)),
         modal=SimpleNamespace(n_rigid=0),
         matrices=MatricesAt(MODEL, np.asarray(theta)),
