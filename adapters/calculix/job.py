@@ -118,9 +118,7 @@ def _wrapped(words: Iterable[str]) -> list[str]:
     return [", ".join(entries[i : i + 16]) for i in range(0, len(entries), 16)]
 
 
-def _split(
-    model: CalculixModel,
-) -> tuple[list[int], list[str], KeywordCard | None, list[str]]:
+def _split(model: CalculixModel) -> tuple[list[int], list[str], KeywordCard | None, list[str]]:
     """Positions of the lines before the frequency step; its *FREQUENCY, and around it what stays.
 
     Raises ModelError.

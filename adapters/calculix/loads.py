@@ -13,12 +13,7 @@ from collections.abc import Iterator
 
 from modetune.adapters.calculix.constraints import node_sets, read_constraints, set_members
 from modetune.adapters.calculix.deck import KeywordCard
-from modetune.adapters.calculix.element_loads import (
-    ON_MASS,
-    SUPPORTED,
-    SpreadLoad,
-    spread_forces,
-)
+from modetune.adapters.calculix.element_loads import ON_MASS, SUPPORTED, SpreadLoad, spread_forces
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh

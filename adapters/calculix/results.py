@@ -152,11 +152,7 @@ def _one_table(
 
 
 def _modal_result(
-    eigenvalues: Floats,
-    modes: list[str],
-    analysis: ModalAnalysis,
-    point_mass: float,
-    node_set: str,
+    eigenvalues: Floats, modes: list[str], analysis: ModalAnalysis, point_mass: float, node_set: str
 ) -> ModalResult:
     shapes, numbers, nodes = [], list[int](), np.zeros(0, dtype=np.int64)
     for mode in modes:

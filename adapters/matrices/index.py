@@ -35,9 +35,7 @@ def read_index(file: YamlFile) -> MatrixModel:
         raise ModelError("\n".join(problems))
     parts = {
         name: MatrixPart(
-            "matrix_factor",
-            1.0,
-            *(matrices.get(("parts", name, kind)) for kind in MATRIX_KINDS),
+            "matrix_factor", 1.0, *(matrices.get(("parts", name, kind)) for kind in MATRIX_KINDS)
         )
         for name in names
     }

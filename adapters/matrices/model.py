@@ -24,11 +24,7 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
 from modetune.core.updating.damping import Damper, DampingKind, DampingModel, Linear
-from modetune.core.updating.parameter_matrices import (
-    ParameterMatrices,
-    Powers,
-    parameter_matrices,
-)
+from modetune.core.updating.parameter_matrices import ParameterMatrices, Powers, parameter_matrices
 
 #: What matrices a part may have, as models' files call them; modes know the first two.
 MATRIX_KINDS = ("stiffness", "mass", "viscous", "structural")
@@ -125,11 +121,7 @@ class MatrixModel:
         }
         stiffness, mass = (
             tuple(
-                replace(
-                    part,
-                    column=columns[part.column],
-                    values=part.values * slopes[part.column],
-                )
+                replace(part, column=columns[part.column], values=part.values * slopes[part.column])
                 for part in parts
                 if part.column in columns
             )

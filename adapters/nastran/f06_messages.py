@@ -41,7 +41,7 @@ NO_CARD = frozenset(
 
 VERSION = re.compile(
     r"MYSTRAN\s+Version\s+[\w.]+|Simcenter Nastran\s+[\w.]+|NX Nastran\s+[\w.]+"
-    r"|MSC Nastran\s+V?\d[\w.]+|Version\s+[\d][\w.\-]+|VERSION\s+-?\s*[\d][\w.]+|[A-Z]+ VERSION\b",
+    r"|MSC Nastran\s+V?\d[\w.]+|Version\s+[\d][\w.\-]+|VERSION\s+-?\s*[\d][\w.]+|[A-Z]+ VERSION\b"
 )
 END = re.compile(r"\* \* \* END OF JOB \* \* \*|>> MYSTRAN END\b")
 BANNER_LINES = 400

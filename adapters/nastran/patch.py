@@ -15,14 +15,7 @@ from typing import Any
 import numpy as np
 from pyNastran.bdf.bdf import BDF
 
-from modetune.adapters.nastran.bulk import (
-    BY_LINES,
-    DEFAULTS,
-    OBJECTIONS,
-    Bulk,
-    add_card,
-    read_bulk,
-)
+from modetune.adapters.nastran.bulk import BY_LINES, DEFAULTS, OBJECTIONS, Bulk, add_card, read_bulk
 from modetune.adapters.nastran.cards import read_cards
 from modetune.adapters.nastran.deck import NastranCard, NastranDeck, texts_at, with_lines
 from modetune.core.errors import ModelError

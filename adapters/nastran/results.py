@@ -115,9 +115,7 @@ def _group_energy(modes: NastranModes, name: str, elements: frozenset[int], n_mo
 
 
 def mode_derivatives(
-    found: DesignSensitivities,
-    analysis: SensitivityAnalysis,
-    values: Sequence[float],
+    found: DesignSensitivities, analysis: SensitivityAnalysis, values: Sequence[float]
 ) -> ModeDerivatives:
     """Derivatives with respect to the relative values of the analysis' parameters.
 

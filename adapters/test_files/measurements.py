@@ -21,11 +21,7 @@ from modetune.adapters.test_files.kinds import FileKind, kind_of
 from modetune.adapters.test_files.mat import read_mat
 from modetune.adapters.test_files.modes_csv import modes_of
 from modetune.adapters.test_files.repeated_csv import is_repeated, repeated_of
-from modetune.adapters.test_files.solver_results import (
-    READERS,
-    computed_modes,
-    read_solver_results,
-)
+from modetune.adapters.test_files.solver_results import READERS, computed_modes, read_solver_results
 from modetune.adapters.test_files.tables import FileTable, read_tables
 from modetune.adapters.test_files.universal.axes import Axes
 from modetune.adapters.test_files.universal.file import read_universal

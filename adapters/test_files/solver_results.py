@@ -98,8 +98,6 @@ def _as_test(path: Path, modes: ModeSet, points: Points) -> Measurement:
     if not places.any():
         return Measurement(measured, notes=tuple(notes))
     geometry = TestGeometry(
-        nodes[places],
-        coordinates[places],
-        np.tile(np.eye(3), (int(places.sum()), 1, 1)),
+        nodes[places], coordinates[places], np.tile(np.eye(3), (int(places.sum()), 1, 1))
     )
     return Measurement(measured, geometry, notes=tuple(notes))

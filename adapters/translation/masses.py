@@ -23,13 +23,7 @@ from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.nastran.lumped_masses import Lump, mass_of
 from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.calculix_text import number_list
-from modetune.adapters.translation.freedoms import (
-    NOTHING,
-    Form,
-    Freedoms,
-    difference,
-    total,
-)
+from modetune.adapters.translation.freedoms import NOTHING, Form, Freedoms, difference, total
 from modetune.adapters.translation.mass_properties import POINT, SCALAR_MASS
 from modetune.adapters.translation.springs import scalar_form
 from modetune.core.element_geometry import SHAPES, nodal_measures

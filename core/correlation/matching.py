@@ -224,11 +224,7 @@ def _compared(
 
 
 def _by_order(
-    measured: ModeSet,
-    computed: ModeSet,
-    others_hz: Floats,
-    reach: tuple[float, float],
-    drop: bool,
+    measured: ModeSet, computed: ModeSet, others_hz: Floats, reach: tuple[float, float], drop: bool
 ) -> Pairing:
     """Pairs by order; with drop without those that the bounds cannot bring together, one by one."""
     kept = np.arange(measured.n_modes)

@@ -25,11 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.errors import ModesError
-from modetune.core.measurement.measurement import (
-    MeasuredDeviations,
-    Measurement,
-    RepeatedTests,
-)
+from modetune.core.measurement.measurement import MeasuredDeviations, Measurement, RepeatedTests
 from modetune.core.measurement.scatter import Scatter, scatter_of
 from modetune.core.modes import Floats, MeasuredModes, dof_name, mode_set
 

@@ -75,10 +75,7 @@ class SensorMap:
         """Computed modes as the test's sensors see them, named by the test. Raises ModesError."""
         seen = self.matrix(modes.nodes, modes.components) @ modes.mode_shapes
         return replace(
-            modes,
-            mode_shapes=np.asarray(seen),
-            nodes=self.nodes,
-            components=self.components,
+            modes, mode_shapes=np.asarray(seen), nodes=self.nodes, components=self.components
         )
 
 

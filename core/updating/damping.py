@@ -30,11 +30,7 @@ from scipy import sparse
 from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.matrices import symmetric
 from modetune.core.modes import Floats
-from modetune.core.updating.parameter_matrices import (
-    ParameterMatrices,
-    powers_moved,
-    powers_slopes,
-)
+from modetune.core.updating.parameter_matrices import ParameterMatrices, powers_moved, powers_slopes
 
 DampingKind = Literal["viscous", "structural"]
 

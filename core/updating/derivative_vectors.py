@@ -63,12 +63,7 @@ class KnownModes:
 
     @classmethod
     def of(
-        cls,
-        eigenvalues: Floats,
-        shapes: Floats,
-        used: Integers,
-        mass: sparse.csr_array,
-        first: int,
+        cls, eigenvalues: Floats, shapes: Floats, used: Integers, mass: sparse.csr_array, first: int
     ) -> KnownModes:
         """Raises ModesError where no mode strains the structure."""
         if first >= eigenvalues.size:

@@ -35,11 +35,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 
 LinearForm = Literal[
-    "pseudo_inverse",
-    "weighted_least_squares",
-    "minimum_norm",
-    "regularised",
-    "pulled_to_initial",
+    "pseudo_inverse", "weighted_least_squares", "minimum_norm", "regularised", "pulled_to_initial"
 ]
 #: The forms above, and `core/updating/trust_region`.
 StepForm = Literal["trust_region", LinearForm]

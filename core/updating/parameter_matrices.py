@@ -31,13 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from modetune.core.algebra.matrices import (
-    MatrixResult,
-    places_in,
-    projected,
-    union,
-    upper_product,
-)
+from modetune.core.algebra.matrices import MatrixResult, places_in, projected, union, upper_product
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 
@@ -187,10 +181,7 @@ class ParameterMatrices:
 
 
 def parameter_matrices(
-    base: MatrixResult,
-    reference: Floats,
-    stiffness: Iterable[Powers],
-    mass: Iterable[Powers],
+    base: MatrixResult, reference: Floats, stiffness: Iterable[Powers], mass: Iterable[Powers]
 ) -> ParameterMatrices:
     """The matrices for all values from those at the reference and what each parameter adds.
 

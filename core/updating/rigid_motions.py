@@ -55,10 +55,7 @@ class RigidMotions:
 
 
 def rigid_motions(
-    matrices: MatrixResult,
-    mesh: Mesh,
-    translations: bool = False,
-    observe: Observe | None = None,
+    matrices: MatrixResult, mesh: Mesh, translations: bool = False, observe: Observe | None = None
 ) -> RigidMotions:
     """Unit translations and rotations about the origin at the equations of matrices.
 
@@ -144,11 +141,7 @@ def _completed(matrices: MatrixResult, mesh: Mesh, observe: Observe) -> RigidMot
 
 
 def _motion(
-    factors: Factorisation,
-    rows: sparse.csr_array,
-    scale: float,
-    wanted: Floats,
-    forces: Floats,
+    factors: Factorisation, rows: sparse.csr_array, scale: float, wanted: Floats, forces: Floats
 ) -> Floats:
     """u with W u = wanted (n_rows, 6) and K u = forces (n_equations, 6) beside what W carries."""
     carried = np.zeros_like(wanted)

@@ -85,12 +85,7 @@ class Weighting:
 
 
 #: Fields that have an entry a mode.
-_OF_MODES = (
-    "frequency_deviations",
-    "shape_deviations",
-    "frequency_weights",
-    "shape_weights",
-)
+_OF_MODES = ("frequency_deviations", "shape_deviations", "frequency_weights", "shape_weights")
 
 
 def even_weighting(

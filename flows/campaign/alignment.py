@@ -183,11 +183,7 @@ def _nearest(
 
 
 def _registered(
-    points: Floats,
-    search: PoseSearch,
-    scale: float | None,
-    metres: float,
-    near: Alignment | None,
+    points: Floats, search: PoseSearch, scale: float | None, metres: float, near: Alignment | None
 ) -> tuple[Registration, list[str]]:
     """A fit without partners, of a scale that is one of units where one will do.
 

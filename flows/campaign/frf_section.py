@@ -17,14 +17,7 @@ from modetune.core.updating.damping import Linear
 from modetune.core.updating.responses.frf import Frf, FrfCurve
 from modetune.flows.campaign.observing import nothing_seen, observer
 from modetune.flows.campaign.response_section import ResponseSection
-from modetune.flows.campaign.section import (
-    OTHERS,
-    Name,
-    NotNegative,
-    Positive,
-    Share,
-    by_mode,
-)
+from modetune.flows.campaign.section import OTHERS, Name, NotNegative, Positive, Share, by_mode
 from modetune.flows.campaign.tested_model import TestedModel
 
 #: Of the lowest and the highest frequency of the used modes: where the band ends by itself.

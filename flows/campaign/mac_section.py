@@ -31,8 +31,5 @@ class MacSection(ModewiseSection):
     def response(self, given: TestedModel) -> Mac:
         numbers = given.test.numbers
         return Mac(
-            self.weights(numbers),
-            of_modes(self.deviation, numbers),
-            self.quantity,
-            given.e1.mac,
+            self.weights(numbers), of_modes(self.deviation, numbers), self.quantity, given.e1.mac
         )

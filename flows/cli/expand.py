@@ -39,8 +39,7 @@ def expand(
         int | None, typer.Option(min=1, help="Elastic modes of SEREP's basis; chosen unless named.")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(help="Shapes at all nodes as a test file: .csv, .h5 or .unv."),
+        Path | None, typer.Option(help="Shapes at all nodes as a test file: .csv, .h5 or .unv.")
     ] = None,
     paraview: Annotated[
         Path | None, typer.Option(help="Folder for expanded.pvd, which ParaView opens.")

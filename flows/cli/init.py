@@ -41,10 +41,7 @@ def init(
     as_json: AsJson = False,
 ) -> None:
     """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
-    with (
-        stoppable("stopped; the same command starts from the beginning"),
-        begun(f"reading {deck}"),
-    ):
+    with stoppable("stopped; the same command starts from the beginning"), begun(f"reading {deck}"):
         from modetune.flows.studies.init.written import init_campaign
 
         draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)

@@ -60,13 +60,7 @@ def localise(
         title = f"{on.campaign.name}: where the {model} model is wrong"
         case = place.campaign.case
         charts = localisation_figures(title, found, case.solver.deck.mesh(), case.surface)
-    return StudyEnd(
-        found.sentence,
-        told(found),
-        tables(found),
-        _lines(found),
-        charts=charts,
-    )
+    return StudyEnd(found.sentence, told(found), tables(found), _lines(found), charts=charts)
 
 
 def told(found: Localisation) -> dict[str, Json]:

@@ -33,8 +33,7 @@ def pretest(
         int | None, typer.Option(help="How many; default: twice as many as modes.")
     ] = None,
     method: Annotated[
-        str,
-        typer.Option(help="effective_independence, auto_mac, kinetic_energy or information."),
+        str, typer.Option(help="effective_independence, auto_mac, kinetic_energy or information.")
     ] = "effective_independence",
     candidates: Annotated[
         str, typer.Option(help="surface, all, or a file with a node number in front of each line.")
@@ -64,11 +63,7 @@ def pretest(
     """Choose places for sensors and exciters from the model alone, before there is a test."""
     with begun(f"reading {campaign_file}") as tell:
         from modetune.flows.studies.pretest.candidates import Directions
-        from modetune.flows.studies.pretest.settings import (
-            Method,
-            PretestSettings,
-            parse_modes,
-        )
+        from modetune.flows.studies.pretest.settings import Method, PretestSettings, parse_modes
 
         asked = PretestSettings(
             parse_modes(modes),

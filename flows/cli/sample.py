@@ -15,8 +15,7 @@ Record = Annotated[
     typer.Option(help="Run folder (or campaign.h5) of an update, from whose end it starts."),
 ]
 Points = Annotated[
-    int | None,
-    typer.Option(help="Sets over the range; as many may follow near the posterior."),
+    int | None, typer.Option(help="Sets over the range; as many may follow near the posterior.")
 ]
 Walkers = Annotated[int | None, typer.Option(help="Walkers of the sampler.")]
 Steps = Annotated[int, typer.Option(help="Steps of a walker; more follow if needed.")]

@@ -165,8 +165,7 @@ def store_prune(
     older: Older = None,
     larger: Larger = None,
     other_formats: Annotated[
-        bool,
-        typer.Option("--other-formats", help="Results of other versions' formats too."),
+        bool, typer.Option("--other-formats", help="Results of other versions' formats too.")
     ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Tell what would go, and remove nothing.")

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 def validate(
     campaign_file: CampaignPath,
     one_out: Annotated[
-        bool,
-        typer.Option("--leave-one-out", help="Update without each used mode in turn."),
+        bool, typer.Option("--leave-one-out", help="Update without each used mode in turn.")
     ] = False,
     settings: Settings = None,
     no_prefect: NoPrefect = False,

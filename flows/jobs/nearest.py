@@ -5,13 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from modetune.core.storage.store import Store
-from modetune.flows.jobs.explain import (
-    AskedJob,
-    Nearest,
-    Texts,
-    asked_of,
-    differences_with_places,
-)
+from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_of, differences_with_places
 from modetune.flows.jobs.store_index import ask_index
 
 

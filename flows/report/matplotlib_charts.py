@@ -18,17 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from modetune.core.storage.files import writing
-from modetune.flows.report.chart import (
-    ZERO,
-    Axis,
-    Bars,
-    Chart,
-    Curve,
-    HeatMap,
-    Panel,
-    Rule,
-    Towers,
-)
+from modetune.flows.report.chart import ZERO, Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, Towers
 
 DPI = 150
 #: Side of a tower, of the unit square it stands on.

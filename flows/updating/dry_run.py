@@ -17,12 +17,7 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.explain import (
-    AskedJob,
-    Nearest,
-    Texts,
-    asked_by_note,
-)
+from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_by_note
 from modetune.flows.jobs.job import NOMINAL, Job
 from modetune.flows.jobs.nearest import nearest
 from modetune.flows.jobs.work import Done, Work, solve_work

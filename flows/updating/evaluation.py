@@ -208,11 +208,7 @@ def compare(
 
 
 def model_state(
-    case: Case,
-    seen: ModeSet,
-    pairing: Pairing,
-    modal: ModalResult,
-    matrices: MatricesAt | None,
+    case: Case, seen: ModeSet, pairing: Pairing, modal: ModalResult, matrices: MatricesAt | None
 ) -> ModelState:
     """A case as its responses see it."""
     mesh = None if matrices is None else case.solver.deck.mesh()
@@ -220,10 +216,7 @@ def model_state(
 
 
 def _paired(
-    case: Case,
-    modal: ModalResult,
-    previous: CaseEvaluation | None,
-    drop: bool,
+    case: Case, modal: ModalResult, previous: CaseEvaluation | None, drop: bool
 ) -> tuple[ModeSet, Pairing]:
     """The elastic modes as the test's sensors see them, and their pairs."""
     test, rules, resolution = case.test, case.rules, case.weighting.frequency_deviations

@@ -12,12 +12,7 @@ from modetune.adapters.process import LOG, log_tail
 from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
 from modetune.flows.jobs.deck_texts import kept_text
-from modetune.flows.jobs.explain import (
-    AskedJob,
-    Nearest,
-    asked_by_note,
-    asked_of,
-)
+from modetune.flows.jobs.explain import AskedJob, Nearest, asked_by_note, asked_of
 from modetune.flows.jobs.job import NOTE_FILE, read_note
 from modetune.flows.jobs.nearest import nearest
 

@@ -32,13 +32,7 @@ from modetune.core.updating.parameter_matrices import (
     fit_powers,
     parameter_matrices,
 )
-from modetune.flows.campaign.matrix_plan import (
-    MatrixPlan,
-    Sampling,
-    plan,
-    sampling,
-    scale_together,
-)
+from modetune.flows.campaign.matrix_plan import MatrixPlan, Sampling, plan, sampling, scale_together
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Work

@@ -31,11 +31,7 @@ class Pieces:
         return replace(self._runs, core_s=self.ledger.core_s, licence_s=self.ledger.licence_s)
 
     def run(
-        self,
-        title: str,
-        works: Sequence[Piece],
-        ahead: Ahead,
-        beside: Sequence[Piece] = (),
+        self, title: str, works: Sequence[Piece], ahead: Ahead, beside: Sequence[Piece] = ()
     ) -> list[Done]:
         """What became of each piece, in order, and counts the runs.
 
@@ -78,7 +74,5 @@ def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
     ran = sum(not outcome.reused for outcome in outcomes)
     modal = name.startswith("modal")
     return RunCounts(
-        modal=ran if modal else 0,
-        sensitivity=0 if modal else ran,
-        reused=len(outcomes) - ran,
+        modal=ran if modal else 0, sensitivity=0 if modal else ran, reused=len(outcomes) - ran
     )

@@ -80,12 +80,7 @@ def end_of(start: Floats, record: CampaignRecord) -> StartEnd:
     """The end of a start whose update has a record."""
     least = record.trust is not None and record.trust.ended == "least misfit"
     return StartEnd(
-        start,
-        record.updated,
-        record.best.residual.misfit,
-        record.status,
-        least,
-        record=record,
+        start, record.updated, record.best.residual.misfit, record.status, least, record=record
     )
 
 

@@ -93,11 +93,7 @@ def read_file(path: Path) -> UniversalFile:
     if not contents:
         raise CampaignError([f"{path} holds nothing of a test that can be read", *notes])
     return UniversalFile(
-        path,
-        tuple(block.name for block in blocks),
-        tuple(contents),
-        tuple(notes),
-        _program(blocks),
+        path, tuple(block.name for block in blocks), tuple(contents), tuple(notes), _program(blocks)
     )
 
 

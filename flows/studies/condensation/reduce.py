@@ -101,10 +101,7 @@ def method_named(name: str) -> ReductionMethod:
 
 
 def reduce_model(
-    campaign: Campaign,
-    values: Values,
-    asked: ReductionRequest,
-    watcher: JobWatcher | None = None,
+    campaign: Campaign, values: Values, asked: ReductionRequest, watcher: JobWatcher | None = None
 ) -> ModelReduction:
     """Reduce a model at parameter values. Raises CampaignError, ModelError, SolverError."""
     names = masters_of(campaign, asked.masters) if asked.masters else sensor_names(campaign)

@@ -274,10 +274,7 @@ def _read(item: ComparedSource, state: State) -> Side:
 
 
 def _orthogonality(
-    found: Correlation,
-    model: Model,
-    method: Reduced,
-    watcher: JobWatcher | None,
+    found: Correlation, model: Model, method: Reduced, watcher: JobWatcher | None
 ) -> Orthogonality:
     """One matrix job; common degrees of freedom that can move are masters."""
     full, names = full_model(model.campaign, model.values, watcher), list(found.dofs)

@@ -148,11 +148,7 @@ def placed_sensors(
 
 
 def _why(
-    campaign: Campaign,
-    method: Method,
-    model: Ground,
-    chosen: Integers,
-    numbers: tuple[int, ...],
+    campaign: Campaign, method: Method, model: Ground, chosen: Integers, numbers: tuple[int, ...]
 ) -> tuple[Floats, list[str]]:
     """What each chosen sensor is worth by the method, and in words."""
     if model.information is not None:

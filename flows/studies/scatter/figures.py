@@ -40,13 +40,7 @@ def scatter_chart(record: ScatterRecord) -> Chart | None:
             ring = _ellipse(answer.predicted[both], answer.predicted_covariance[np.ix_(both, both)])
             name = f"predicted by {_name(record, place)}, 95 %"
             items.append(Curve(name, *ring, _colour(place), LINES[min(place + 1, 2)]))
-        panels.append(
-            Panel(
-                tuple(items),
-                Axis(_told(record, x)),
-                Axis(_told(record, y)),
-            )
-        )
+        panels.append(Panel(tuple(items), Axis(_told(record, x)), Axis(_told(record, y))))
     return _chart(record, "frequencies from test to test", panels)
 
 

@@ -187,10 +187,7 @@ def _relative(responses: Responses, nominal: Evaluation) -> Floats:
 
 
 def _responses(
-    campaign: Campaign,
-    nominal: Evaluation,
-    points: Iterator[Evaluation | ModetuneError],
-    n: int,
+    campaign: Campaign, nominal: Evaluation, points: Iterator[Evaluation | ModetuneError], n: int
 ) -> Responses:
     """The responses at the n points of the design; NaN where one failed.
 

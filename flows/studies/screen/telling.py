@@ -241,10 +241,7 @@ def _index_table(screening: Screening) -> Table:
         rows.append((screening.names[place], *cells))
     explained = found.explained[: len(modes)]
     foot = [("explained", *explained)] if np.isfinite(explained).any() else []
-    columns = (
-        Column("parameter", words=True),
-        *(Column(name, form=".3f") for name in modes),
-    )
+    columns = (Column("parameter", words=True), *(Column(name, form=".3f") for name in modes))
     return Table(HEADINGS[method], columns, tuple(rows), tuple(foot))
 
 
