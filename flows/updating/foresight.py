@@ -207,7 +207,8 @@ class ReducedForesight:
         except (ModelError, UnlikeMatrices) as error:
             logger.warning("%s: its own modes are looked at", error)
             return None
-        said = f"{name}'s matrices, {modal.eigenvalues.size} modes counted"
+        counted = "not counted" if state.engine.policy.single_factors else "counted"
+        said = f"{name}'s matrices, {modal.eigenvalues.size} modes {counted}"
         found = state.compared(part.theta, key, modal, part, said)
         apart = float(np.max(np.abs(found.errors - part.errors)))
         if apart > CONFIRMED:

@@ -43,14 +43,16 @@ def assembled_modes(
 ) -> tuple[str, ModalResult]:
     """The key and the modes of the matrices that a job assembles, from nothing, and counted.
 
-    assembled: carries the job out, where the store does not have the modes. Raises ModelError
-    where the count says that modes are missing.
+    assembled: carries the job out, where the store does not have the modes. Factors in single
+    precision count nothing: where the campaign wants these, modes are not. Raises ModelError where
+    the count says that modes are missing.
     """
+    counted = engine.policy.single_factors is not True
 
     def compute() -> ModalResult:
         matrices = assembled(job)
         with engine.all_cores():
-            solved = ModeSolver().solve(
+            solved = ModeSolver(count=counted).solve(
                 matrices.upper_stiffness,
                 matrices.upper_mass,
                 min(analysis.n_modes, matrices.upper_stiffness.shape[0]),
@@ -66,6 +68,7 @@ def assembled_modes(
         "from": first_shift(campaign),
         "n_modes": analysis.n_modes,
         "nodes": list(analysis.nodes),
+        **({} if counted else {"counted": False}),
     }
     found = engine.derived(asked, compute, ModalResult)
     return content_key(canonical_json(asked)), engine.solver.by_hand(found)

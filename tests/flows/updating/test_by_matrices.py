@@ -571,15 +571,17 @@ def test_a_limit_of_memory_holds_whoever_finds_the_modes(
 def test_factors_in_single_precision_lead_to_the_same_answer(tmp_path: Path, watcher: Any) -> None:
     file = written(replace(BAR, deck=row_of_materials(60)), tmp_path / "long")
     mixed, double = (
-        update(file, tmp_path / way, watcher, f"model.eigensolver={way}")
+        update(file, tmp_path / way, watcher, f"model.eigensolver={way}", "update.confirm=matrices")
         for way in ("mixed_precision", "pardiso")
     )
     makers = [item.solved_by for item in mixed.iterations[:-1]]
     assert set(makers) == {"stored matrices, factors in single precision"}
-    assert mixed.best.solved_by == "calculix"
+    # Signs of pivots in single precision prove nothing.
+    assert re.fullmatch(r"calculix's matrices, \d+ modes not counted", mixed.best.solved_by)
+    assert re.fullmatch(r"calculix's matrices, \d+ modes counted", double.best.solved_by)
     assert mixed.status == double.status == "converged"
     for way in (mixed, double):
-        assert (way.runs.sensitivity, way.runs.modal) == (2, 1)
+        assert (way.runs.sensitivity, way.runs.modal) == (3, 0)
     np.testing.assert_allclose(mixed.updated, double.updated, rtol=1e-6)
 
 
