@@ -105,9 +105,9 @@ def factor_forecast(
 def _roomy(
     upper: sparse.csr_array, matching: bool, columns: int, similar: int | None, room: FactorRoom
 ) -> tuple[Pardiso, str]:
-    single = similar is not None and room.single is True
+    held, single = _resident(), similar is not None and room.single is True
     factors = Pardiso(upper, matching=matching, single=single)
-    held, told, vector = _resident(), factors.memory, 8 * factors.n
+    told, vector = factors.memory, 8 * factors.n
     beside, peak = held + vector * (similar or 0 if single else columns), told.peak
     text = (
         f"the factors of {factors.n} equations{factors.held} take {_gb(peak)}, beside "
