@@ -6,29 +6,38 @@ prior around their initial values, cut at the range:
     log p(theta | test) = -1/2 |w(theta)|^2 - 1/2 sum ((theta - theta_0) / s)^2 + constant
 
 with w the surrogate's residual in standard deviations of the test. Emphasis takes no part: it says
-what an updating shall care for, not how exactly something was measured.
+what an updating shall care for, not how exactly something was measured. Limits of responses end the
+density as the range does.
 
-Both terms are squares, so peaks are found by bounded least squares from many starts. Two ends are
+Both terms are squares, so peaks are found by bounded least squares from many starts, with a steep
+third one just inside of limits. Two ends are
 two peaks where the density sinks between them. The share of a peak is Laplace's estimate: density
 times the volume of the normal distribution with the same curvature.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.updating.estimation import parameter_covariance
+from modetune.flows.studies.sample.limits import ResponseLimits
 
 #: Ends are peaks of their own where the log density sinks by as much between them.
 SINK = 1.0
 #: A peak with a smaller share of the whole is left out.
 LEAST_SHARE = 1e-3
+#: How far inside a limit peaks are, and what rises there to a thousand standard deviations beyond:
+#: shares of what the limited value spans over the range.
+INSIDE, WALL = 1e-5, 1e-6
 #: Starts of the search for peaks: drawn from the range, of which so many of the best are taken.
 DRAWN, STARTS = 400, 16
 
@@ -46,7 +55,7 @@ class Posterior:
     """A posterior density over a range.
 
     prior_mean, prior_deviation: (n_parameters,); lower, upper: (n_parameters,), where the density
-    ends: the bounds, or the range that was learned where that is less.
+    ends: the bounds, or the range that was learned where that is less. limits: of responses.
     """
 
     surrogate: Features
@@ -54,20 +63,31 @@ class Posterior:
     prior_deviation: Floats
     lower: Floats
     upper: Floats
+    limits: ResponseLimits | None = None
+
+    def inside(self, points: Floats) -> NDArray[np.bool_]:
+        """Which points (n, n_parameters) are in the range and keep the limits, (n,)."""
+        found = ((points >= self.lower) & (points <= self.upper)).all(axis=1)
+        if self.limits is not None and found.any():
+            found[found] = self.limits.hold(points[found])
+        return np.asarray(found)
 
     def log_density(self, points: Floats) -> Floats:
-        """(n,), but for a constant; minus infinity outside the range. points: (n, n_parameters)."""
-        found = np.full(points.shape[0], -np.inf)
-        inside = ((points >= self.lower) & (points <= self.upper)).all(axis=1)
+        """(n,), but for a constant; minus infinity outside. points: (n, n_parameters)."""
+        found, inside = np.full(points.shape[0], -np.inf), self.inside(points)
         if inside.any():
             found[inside] = -0.5 * (self._squares(points[inside]) ** 2).sum(axis=1)
         return found
 
     def slopes(self, point: Floats) -> Floats:
         """Derivatives of the features, (n_features, n_parameters), by central differences."""
-        reach = 1e-4 * (self.upper - self.lower)
-        moved = np.vstack([point + np.diag(reach), point - np.diag(reach)])
-        found = self.surrogate.features(moved)
+        return self._slopes_of(self.surrogate.features, point, 1e-4)
+
+    def _slopes_of(
+        self, function: Callable[[Floats], Floats], point: Floats, share: float
+    ) -> Floats:
+        reach = share * (self.upper - self.lower)
+        found = function(np.vstack([point + np.diag(reach), point - np.diag(reach)]))
         n = point.size
         return np.asarray((found[:n] - found[n:]).T / (2.0 * reach))
 
@@ -81,11 +101,17 @@ class Posterior:
         pull = (points - self.prior_mean) / self.prior_deviation
         return np.hstack([self.surrogate.features(points), pull])
 
+    def _wall(self, points: Floats) -> Floats:
+        if self.limits is None:
+            return np.zeros((len(points), 0))
+        return 1e3 * self.limits.breach(points, INSIDE) / WALL
+
     def _squares_at(self, point: Floats) -> Floats:
-        return np.asarray(self._squares(point[None])[0])
+        return np.hstack([self._squares(point[None])[0], self._wall(point[None])[0]])
 
     def _slopes_at(self, point: Floats) -> Floats:
-        return np.vstack([self.slopes(point), np.diag(1.0 / self.prior_deviation)])
+        own = [self.slopes(point), np.diag(1.0 / self.prior_deviation)]
+        return np.vstack([*own, self._slopes_of(self._wall, point, WALL)])
 
     def _climb(self, start: Floats) -> tuple[Floats, float]:
         """Where the density is greatest, uphill from a point, and the log density there."""
@@ -101,7 +127,8 @@ class Posterior:
             ftol=1e-12,
             max_nfev=200,
         )
-        return np.asarray(ended.x), -float(ended.cost)
+        there = np.asarray(ended.x)
+        return there, -float(ended.cost) if self.inside(there[None])[0] else -np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +160,10 @@ class Peaks:
 
 
 def find_peaks(posterior: Posterior, rng: np.random.Generator, also: Floats | None = None) -> Peaks:
-    """The peaks of a density. also: (n, n_parameters), starts beside those that are drawn."""
+    """The peaks of a density. also: (n, n_parameters), starts beside those that are drawn.
+
+    Raises CampaignError where limits leave no set of the range.
+    """
     n_parameters = posterior.lower.size
     unit = latin_hypercube(DRAWN, n_parameters, rng)
     starts = posterior.lower + unit * (posterior.upper - posterior.lower)
@@ -142,6 +172,12 @@ def find_peaks(posterior: Posterior, rng: np.random.Generator, also: Floats | No
     chosen = [*starts[order[: STARTS // 2]], *starts[: STARTS // 2]]
     chosen += [] if also is None else list(also)
     ends = sorted((posterior._climb(start) for start in chosen), key=lambda end: -end[1])
+    ends = [end for end in ends if np.isfinite(end[1])]
+    if not ends:
+        names = ", ".join(posterior.limits.names) if posterior.limits else "none"
+        raise CampaignError(
+            f"no set of the range keeps all limits ({names}): widen them, or the parameters' bounds"
+        )
     kept: list[tuple[Floats, float]] = []
     for point, height in ends:
         if all(_is_apart(posterior, point, height, other) for other, _ in kept):

@@ -24,6 +24,7 @@ from scipy.stats import chi2
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.flows.studies.sample.density import Peaks, Posterior, find_peaks
+from modetune.flows.studies.sample.limits import limits_of
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.sampling import Chains, walk
 from modetune.flows.studies.sample.surrogate import (
@@ -175,13 +176,13 @@ def near_posterior(
     training: Training, posterior: Posterior, missing: float, wider: float = 1.0
 ) -> NDArray[np.bool_]:
     """Which sets lie within so many times what holds all but a share of a normal posterior, by what
-    was found there, (n_points,); none outside the range."""
+    was found there, (n_points,); none outside of the range or of limits."""
     points = training.points
     pull = (points - posterior.prior_mean) / posterior.prior_deviation
     squares = (training.values**2).sum(axis=1) + (pull**2).sum(axis=1)
     reach = wider**2 * float(chi2.isf(missing, points.shape[1]))
-    inside = ((points >= posterior.lower) & (points <= posterior.upper)).all(axis=1)
-    return np.asarray((squares <= squares.min() + reach) & inside)
+    inside = posterior.inside(points)
+    return np.asarray((squares <= squares[inside].min(initial=np.inf) + reach) & inside)
 
 
 def new_points(learned: Learned, count: int, walkers: int, rng: np.random.Generator) -> Floats:
@@ -235,7 +236,8 @@ def _learned(
 ) -> Learned:
     parameters = solver.campaign.parameters
     surrogate = fit_surrogate(training, *limits)
-    posterior = Posterior(surrogate, parameters.initial, parameters.standard_deviations, *limits)
+    prior = parameters.initial, parameters.standard_deviations
+    posterior = Posterior(surrogate, *prior, *limits, limits=limits_of(solver.known, *limits))
     # The best sets so far are starts too: a narrow peak is easily missed by others.
     order = np.argsort((training.values**2).sum(axis=1))[:3]
     peaks = find_peaks(posterior, rng, training.points[order])

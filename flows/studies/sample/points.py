@@ -81,23 +81,23 @@ class PointSolver:
         self.campaign = campaign
         self.evaluator = evaluator
         self.failures: list[str] = []
-        self._known: list[Evaluation] = []
+        self.known: list[Evaluation] = []
         self._misfits: list[float] = []
 
     @property
     def residual(self) -> Residual:
         """Of the first set that was solved."""
-        return self._known[0].residual
+        return self.known[0].residual
 
     def reduced(self) -> ReducedFeatures | None:
         """The residual by a reduced model between the bounds, modes tracked from the sets solved so
         far; None where there is none."""
         ranges = self.evaluator.ranges
-        within = ranges.within(self.campaign, self._known[0], in_full=False) if ranges else None
+        within = ranges.within(self.campaign, self.known[0], in_full=False) if ranges else None
         if within is None:
             return None
-        named = response_names(self._known[0])
-        return ReducedFeatures(self.campaign, within, self._known, *named)
+        named = response_names(self.known[0])
+        return ReducedFeatures(self.campaign, within, self.known, *named)
 
     def solve(
         self, title: str, points: Floats, around: int = 0, grows: bool = True
@@ -108,7 +108,7 @@ class PointSolver:
         all of them where it is 0; grows: whether these too. Raises CampaignError where more than
         half fail; SolverError, ModesError where all do; StoreError.
         """
-        known = self._known
+        known = self.known
         if around:
             fits = np.array(self._misfits)
             reach = max(np.sort(fits)[:around].max(), fits.min() + NEARLY)
@@ -117,7 +117,7 @@ class PointSolver:
         self._tell([item for item in found if isinstance(item, ModetuneError)], len(found))
         sets = {n: item for n, item in enumerate(found) if isinstance(item, Evaluation)}
         training = self._training(list(sets.values()))
-        self._known += sets.values()
+        self.known += sets.values()
         self._misfits += (training.values**2).sum(axis=1).tolist()
         return SolvedPoints(
             training,
@@ -139,7 +139,7 @@ class PointSolver:
             )
 
     def _training(self, found: Sequence[Evaluation]) -> Training:
-        responses, names = response_names(found[0] if found else self._known[0])
+        responses, names = response_names(found[0] if found else self.known[0])
         values = [standardised(evaluation) for evaluation in found]
         return Training(
             points=np.array([item.theta for item in found]).reshape(

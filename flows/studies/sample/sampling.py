@@ -26,6 +26,8 @@ from modetune.flows.studies.sample.density import Peaks, Posterior
 ENOUGH_TIMES, LARGEST_R_HAT = 50.0, 1.05
 #: Autocorrelation times that are thrown away at the start.
 BURN_TIMES = 5.0
+#: Shares of the way from a peak that a walker beyond a limit begins at, one after the other.
+TURNED = (-1.0, 0.5, -1.0, 0.3, -1.0, 0.1)
 #: Times the steps asked for that are made at most, and where they cost little.
 LONGEST, LONGER = 10, 100
 
@@ -141,7 +143,11 @@ def _start(posterior: Posterior, peaks: Peaks, walkers: int, rng: np.random.Gene
     again = posterior.lower + rng.random(drawn.shape) * (posterior.upper - posterior.lower)
     home = np.repeat(peaks.points, counts, axis=0)
     nearer = home + rng.random(drawn.shape) * 0.1 * (again - home)
-    return np.where(outside, nearer, drawn)
+    found = np.where(outside, nearer, drawn)
+    for share in TURNED:  # what breaks a limit goes to the peak's other side, or nearer to it
+        out = ~posterior.inside(found)
+        found[out] = home[out] + share * (found[out] - home[out])
+    return found
 
 
 def _judged(sampler: emcee.EnsembleSampler, steps: int) -> Chains:

@@ -9,6 +9,7 @@ that check it.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -47,6 +48,8 @@ from modetune.flows.studies.scatter.measured_values import (
 )
 from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
 from modetune.flows.updating.small_matrices import one_thread
+
+logger = logging.getLogger(__name__)
 
 #: Sets by which the model is sampled; draws of means and covariances; full solutions that check.
 DRAWS, SWEEPS, CHECKS = 128, 2000, 2
@@ -129,6 +132,7 @@ def scatter_campaign(
             working(f"scatter around answer {place + 1} of {known.learned.peaks.n_peaks}")
             with one_thread():
                 answers.append(_answer(known, place, tests, before, request, values))
+        answers = _within_limits(known, answers)
         evaluator, shares = known.solver.evaluator, _shares(answers, tests, before)
         return ScatterRecord(
             name=campaign.name,
@@ -263,6 +267,29 @@ def _answer(
         off=float(np.max(np.abs(missed) / np.sqrt(np.diag(tests.covariance)))),
     )
     return answer, found
+
+
+def _within_limits(
+    known: Known, answers: list[tuple[ScatterAnswer, ParameterScatter]]
+) -> list[tuple[ScatterAnswer, ParameterScatter]]:
+    """Answers whose mean keeps the limits of responses. Raises CampaignError where none does."""
+    posterior, found = known.learned.posterior, []
+    for answer in answers:
+        if posterior.limits is None or posterior.limits.hold(answer[0].mean[None])[0]:
+            found.append(answer)
+            continue
+        values = zip(known.campaign.parameters.names, answer[0].mean.tolist(), strict=True)
+        said = ", ".join(f"{name} {value:.4g}" for name, value in values)
+        logger.warning(
+            "the answer %s is left out: it breaks a limit (%s)",
+            said,
+            ", ".join(posterior.limits.names),
+        )
+    if not found:
+        raise CampaignError(
+            "what the tests tell breaks the limits of `residuals`: each answer is named above"
+        )
+    return found
 
 
 def _shares(

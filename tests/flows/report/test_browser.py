@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,8 @@ from modetune.core.modes import ModeSet, mode_set
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.surface import Surface
 from modetune.flows.report.page import write_page
+from modetune.flows.report.study_page import write_study
+from modetune.flows.report.tables import Column, Table
 
 PLAYER = "modetune.player"
 #: The layer that is the model's surface, and the sum of its vertices' motions in z as drawn now.
@@ -254,6 +256,36 @@ def test_it_fits_any_width_by_day_and_by_night(
     }})()""")
     assert rim == 0
     assert opened.complaints == []
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study came to, as a page wants it."""
+
+    tables: tuple[Table, ...]
+    lines: tuple[str, ...] = ("all is told",)
+    doubts: tuple[str, ...] = ()
+
+
+def test_wide_tables_of_a_studys_page_stand_row_below_row_on_a_phone(
+    browser: Any, tmp_path: Path
+) -> None:
+    heads = [Column("parameter", words=True), *(Column(f"of mode {n}", "%") for n in range(8))]
+    table = Table("Shares", tuple(heads), (("E of the wing", *[0.5] * 8), ("rho", *[0.25] * 8)))
+    file = write_study(tmp_path / "study.html", ("screen", "wing"), Study((table,)), {})
+    where = "document.querySelector('.table')"
+    cells = f"[...{where}.querySelectorAll('tbody td')].map((one) => one.getBoundingClientRect().x)"
+    for width in (390, 1200):
+        context = browser.new_context(viewport={"width": width, "height": 800})
+        page = context.new_page()
+        page.goto(file.as_uri())
+        scroll, client = page.evaluate(f"[{where}.scrollWidth, {where}.clientWidth]")
+        assert scroll == client < width
+        # A column of cells, each behind its head; else as many columns as there are.
+        assert len(set(page.evaluate(cells))) == (1 if width == 390 else 9)
+        label = f"getComputedStyle({where}.querySelectorAll('td')[1], '::before').content"
+        assert page.evaluate(label) == ('"of mode 0, %"' if width == 390 else "none")
+        context.close()
 
 
 def test_by_night_ink_is_light_on_dark_paper(open_page: Open, record: CampaignRecord) -> None:

@@ -1,7 +1,9 @@
 """Every study with every kind of response: done with what the kind says, or refused with a line.
 
 One chain of six masses is the model of all campaigns, so that jobs of one kind's studies answer
-those of the others; a second one, with a payload, is the other configuration.
+those of the others; a second one, with a payload, is the other configuration. Strains need places,
+which it has not: they are refused here, and go through all studies in
+tests/flows/updating/test_modal_strain.py.
 """
 
 from __future__ import annotations
@@ -10,12 +12,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
 from modetune.adapters.test_files.universal.write import write_universal
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.modes import MeasuredModes, mode_set
+from tests.adapters.test_files.universal_text import mode_55, save
 from tests.command_line import run_command
 
 MASSES = np.array([2.0, 1.5, 1.0, 1.2, 0.8, 1.0])
@@ -37,9 +41,10 @@ KINDS = {
     "damping": "damping: {deviation: 0.02, tolerance: 0.01}",
     "mass_properties": "mass_properties: {mass: {target: 7.5, deviation: 0.01, limits: [6, 9]}}",
     "frf": "frf: {points: 4, frac: 0.8}",
+    "complex_shapes": "complex_shapes: {deviation: 0.001, mac: 0.99999}",
 }
 #: What may change beside the second spring, so that each kind has something of its own to tell.
-ALSO = {"damping": "c1", "mass_properties": "m", "static": "m"}
+ALSO = {"damping": "c1", "mass_properties": "m", "static": "m", "complex_shapes": "c1"}
 
 
 def truth(payload: float = 0.0) -> tuple[Any, Any, Any]:
@@ -60,7 +65,9 @@ def write_case(folder: Path, name: str = "", payload: float = 0.0) -> None:
     lam, turned = np.linalg.eigh(k / np.outer(root, root))
     inverse = np.linalg.inv(m)
     state = np.block([[np.zeros((6, 6)), np.eye(6)], [-inverse @ k, -inverse @ c]])
-    roots = sorted((s for s in np.linalg.eigvals(state) if s.imag > 0.0), key=abs)[:4]
+    found, vectors = np.linalg.eig(state)
+    order = [n for n in np.argsort(np.abs(found)) if found[n].imag > 0.0][:4]
+    roots = found[order]
     hz, shapes = np.sqrt(lam[:4]) / (2.0 * np.pi), (turned / root[:, None])[:, :4]
     nodes, ones = np.arange(1, 7), np.ones(6, np.int64)
     modes = mode_set(hz, shapes, nodes, ones, [-s.real / abs(s) for s in roots])
@@ -74,6 +81,12 @@ def write_case(folder: Path, name: str = "", payload: float = 0.0) -> None:
     )  # fmt: skip
     test = Measurement(modes=MeasuredModes((1, 2, 3, 4), modes), frfs=frfs)
     write_universal(folder / f"test{name}.unv", test)
+    own = []
+    for number, (root, place) in enumerate(zip(roots.tolist(), order, strict=True), start=1):
+        moved = (complex(2.0, -1.5) * vectors[:6, place]).tolist()  # in any phase and scale
+        points = {node: [value, 0.0j, 0.0j] for node, value in enumerate(moved, start=1)}
+        own.append(mode_55(number, complex(root), points))
+    save(folder / f"test_complex_shapes{name}.unv", *own)
     ends = ["ground", *(f"m{n}" for n in range(1, 7))]
     masses = [f"  m{n}: {mass!r}" for n, mass in enumerate(np.diag(m).tolist(), start=1)]
     springs = [
@@ -107,7 +120,8 @@ def campaign(kind: str, two: bool = False, first: float = 1.0) -> str:
     names = ["k2", "k5", *([ALSO[kind]] if kind in ALSO else [])]
     rows = "".join(f"  - {{name: {name}, {PARAMETERS[name]}}}\n" for name in names)
     part = "model: {deck: chain%s.yaml, solver: matrices, units: m-kg-s}"
-    test = "test: {modes: test%s.unv, sensors: {by: number}}"
+    file = "test_complex_shapes" if kind == "complex_shapes" else "test"
+    test = f"test: {{modes: {file}%s.unv, sensors: {{by: number}}}}"
     head = f"{part % ''}\n{test % ''}\n"
     if two:
         loaded = section.replace("target: 7.5", f"target: {7.5 + PAYLOAD}")
@@ -175,6 +189,26 @@ def test_a_posterior_lies_around_the_truth(folder: Path, kind: str) -> None:
         assert abs(item["mean"] - TRUTH[item["name"]]) < 2.0 * item["deviation"], item
 
 
+def test_no_sample_breaks_a_limit(folder: Path) -> None:
+    """Samples with a limit are those without it that keep it: both ways to the same mass."""
+    masses = []
+    for name, limits in (("limited", "[7.55, 9]"), ("free", "[6, 9]")):
+        text = campaign("mass_properties").replace("name: mass-properties", f"name: {name}")
+        own = f"target: 7.56, deviation: 0.03, limits: {limits}"
+        path = folder / f"{name}.yaml"
+        path.write_text(text.replace("target: 7.5, deviation: 0.01, limits: [6, 9]", own))
+        told(folder, "sample", path.name, "--steps", "300")
+        with h5py.File(folder / "runs" / name / "posterior.h5") as file:
+            masses.append(7.5 * np.array(file["samples"])[:, 2])  # k2, k5, m
+    limited, free = masses
+    assert limited.min() >= 7.55
+    assert 0.05 < (free < 7.55).mean() < 0.95
+    kept = free[free >= 7.55]
+    # Some hundred samples that count each: means to a tenth of a deviation, deviations to 10 %.
+    assert limited.mean() == pytest.approx(kept.mean(), abs=0.3 * kept.std())
+    assert limited.std() == pytest.approx(kept.std(), rel=0.3)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("study", ["check", "pretest", "localise", "validate"])
 def test_the_other_studies_end(folder: Path, kind: str, study: str) -> None:
@@ -194,3 +228,13 @@ def test_a_limit_of_memory_holds_for_the_factors_of_the_kind(folder: Path, kind:
     ended = run_command(folder, "update", f"{kind}.yaml", "--set", limit, "--no-prefect")
     assert ended.returncode > 0
     assert "raise `run.memory_gb`" in ended.stderr
+
+
+def test_strains_of_a_model_without_places_are_refused_with_a_line(folder: Path) -> None:
+    text = campaign("shapes").replace(
+        "  shape_weight: 1.0\n", '  modal_strain: {gauges: ["1-2"], modes: {1: [1.0]}}\n'
+    )
+    (folder / "strains.yaml").write_text(text)
+    ended = run_command(folder, "update", "strains.yaml", "--no-prefect")
+    assert ended.returncode == 2
+    assert "strains.yaml, line 9" in ended.stderr.replace("\n", " "), ended.stderr

@@ -116,6 +116,54 @@ def test_strains_and_one_frequency_tell_both_halves(
     assert updated == pytest.approx(TRUTH, rel=3e-3)
 
 
+#: Of each other study its options.
+STUDIES = {
+    "screen": ["--method", "morris", "--points", "6"],
+    "sample": ["--steps", "300"],
+    "pretest": ["--method", "information"],
+    "localise": [],
+    "validate": ["--leave-one-out"],
+    "check": [],
+}
+
+
+def test_every_study_counts_the_strains(tmp_path: Path, truth: tuple[ModalResult, Floats]) -> None:
+    """One folder: what one study ran answers the others."""
+    path = campaign(tmp_path, truth, "shapes", ", eigensolver: pardiso")
+    found = {}
+    for study, options in STUDIES.items():
+        ended = run_command(tmp_path, study, str(path), *options, "--json", "--no-prefect")
+        assert ended.returncode == 0, study + ended.stderr
+        found[study] = json.loads(ended.stdout)
+        assert found[study]["status"] in ("done", "good", "sound", "doubtful"), study
+    for item in found["screen"]["parameters"]:
+        assert set(item["others"]) == {"modal_strain"}
+        assert any(item["others"]["modal_strain"])
+    for item, true in zip(found["sample"]["parameters"], TRUTH, strict=True):
+        # The test is exact but for its digits, and the prior's pull is below a deviation.
+        assert abs(item["mean"] - true) < 2.0 * item["deviation"]
+    ended = run_command(tmp_path, "update", str(path), "--starts", "2", "--json", "--no-prefect")
+    assert ended.returncode == 0, ended.stderr
+    told = json.loads(ended.stdout)
+    assert [item["updated"] for item in told["parameters"]] == pytest.approx(TRUTH, rel=3e-3)
+    assert told["trust"]["starts"]["places"] == 1
+
+
+def test_two_configurations_share_what_strains_tell(
+    tmp_path: Path, truth: tuple[ModalResult, Floats]
+) -> None:
+    text = campaign(tmp_path, truth, "own", ", eigensolver: pardiso").read_text()
+    lines = text.splitlines()
+    model, test = lines[1], lines[2]
+    each = "".join(f"  - {{name: {name}, {model}, {test}}}\n" for name in ("left", "right"))
+    two = tmp_path / "two.yaml"
+    two.write_text(text.replace(f"{model}\n{test}\n", f"configurations:\n{each}"))
+    ended = run_command(tmp_path, "update", str(two), "--json", "--no-prefect")
+    assert ended.returncode == 0, ended.stderr
+    updated = [item["updated"] for item in json.loads(ended.stdout)["parameters"]]
+    assert updated == pytest.approx(TRUTH, rel=3e-3)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

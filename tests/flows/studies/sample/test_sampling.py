@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats
 from modetune.flows.studies.sample.density import Posterior, find_peaks
+from modetune.flows.studies.sample.limits import UNIT, ResponseLimits
 from modetune.flows.studies.sample.sampling import Chains, check_walkers, sample, split_r_hat
 
 
@@ -68,6 +72,47 @@ def test_no_sample_leaves_the_range(linear: Any) -> None:
         posterior.surrogate, posterior.prior_mean, posterior.prior_deviation, posterior.lower, mean
     )
     assert (chains_of(cut, 500).flat <= mean).all()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One value that is limited, linear in the parameters."""
+
+    slopes: Floats
+
+    def residuals(self, points: Floats) -> Floats:
+        return np.asarray(points @ self.slopes[:, None])
+
+
+@pytest.mark.parametrize("share", [-0.5, 0.4, 2.0])
+def test_samples_keep_a_limit_and_are_a_truncated_normal_distribution(
+    linear: Any, share: float
+) -> None:
+    """The limited value s = a t is normal; s >= m + share sigma cuts 31, 66 and 98 % of it away."""
+    posterior, mean, covariance = linear
+    slopes = np.array([2.0, -1.0, 0.5])
+    middle, deviation = float(slopes @ mean), float(np.sqrt(slopes @ covariance @ slopes))
+    ends = np.array([[middle + share * deviation, np.inf]]) / UNIT
+    row: Any = Row(slopes / UNIT)
+    cut = replace(posterior, limits=ResponseLimits(row, ends, ("mass",)))
+    peak = find_peaks(cut, np.random.default_rng(0)).points[0]
+    # Where the density is greatest: the mean, or the nearest to it that keeps the limit.
+    nearest = mean + max(share, 0.0) * covariance @ slopes / deviation
+    np.testing.assert_allclose(peak, nearest, atol=1e-4)
+    chains = chains_of(cut)
+    found = (chains.flat @ slopes - middle) / deviation
+    assert found.min() >= share
+    expected, size = truncnorm(share, np.inf), chains.effective_sizes.min()
+    assert abs(found.mean() - expected.mean()) < 4.0 * expected.std() / np.sqrt(size)
+    assert found.std() == pytest.approx(expected.std(), rel=4.0 * np.sqrt(2.0 / size))
+
+
+def test_a_limit_that_no_set_keeps_is_told_by_name(linear: Any) -> None:
+    ends = np.array([[1e4, np.inf]]) / UNIT
+    row: Any = Row(np.ones(3) / UNIT)
+    cut = replace(linear[0], limits=ResponseLimits(row, ends, ("mass",)))
+    with pytest.raises(CampaignError, match=r"keeps all limits \(mass\): widen them"):
+        find_peaks(cut, np.random.default_rng(0))
 
 
 def test_too_few_steps_are_judged_too_short_after_ten_times_as_many(linear: Any) -> None:

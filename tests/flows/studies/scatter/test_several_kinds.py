@@ -99,6 +99,18 @@ def test_damping_and_weighings_tell_what_frequencies_cannot(folder: Path) -> Non
     assert "400 tests of 3 frequencies and 4 other values" in page
 
 
+def test_an_answer_that_breaks_a_limit_is_left_out(folder: Path) -> None:
+    limit = "residuals.mass_properties.mass.limits=[4.6, 4.7]"
+    target = "residuals.mass_properties.mass.target=4.69"
+    ended = run_command(
+        folder, "scatter", "warm.yaml", "--set", limit, "--set", target, "--no-prefect"
+    )
+    said = " ".join(ended.stderr.split())
+    assert ended.returncode == 2, said
+    assert "is left out: it breaks a limit (mass)" in said
+    assert "what the tests tell breaks the limits" in said
+
+
 def test_an_update_weighs_ratios_by_what_they_have_in_common(folder: Path) -> None:
     def noise(*settings: str) -> Any:
         case = load_campaign(folder / "warm.yaml", list(settings)).case
