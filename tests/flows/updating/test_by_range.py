@@ -151,7 +151,7 @@ def test_a_reduced_model_that_the_solver_does_not_confirm_gives_way_to_runs(
     assert found.runs.modal == 25
 
 
-def test_what_a_screening_ran_neither_sampling_nor_updating_runs_again(
+def test_what_a_screening_ran_no_other_study_and_no_update_runs_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sampling, "LONGEST", 1)  # how long the chains are does not matter here
@@ -172,12 +172,14 @@ def test_what_a_screening_ran_neither_sampling_nor_updating_runs_again(
     assert used.solutions == screened_first.reduced_model.solutions  # type: ignore[union-attr]
     # Each deviation of a frequency is a few thousandths: full solutions are met far within it.
     assert posterior.check_errors.max() < 0.05
+    left_out = leave_one_out(load_campaign(file, settings), Unwatched().working)
+    assert (left_out.status, left_out.runs.modal, left_out.runs.sensitivity) == ("good", 0, 0)
+    where = localise(load_campaign(file, settings))
+    assert (where.runs.modal, where.runs.sensitivity) == (0, 0)
     updated = update_from_starts(load_campaign(file, settings), tmp_path / "run", Unwatched())
     assert updated.converged
-    assert (updated.record.runs.modal, updated.record.runs.sensitivity) == (
-        1,
-        0,
-    )  # confirms its end
+    runs = updated.record.runs
+    assert (runs.modal, runs.sensitivity) == (1, 0)  # confirms its end
 
 
 def test_starts_that_were_asked_for_cost_no_runs_of_their_own(tmp_path: Path) -> None:
