@@ -1,4 +1,4 @@
-"""Chapter 6 of the thesis on the vibration fixture, with real CalculiX on the coarse mesh."""
+"""Chapter 6 of the thesis on the vibration fixture, with real CalculiX."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ import numpy as np
 import pytest
 
 from modetune.configs.cases import write_case
-from modetune.configs.fixture.thesis import THESIS_BEFORE, THESIS_MAC_AFTER, beside, claims
-from modetune.configs.fixture.twin import TRUTH
+from modetune.configs.fixture.thesis import (
+    THESIS_AFTER,
+    THESIS_BEFORE,
+    THESIS_MAC_AFTER,
+    THESIS_MAC_BEFORE,
+    beside,
+    claims,
+)
+from modetune.configs.fixture.twin import MODULI, mean_stiffness
 from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.work import ThreadExecution
-from modetune.flows.studies.screen.proposal import write_proposal
+from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.matrix_source import MatrixSource
@@ -40,37 +47,51 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def updated(folder: Path, runs: str, *settings: str) -> CampaignRun:
-    campaign = load_campaign(folder / "fixture.yaml", [COARSE, *settings])
-    return update_campaign(campaign, folder / runs, Unwatched())
-
-
 @pytest.fixture(scope="module")
 def run(folder: Path) -> CampaignRun:
-    return updated(folder, "coarse")
+    """The campaign as it comes, which was designed to be the thesis's case on this mesh alone."""
+    return update_campaign(load_campaign(folder / "fixture.yaml"), folder / "fine", Unwatched())
 
 
 def holding(record: CampaignRecord) -> list[bool]:
     return [claim.holds for claim in claims(record)]
 
 
-def test_five_parameters_bring_three_modes_to_the_thesiss_agreement(run: CampaignRun) -> None:
+def test_another_model_is_met_as_the_thesis_meets_its_test(run: CampaignRun) -> None:
     record = run.record
     assert record.status == "converged"
     assert record.iterations[-1].number <= 6  # thesis: six iterations
-    assert np.abs(record.best.frequency_errors).max() <= 0.02  # thesis Table 27
+    first, last = record.iterations[0], record.best
+    # As near to Table 26 as the search for the true fixture came (docs/fixture.md).
+    np.testing.assert_allclose(np.abs(first.frequency_errors), THESIS_BEFORE, atol=0.015)
+    np.testing.assert_allclose(first.pairing.mac, THESIS_MAC_BEFORE, atol=0.05)
+    assert (np.abs(last.frequency_errors) <= THESIS_AFTER).all()
     # The MAC of each pair itself, not of the space of close modes.
-    assert (record.best.pairing.mac >= THESIS_MAC_AFTER).all()
-    assert record.parameters.at_bounds(record.updated) == ()
-    assert (record.best.pairing.mac.min()) > record.iterations[0].pairing.mac.min()
+    assert (last.pairing.mac >= THESIS_MAC_AFTER).all()
+    assert holding(record) == [True] * 5
 
 
-def test_the_hidden_values_are_found_as_well_as_a_coarser_model_lets_them(
-    run: CampaignRun,
-) -> None:
-    # The test is of a finer mesh with a thicker block: 20 % of each is what that may cost.
-    truth = [TRUTH[item.targets[0]] for item in run.record.parameters.parameters]
-    np.testing.assert_allclose(run.record.updated, truth, rtol=0.2)
+def test_values_that_miss_the_truth_are_told_as_such(run: CampaignRun) -> None:
+    record = run.record
+    truth = np.array(
+        [
+            MODULI[target] if target in MODULI else mean_stiffness(target)
+            for item in record.parameters.parameters
+            for target in item.targets
+        ]
+    )
+    # Pads, roots, masses and uneven ground are no parameters: four of five miss what they stand for
+    # by more than two standard errors, and it is said that these do not cover it.
+    missed = np.abs(record.updated - truth) > 2.0 * record.standard_errors
+    assert missed.sum() == 4
+    form = record_verdict(record)
+    assert form is not None
+    assert form.form.suspected
+    assert "standard errors do not cover it" in form.sentence
+    assert record.trust is not None
+    assert record.trust.verdict == "trusted with reservations"
+    (flagged,) = [item for item in record.trust.parameters if item.doubtful]
+    assert (flagged.name, flagged.flags) == ("K_x", ("on_bound",))
 
 
 def test_matrices_serve_all_columns_with_four_jobs(run: CampaignRun) -> None:
@@ -115,69 +136,45 @@ def normalised_sensitivities(file: Path, settings: list[str]) -> tuple[tuple[str
     return campaign.parameters.names, np.asarray(values)
 
 
-def test_the_proposed_parameters_are_the_most_influential_five(folder: Path) -> None:
-    names, values = normalised_sensitivities(
-        folder / "fixture_candidates.yaml", [COARSE, "test.use=[1,2,3,4,5,6,7,8,9]"]
-    )
-    order = np.argsort(-np.abs(values).max(axis=0))
-    proposed = load_campaign(folder / "fixture.yaml", [COARSE]).parameters.names
-    assert {names[column] for column in order[:5].tolist()} == set(proposed)
-    assert values.shape == (9, 13)
-    largest = dict(zip(names, np.abs(values).max(axis=0).tolist(), strict=True))
-    others = [value for name, value in largest.items() if name not in proposed]
-    assert min(largest[name] for name in proposed) > 1.5 * max(others)
-    # Strain and spring energies are all of the energy: a half of each mode's eigenvalue.
+def test_strain_and_spring_energies_are_all_of_the_energy(folder: Path) -> None:
+    names, values = normalised_sensitivities(folder / "fixture_candidates.yaml", [COARSE])
+    assert (len(names), values.shape) == (13, (3, 13))
+    # A half of each mode's eigenvalue.
     np.testing.assert_allclose(values.sum(axis=1), 0.5, rtol=1e-4)
 
 
-def test_screening_proposes_the_five_and_they_reach_the_agreement(folder: Path) -> None:
-    campaign = load_campaign(folder / "fixture_candidates.yaml", [COARSE])
+def test_screening_ranks_the_thesiss_five_first(folder: Path) -> None:
+    campaign = load_campaign(folder / "fixture_candidates.yaml")
     screening = screen_campaign(campaign, ScreeningRequest("local"), Unwatched().working)
-    chosen = load_campaign(folder / "fixture.yaml", [COARSE]).parameters.names
-    assert set(screening.choice.chosen) == set(chosen)
-    proposed = write_proposal(campaign.file, screening, folder / "proposed.yaml")
-    again = load_campaign(proposed, [COARSE])
-    assert set(again.parameters.names) == set(chosen)
-    record = update_campaign(again, folder / "proposed", Unwatched()).record
-    assert holding(record)[1:] == [True, True, True, True]  # all but the fine mesh's start
+    chosen = load_campaign(folder / "fixture.yaml").parameters.names
+    ranked = np.argsort(-screening.importance)[:5]
+    assert {campaign.parameters.names[place] for place in ranked} == set(chosen)
+    # The linear choice needs the ground alone: the extensions come after, or say the same as K_y.
+    assert set(screening.choice.chosen) == {"K_x", "K_y", "K_z"}
 
 
 def test_frequencies_alone_do_not_tell_five_parameters(folder: Path) -> None:
-    record = updated(folder, "frequencies", "residuals.shape_weight=0").record
+    settings = [COARSE, "residuals.shape_weight=0", "update.starts=1"]
+    campaign = load_campaign(folder / "fixture.yaml", settings)
+    record = update_campaign(campaign, folder / "frequencies", Unwatched()).record
     assert np.abs(record.best.frequency_errors).max() <= 0.02
-    place = record.parameters.names.index("K_y")
-    assert record.updated[place] > 1.2  # it went up where the truth is below one
-    assert TRUTH["FOUNDATION_Y"] < 1.0
     assert not np.isfinite(record.standard_errors).any()
-
-
-def test_the_model_is_as_far_off_before_updating_as_the_thesiss(folder: Path) -> None:
-    settings = ["update.max_iterations=0", "residuals.shape_weight=0"]
-    campaign = load_campaign(folder / "fixture.yaml", settings)  # the mesh of the demo
-    record = update_campaign(campaign, folder / "fine", Unwatched()).record
-    np.testing.assert_allclose(
-        np.abs(record.iterations[0].frequency_errors), THESIS_BEFORE, atol=0.005
-    )
-    # Off this far nothing is reached: only the starting point and the bounds hold.
-    assert holding(record) == [True, False, False, False, True]
 
 
 def test_claims_say_what_does_not_hold(run: CampaignRun) -> None:
     record = run.record
-    # On the coarse mesh the starting point is another one (7, 34 and 21 %).
-    assert holding(record) == [False, True, True, True, True]
-    on_bound = replace(record, updated=record.parameters.upper)
-    assert holding(on_bound)[4] is False
-    assert "K_x" in claims(on_bound)[4].evidence
-    assert holding(replace(record, status="max_iterations"))[3] is False
+    first = replace(record, iterations=record.iterations[:1])
+    # Off this far nothing is reached but the starting point.
+    assert holding(first) == [True, True, False, False, True]
+    assert holding(replace(record, status="max_iterations"))[4] is False
 
 
 def test_results_stand_beside_the_thesiss(run: CampaignRun) -> None:
     modes, parameters = beside(run.record)
     assert "34.4" in modes.rows[1]  # thesis Table 26
     assert [row[0] for row in parameters.rows] == list(run.record.parameters.names)
-    truth = [f"{TRUTH[item.targets[0]]:.3f}" for item in run.record.parameters.parameters]
-    assert [row[2] for row in parameters.rows] == truth
+    assert parameters.rows[3][2] == f"{MODULI['EXTENSION_LEFT']:.3f}"
+    assert parameters.rows[0][2] == f"{mean_stiffness('FOUNDATION_X'):.3f}"
 
 
 def test_other_modes_are_not_the_thesiss_case(run: CampaignRun) -> None:
