@@ -17,6 +17,7 @@ from modetune.configs.fixture.fixture import (
     SPRINGS,
     Fixture,
     Floats,
+    assembled,
     calculix_deck,
     fixture,
 )
@@ -25,7 +26,6 @@ from modetune.configs.fixture.twin import (
     GROUND,
     MODULI,
     QUARTERS,
-    assembled,
     bodies,
     mean_stiffness,
     measured,
