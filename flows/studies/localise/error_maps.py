@@ -37,7 +37,7 @@ from modetune.flows.updating.matrix_source import MatrixSource
 
 #: Names of what no parameter scales.
 OTHER_STIFFNESS, OTHER_MASS = "other stiffness", "other mass"
-#: A part of the matrices smaller than this share of the whole is the rounding of their text.
+#: A part of a matrix that is nowhere a larger share of its diagonal is the rounding of its text.
 ROUNDING = 1e-6
 #: Unknowns up to which maps are made: the system of one mode has twice as many.
 MOST_UNKNOWNS = 400_000
@@ -137,7 +137,8 @@ def _groups(
 
 
 def _weighty(part: sparse.csr_array, whole: sparse.csr_array) -> bool:
-    return float(abs(part).max()) > ROUNDING * float(abs(whole).max())
+    """Whether anything is left: a soft spring is small beside the model, but not at its ends."""
+    return bool((abs(part.diagonal()) > ROUNDING * abs(whole.diagonal())).any())
 
 
 def _fields(

@@ -26,7 +26,7 @@ from modetune.flows.report.form_verdict import record_verdict, verdict_summary
 from modetune.flows.report.matplotlib_charts import save, save_all
 from modetune.flows.studies.localise.error_maps import OTHER_MASS, OTHER_STIFFNESS
 from modetune.flows.studies.localise.figures import localisation_figures, on_surface, surface_figure
-from modetune.flows.studies.localise.localise import localise, place_of
+from modetune.flows.studies.localise.localise import Localisation, localise, place_of
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine, update_campaign
 
@@ -299,7 +299,8 @@ def test_the_wrong_third_of_a_beam_ranks_first_by_mystran(
     the_wrong_third_ranks_first(tmp_path, "E_middle")
 
 
-def the_wrong_third_ranks_first(tmp_path: Path, wrong: str) -> None:
+def localised_bar(tmp_path: Path, values: dict[str, float]) -> Localisation:
+    """What a test of the bar with these moduli, with 1 % of noise on shapes, says of the bar."""
     sensors = [node(i, j, 0) for i in range(3, NX + 1, 2) for j in (0, NY)]
     blank = mode_set(
         np.arange(1.0, 5.0),
@@ -309,15 +310,18 @@ def the_wrong_third_ranks_first(tmp_path: Path, wrong: str) -> None:
     )
     write_modes_csv(tmp_path / "measured.csv", range(1, 5), blank)
     campaign = load_campaign(tmp_path / "bar.yaml")
-    # The test: the same bar with one modulus 20 % lower, by CalculiX, 1 % of noise on shapes.
-    job = Job({wrong: 0.8}, campaign_analysis(campaign))
+    job = Job(values, campaign_analysis(campaign))
     result = job_engine(campaign).solve(job).result(ModalResult)
     seen = campaign.case.sensors.observe(result.elastic).select(range(4))
     rms = np.sqrt(np.mean(seen.mode_shapes**2, axis=0))
     noise = 0.01 * rms * np.random.default_rng(5).standard_normal(seen.mode_shapes.shape)
     measured = mode_set(seen.frequencies_hz, seen.mode_shapes + noise, seen.nodes, seen.components)
     write_modes_csv(tmp_path / "measured.csv", range(1, 5), measured)
-    found = localise(load_campaign(tmp_path / "bar.yaml"))
+    return localise(load_campaign(tmp_path / "bar.yaml"))
+
+
+def the_wrong_third_ranks_first(tmp_path: Path, wrong: str) -> None:
+    found = localised_bar(tmp_path, {wrong: 0.8})
     assert found.maps is not None
     errors, names = found.maps.errors, found.maps.groups
     assert names[int(errors.ranking[0])] == wrong
@@ -328,3 +332,49 @@ def the_wrong_third_ranks_first(tmp_path: Path, wrong: str) -> None:
     worst = int(found.maps.mesh_nodes[int(np.argmax(found.maps.strains))])
     third = ("E_root", "E_middle", "E_tip").index(wrong)
     assert 5 * third <= (worst - 1) % (NX + 1) <= 5 * third + 5
+
+
+@needs_ccx
+@pytest.mark.parametrize("shells", [False, True])
+@pytest.mark.parametrize("mounted", [True, False])
+def test_soft_mounts_that_no_parameter_has_are_a_group_by_calculix(
+    mounted: bool, shells: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    # 10 g on 0.1 N/mm: far less than 1e-6 of the bar's largest stiffness.
+    box = f"""*NODE
+900, 320., 0., 50.
+*ELEMENT, TYPE=MASS, ELSET=BOX
+900, 900
+*MASS, ELSET=BOX
+1e-5
+*ELEMENT, TYPE=SPRING2, ELSET=MOUNT
+901, {node(NX, 0, 0)}, 900
+*SPRING, ELSET=MOUNT
+3, 3
+0.1
+*BOUNDARY
+900, 1, 2
+"""
+    (tmp_path / "bar.inp").write_text(bar_deck(shells) + (box if mounted else ""))
+    (tmp_path / "bar.yaml").write_text(CAMPAIGN)
+    found = localised_bar(tmp_path, {})
+    assert found.maps is not None
+    assert (OTHER_STIFFNESS in found.maps.groups) == mounted
+
+
+@needs_mystran
+def test_soft_mounts_that_no_parameter_has_are_a_group_by_mystran(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
+    box = "GRID,900,,320.,0.,50.,,12456\nCONM2,901,900,,1.-5\n"
+    box += f"CELAS2,902,.1,900,3,{node(NX, 0, 0)},3\n"
+    (tmp_path / "bar.bdf").write_text(beam_deck().replace("ENDDATA", f"{box}ENDDATA"))
+    told = CAMPAIGN.replace("deck: bar.inp, solver: calculix", "deck: bar.bdf, solver: mystran")
+    for number, name in enumerate(("ROOT", "MIDDLE", "TIP"), 1):
+        told = told.replace(f"material: {name}", f"material: {number}")
+    (tmp_path / "bar.yaml").write_text(told)
+    found = localised_bar(tmp_path, {})
+    assert found.maps is not None
+    assert OTHER_STIFFNESS in found.maps.groups
