@@ -188,12 +188,12 @@ def garteur(size: str) -> Model:
 
 
 def launcher_of(size: str) -> Model:
-    """The launcher of configs/launcher, bolted down, with shapes at its sensors."""
+    """The bare launcher of configs/launcher, bolted down, with shapes at its sensors."""
     mesh = launcher.mesh_of(LAUNCHERS[size])
 
     def write(path: Path) -> None:
         with path.open("wb") as file:
-            launcher.write_deck(file, mesh)
+            launcher.write_deck(file, mesh, unit=False)
 
     sensors = tuple(range(1, len(launcher.SENSORS) + 1))
     return Model(write, LAUNCHER_TRUTH, LAUNCHER_MODES, 0, sensors)

@@ -5,7 +5,9 @@ ten, shells of four and three), 964,396 nodes, ten subparts with a Young's modul
 and one material; its shape is in a picture only. This one is a design of our own: a base plate,
 bolted down at its corners, carries two arms on feet, with gussets at their sides, before and behind
 them; a fitting between the arms holds a box beam of 2.4 m with flanges, ribs and a sloped nose; on
-top of it are two guides with stops. A cable duct on its right side alone couples sway and pitch.
+top of it are two guides with stops. A cable duct on its right side alone couples sway and pitch. A
+control unit lies across the guides on soft mounts: a point mass, with a spring along each axis to
+either guide, whose local modes lie among those of the launcher.
 
 All parts share the nodes where they touch. A shell that ends on a solid's face would turn there as
 on a hinge, so shells lie on the solids that they belong to over several rows of nodes: feet on the
@@ -66,6 +68,12 @@ SENSORS: tuple[Place, ...] = (
     (0.0, 0.0, 20.0),
 )
 
+#: The control unit's mass, t, and where it is held: the guides' upper outer edges.
+UNIT_MASS = 0.00029
+UNIT_MOUNTS = ((600.0, -80.0, 415.0), (600.0, 80.0, 415.0))
+#: Its frequencies along x, y and z on guides that do not move, Hz.
+UNIT_HZ = (86.5, 57.32, 79.29)
+
 #: Degrees of freedom at six a node, as Nastran counts them, that the generator was tried between.
 LEAST_DOF, MOST_DOF = 18_000, 5_900_000
 
@@ -92,6 +100,11 @@ class LauncherModel:
     nodes: Floats
     elements: dict[str, list[Integers]]
     bolted: Integers
+
+    @property
+    def n_elements(self) -> int:
+        """How many elements the groups have."""
+        return sum(len(rows) for kinds in self.elements.values() for rows in kinds)
 
 
 def _sided(group: str, low: Place, high: Place, corner: Place | None = None) -> list[LatticePart]:
@@ -209,9 +222,31 @@ def _joined(arrays: list[Integers]) -> list[Integers]:
     return [np.concatenate([a for a in arrays if a.shape[1] == width]) for width in widths]
 
 
-def write_deck(file: BinaryIO, mesh: LauncherMesh) -> None:
-    """Write the launcher as a complete CalculiX deck, bolted down, first 13 modes."""
-    write_model(file, launcher(mesh), dict.fromkeys(GROUPS, 1.0), THICKNESSES, [])
+def write_deck(file: BinaryIO, mesh: LauncherMesh, unit: bool = True) -> None:
+    """Write the launcher as a complete CalculiX deck, bolted down, first 13 modes.
+
+    unit: whether the control unit lies on it.
+    """
+    model = launcher(mesh)
+    more = _control_unit(model) if unit else []
+    write_model(file, model, dict.fromkeys(GROUPS, 1.0), THICKNESSES, more)
+
+
+def _control_unit(model: LauncherModel) -> list[str]:
+    """The control unit's node, the last one, its mass, and its springs."""
+    guides = [node_at(model.nodes, place) for place in UNIT_MOUNTS]
+    own, element = len(model.nodes) + 1, model.n_elements + 1
+    middle = np.mean(UNIT_MOUNTS, axis=0)
+    lines = ["*NODE", ", ".join(map(str, [own, *middle.tolist()]))]
+    lines += ["*ELEMENT, TYPE=MASS, ELSET=UNIT", f"{element}, {own}", "*MASS, ELSET=UNIT"]
+    lines.append(f"{UNIT_MASS}")
+    for axis, hz in enumerate(UNIT_HZ, 1):
+        stiffness = UNIT_MASS * (2.0 * np.pi * hz) ** 2 / len(guides)
+        name = f"MOUNTS_{axis}"
+        lines.append(f"*ELEMENT, TYPE=SPRING2, ELSET={name}")
+        lines += [f"{element + 2 * axis + k - 1}, {own}, {node}" for k, node in enumerate(guides)]
+        lines += [f"*SPRING, ELSET={name}", f"{axis}, {axis}", f"{stiffness:.6f}"]
+    return lines
 
 
 def write_model(

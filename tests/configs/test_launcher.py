@@ -21,6 +21,7 @@ from modetune.configs.launcher.launcher import (
     MESHES,
     SENSORS,
     THICKNESSES,
+    UNIT_MASS,
     YOUNGS_MODULUS,
     LauncherMesh,
     LauncherModel,
@@ -74,13 +75,13 @@ def need_ccx(folder: Path) -> None:
 
 
 def solved(mesh: LauncherMesh, folder: Path, nodes: tuple[int, ...]) -> ModalResult:
-    """Six modes by CalculiX."""
+    """Seven modes by CalculiX."""
     deck = folder / "launcher.inp"
     with deck.open("wb") as file:
         write_deck(file, mesh)
     need_ccx(folder)
     solver = calculix_solver(deck, parameters())
-    analysis = ModalAnalysis(6, nodes)
+    analysis = ModalAnalysis(7, nodes)
     solver.render({}, analysis).write(folder)
     finished = run_process(solver.program.command(2), folder, 600.0, threading.Event())
     result = solver.read({}, analysis, folder, finished.return_code)
@@ -222,7 +223,8 @@ def test_every_group_has_a_modulus_of_its_own_in_the_deck(tmp_path: Path) -> Non
     solver = calculix_solver(deck, parameters())
     assert solver.deck.problems(parameters()) == []
     assert [solver.deck.deck_value(item) for item in parameters()] == [YOUNGS_MODULUS] * 10
-    assert solver.deck.summary.node_ids == frozenset(range(1, count_nodes(COARSE) + 1))
+    # The last node is the control unit.
+    assert solver.deck.summary.node_ids == frozenset(range(1, count_nodes(COARSE) + 2))
     file = BytesIO()
     write_deck(file, COARSE)
     assert file.getvalue().decode() == deck.read_text()
@@ -232,27 +234,36 @@ def test_every_group_has_a_modulus_of_its_own_in_the_deck(tmp_path: Path) -> Non
 def coarse(tmp_path_factory: pytest.TempPathFactory) -> ModalResult:
     """The coarse launcher's modes at all nodes."""
     folder = tmp_path_factory.mktemp("coarse")
-    return solved(COARSE, folder, tuple(range(1, count_nodes(COARSE) + 1)))
+    return solved(COARSE, folder, tuple(range(1, count_nodes(COARSE) + 2)))
 
 
-def test_the_first_modes_are_global_and_the_mass_is_that_of_the_volumes(
+def test_launcher_modes_are_global_but_for_the_control_units_and_the_mass_is_that_of_the_parts(
     coarse: ModalResult,
 ) -> None:
     result = coarse
     # CalculiX prints seven digits.
-    assert result.mass == pytest.approx(DENSITY * sum(VOLUMES.values()), rel=1e-6)
+    assert result.mass == pytest.approx(DENSITY * sum(VOLUMES.values()) + UNIT_MASS, rel=1e-6)
     assert result.n_rigid == 0
     # Without mechanisms: a beam of 2.4 m on a stand of 0.3 m swings at tens of Hz.
     assert 40.0 < result.modes.frequencies_hz[0] < 80.0
+    own = result.modes.nodes > count_nodes(COARSE)
     shapes = np.abs(result.modes.mode_shapes)
     at_sensors = shapes[result.modes.nodes <= len(SENSORS)]
     # A panel's own mode would move elsewhere than at the beam's ends.
-    assert (at_sensors.max(axis=0)[:4] > 0.9 * shapes.max(axis=0)[:4]).all()
+    assert (at_sensors.max(axis=0)[:4] > 0.9 * shapes[~own].max(axis=0)[:4]).all()
+    # Its three motions are in the first seven modes: of a unit mass of each mode this share is its.
+    share = UNIT_MASS * np.sum(shapes[own] ** 2, axis=0)
+    assert 2.9 < share.sum() < 3.0
+    # Along x it moves alone; along y and z it is tuned to modes of the launcher, and shares three
+    # with it each.
+    assert share[5] > 0.9
+    assert ((share[[0, 1, 2, 3, 4, 6]] > 0.1) & (share[[0, 1, 2, 3, 4, 6]] < 0.9)).all()
 
 
 def test_frequencies_settle_from_above_with_refinement(coarse: ModalResult, tmp_path: Path) -> None:
     finer = solved(LauncherMesh(24.0), tmp_path, (1,))
-    fall = 1.0 - finer.modes.frequencies_hz[:3] / coarse.modes.frequencies_hz[:3]
+    own = [0, 1, 3]  # the control unit's frequencies are those of its mounts
+    fall = 1.0 - finer.modes.frequencies_hz[own] / coarse.modes.frequencies_hz[own]
     # A mechanism, or a hinge where a joint should be, would fall further and on and on; from here
     # to 300,000 degrees of freedom it is a few per cent again (docs/launcher.md).
     assert ((fall > 0.0) & (fall < 0.03)).all()
