@@ -52,7 +52,8 @@ from modetune.flows.studies.scatter.record import ScatterRecord
 from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
-from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
+from modetune.flows.studies.validate.leave_out import Validation
+from modetune.flows.studies.validate.leave_out import leave_one_out as judge_left_out
 from modetune.flows.studies.validate.leave_out import validate as judge_held_out
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.modal_run import model_modes, parse_values
@@ -229,7 +230,7 @@ def validate(
     By what the campaign holds out, or by each used mode in turn. Raises CampaignError, SolverError,
     ModesError, StoreError.
     """
-    judge = _leave_one_out if leave_one_out else judge_held_out
+    judge = judge_left_out if leave_one_out else judge_held_out
     with _watched(progress) as watcher:
         return judge(campaign_of(campaign, settings), watcher.working)
 
@@ -424,10 +425,6 @@ def _texts(settings: Settings) -> list[str]:
 
 def _run_of(record: StrPath | CampaignRun) -> CampaignRun:
     return record if isinstance(record, CampaignRun) else read_record(record)
-
-
-def _leave_one_out(campaign: Campaign, working: Any) -> Validation:
-    return leave_one_out(campaign, working)
 
 
 @contextlib.contextmanager

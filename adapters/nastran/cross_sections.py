@@ -56,7 +56,7 @@ class Station:
 @dataclass(frozen=True)
 class CrossSection:
     """places: of the stations, 0 to 1 of the length; shear_1, shear_2: factors on the area in
-    planes 1 and 2, 0 for no shear strain. is_rod: carries nothing but tension and torsion.
+    planes 1 and 2, 0 for no shear strain.
     """
 
     places: tuple[float, ...]
@@ -66,7 +66,6 @@ class CrossSection:
     youngs_modulus: float
     shear_modulus: float
     density: float
-    is_rod: bool = False
 
     def at(self, place: float) -> Station:
         """The cross-section at 0..1 of the length."""
@@ -151,7 +150,6 @@ def _made(
     stations: Sequence[Station],
     shear: tuple[float, float] = (0.0, 0.0),
     places: Sequence[float] = (0.0,),
-    is_rod: bool = False,
 ) -> CrossSection:
     material = card.mid_ref
     if material is None or material.type != "MAT1":
@@ -168,7 +166,6 @@ def _made(
         float(material.e),
         float(material.g or 0.0),
         float(material.rho or 0.0),
-        is_rod,
     )
 
 
@@ -232,7 +229,7 @@ def _numbers(values: Iterable[float | None]) -> list[float]:
 def _prod(card: Any) -> CrossSection:
     extra = float(card.nsm or 0.0)
     station = Station(float(card.A), torsion=float(card.j or 0.0), nonstructural_mass=extra)
-    return _made(card, [station], is_rod=True)
+    return _made(card, [station])
 
 
 def _ptube(card: Any) -> CrossSection:
@@ -242,4 +239,4 @@ def _ptube(card: Any) -> CrossSection:
         tube = shape_of("TUBE", (diameter / 2.0, inner))
         extra = float(card.nsm or 0.0)
         stations.append(Station(tube.area, torsion=tube.torsion, nonstructural_mass=extra))
-    return _made(card, stations, places=(0.0, 1.0), is_rod=True)
+    return _made(card, stations, places=(0.0, 1.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
@@ -11,29 +10,19 @@ from modetune.adapters.translation.calculix_text import CalculixText, number_lis
 SAME_SHEAR = 5e-3
 
 
-@dataclass(frozen=True, slots=True)
-class MaterialUse:
-    """A material with what a property adds to it: an own density (rho + NSM / t)."""
-
-    name: str
-    oriented: bool
-
-
-def solid_material(
-    builder: CalculixText, card: Any, wtmass: float, problems: list[str]
-) -> MaterialUse:
-    """Add the material of a solid (isotropic MAT1 only)."""
+def solid_material(builder: CalculixText, card: Any, wtmass: float, problems: list[str]) -> str:
+    """Add the material of a solid (isotropic MAT1 only); its name."""
     if card.type != "MAT1":
         problems.append(f"{card.type} {card.mid}: solids are translated with MAT1 only")
-        return MaterialUse("", False)
+        return ""
     if not card.e or not is_isotropic(card.e, card.g, card.nu):
         problems.append(
             f"MAT1 {card.mid}: E={card.e}, G={card.g} and NU={card.nu} are not an isotropic solid; "
             "leave one of them blank"
         )
-        return MaterialUse("", False)
+        return ""
     elastic = ["*ELASTIC", number_list((card.e, card.nu))]
-    return MaterialUse(_add(builder, card, elastic, card.rho * wtmass), False)
+    return _add(builder, card, elastic, card.rho * wtmass)
 
 
 def is_isotropic(e: float, g: float, nu: float) -> bool:

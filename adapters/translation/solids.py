@@ -65,4 +65,4 @@ def _material(card: Any, builder: CalculixText, problems: list[str], wtmass: flo
     if card.fctn not in (None, "SMECH"):
         problems.append(f"PSOLID {card.pid}: FCTN={card.fctn} is not a structural solid")
         return ""
-    return solid_material(builder, card.mid_ref, wtmass, problems).name
+    return solid_material(builder, card.mid_ref, wtmass, problems)

@@ -100,14 +100,6 @@ class ParameterMatrices:
     stiffness: tuple[ParameterMatrix, ...]
     mass: tuple[ParameterMatrix, ...]
 
-    @property
-    def n_bytes(self) -> int:
-        """Memory of all arrays."""
-        uppers = (self.base.upper_stiffness, self.base.upper_mass)
-        own = sum(a.data.nbytes + a.indices.nbytes + a.indptr.nbytes for a in uppers)
-        parts = sum(p.places.nbytes + p.values.nbytes for p in (*self.stiffness, *self.mass))
-        return own + parts + self.base.nodes.nbytes + self.base.components.nbytes
-
     def at(self, theta: Floats) -> MatrixResult:
         """The matrices at these values (n_parameters,); all share one pattern, arrays included."""
         stiffness = self._at(self.base.upper_stiffness, self.stiffness, theta)

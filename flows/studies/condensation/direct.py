@@ -37,6 +37,7 @@ from modetune.core.updating.direct import (
 )
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.studies.condensation.damage import MatrixDamage, damage_of
 from modetune.flows.studies.condensation.model import (
     FullModel,
     by_sensors,
@@ -50,8 +51,6 @@ METHODS: tuple[DirectMethod, ...] = get_args(DirectMethod)
 FILLINGS: tuple[Filling, ...] = get_args(Filling)
 #: Unknowns of a model whose full matrices are still handled at ease: 70 MB each.
 MOST = 3000
-#: Eigenvalues and couplings below this part of the largest, an unknown, are rounding.
-ROUNDING = 1e-13
 #: As in reductions: below this part of the highest eigenvalue looked at a mode is rigid.
 REST = 1e-8
 #: A corrected mode of this MAC with an imposed shape is that one.
@@ -71,24 +70,6 @@ class CorrectedMode:
     difference: float
     initial_hz: float
     mac: float
-
-
-@dataclass(frozen=True, slots=True)
-class MatrixDamage:
-    """What a change breaks in one matrix, each entry by the roots of its diagonal ones, so that
-    units do not count.
-
-    size: of the change over that of the matrix; couplings: entries that were zero and are not;
-    outside: the part of the change's size at entries that were zero; unmeasured: that at rows or
-    columns that no sensor sees; negative: negative eigenvalues that it brought.
-    """
-
-    matrix: str
-    size: float
-    couplings: int
-    outside: float
-    unmeasured: float
-    negative: int
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -203,8 +184,8 @@ def correct_directly(
         modes=modes,
         why_no_modes=why,
         damage=(
-            _damage("stiffness", model.stiffness, stiffness, subject.watched),
-            _damage("mass", model.mass, mass, subject.watched),
+            damage_of("stiffness", model.stiffness, stiffness, subject.watched),
+            damage_of("mass", model.mass, mass, subject.watched),
         ),
         residual=float(np.max(relative(k @ phi - m @ phi * given.eigenvalues, k @ phi))),
         rigid_hz=_rigid_hz(own, k, m),
@@ -341,35 +322,6 @@ def _likeness(mass: sparse.csr_array, shapes: Floats, others: Floats) -> Floats:
     m_shapes, m_others = mass @ shapes, mass @ others
     sizes = np.outer(np.sum(shapes * m_shapes, axis=0), np.sum(others * m_others, axis=0))
     return np.asarray((shapes.T @ m_others) ** 2 / np.abs(sizes))
-
-
-def _damage(
-    name: str, before: sparse.csr_array, change: Floats, watched: sparse.csr_array
-) -> MatrixDamage:
-    """What a change (n, n) breaks in a matrix."""
-    matrix: Floats = before.toarray()
-    diagonal = np.abs(np.diag(matrix))
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, diagonal[diagonal > 0.0].mean()))
-    whole, added = matrix * np.outer(scale, scale), change * np.outer(scale, scale)
-    new = (matrix == 0.0) & (np.abs(added) > ROUNDING * np.abs(whole).max())
-    unseen = np.ones(matrix.shape[0], dtype=np.bool_)
-    unseen[watched.indices] = False
-    size = float(np.linalg.norm(added))
-    part = size or 1.0
-    return MatrixDamage(
-        matrix=name,
-        size=size / float(np.linalg.norm(whole)),
-        couplings=int(new.sum()),
-        outside=float(np.linalg.norm(added[new])) / part,
-        unmeasured=float(np.linalg.norm(added[unseen[:, None] | unseen])) / part,
-        negative=_negative(np.asarray(whole + added)) - _negative(whole),
-    )
-
-
-def _negative(matrix: Floats) -> int:
-    """Eigenvalues below zero by more than rounding (n eps of the largest, and sums of it)."""
-    values = np.linalg.eigvalsh(matrix)
-    return int((values < -ROUNDING * values.size * np.abs(values).max()).sum())
 
 
 def _rigid_hz(own: _OwnModes, k: Floats, m: Floats) -> float:
