@@ -140,8 +140,9 @@ def common_dofs(first: ModeSet, second: ModeSet) -> tuple[Integers, Integers]:
     return rows[:, 0], rows[:, 1]
 
 
-def close_sets(frequencies_hz: Floats, width: float | Floats) -> list[Integers]:
-    """Positions of each set of close modes, ascending; a mode that is close to none is alone.
+def close_labels(frequencies_hz: Floats, width: float | Floats) -> Integers:
+    """The number of the set of close modes that each one is in, (n_modes,); one that is close to
+    none is alone.
 
     width: relative distance of neighbours in frequency up to which they are close, of all or
     (n_modes,), the larger one of both. Sets are in the order of frequency.
@@ -149,9 +150,16 @@ def close_sets(frequencies_hz: Floats, width: float | Floats) -> list[Integers]:
     order = np.argsort(frequencies_hz, kind="stable")
     ascending = frequencies_hz[order]
     widths = np.broadcast_to(width, order.shape)[order]
-    reach = np.maximum(widths[1:], widths[:-1])
-    apart = np.diff(ascending) > reach * np.abs(ascending[1:])
-    return [np.sort(item) for item in np.split(order, np.flatnonzero(apart) + 1)]
+    apart = np.diff(ascending) > np.maximum(widths[1:], widths[:-1]) * np.abs(ascending[1:])
+    labels = np.zeros(order.size, dtype=np.int64)
+    labels[order[1:]] = np.cumsum(apart)
+    return labels
+
+
+def close_sets(frequencies_hz: Floats, width: float | Floats) -> list[Integers]:
+    """Positions of each set of close modes, ascending, by `close_labels`."""
+    labels = close_labels(frequencies_hz, width)
+    return [np.flatnonzero(labels == n) for n in range(labels.max(initial=-1) + 1)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,10 @@ until it holds as many as there are.
 A factorisation of 10^6 equations takes as long as hundreds of solved columns. There the factors
 of an earlier model do as well, as long as it is near (`block_davidson`): K and M new, the inverse
 old. Residuals are held to the same bound; where their fall over the first blocks says that a
-factorisation is the shorter way, that is gone from where they are. Nothing can be counted without
-factors: random vectors beside the start shapes stay in the block to the end and turn to the lowest
-of what the others lack, and a mode among the lowest has to converge like the rest.
+factorisation is the shorter way, that is gone from where they are. Where nothing is
+counted, random vectors beside the start shapes stay in the block to the end and turn to the lowest
+of what the others lack, and a mode among the lowest has to converge like the rest. A count then
+takes the one factorisation, just below the last eigenvalue.
 
 Factors in single precision (core/algebra/factor_room) are those of a similar matrix too, some 6e-8
 of K away. They take half the memory, and modes come from them in the same way as from an earlier
@@ -122,7 +123,8 @@ class ModeSolver:
     """
 
     def __init__(self, *, count: bool = True) -> None:
-        """count: whether to prove by inertia that no mode is missing; one factorisation more."""
+        """count: whether to prove by inertia that no mode is missing; one factorisation more.
+        What a solution is not told otherwise."""
         self._count = count
         self._pencil: Pencil | None = None
         self._shift: float | None = None
@@ -135,6 +137,7 @@ class ModeSolver:
         shift: float | None = None,
         start: Floats | None = None,
         kept_blocks: int = 0,
+        count: bool | None = None,
     ) -> SolvedModes:
         """The lowest modes of a model, rigid ones included.
 
@@ -145,17 +148,20 @@ class ModeSolver:
         start: (n, n_start), shapes of a similar model, at least n_modes of them and better some
         more. With count, modes are complete or an error is raised; without it, a mode of which the
         start shapes hold nothing is not found: for whoever looks at the modes again by other means.
-        kept_blocks: blocks of vectors that the factors of the model before may be tried with,
-        without count (`blocks_that_pay`).
+        kept_blocks: blocks of vectors that the factors of the model before may be tried with
+        (`blocks_that_pay`); count: of this solution.
         Raises ModelError where the matrices allow no solution, SolverExhausted where memory does
         not suffice.
         """
         size = int(stiffness.shape[0])
         if not 0 < n_modes <= size:
             raise ModelError(f"{n_modes} modes were asked of a model with {size} unknowns")
-        if self._pencil is None or not self._pencil.update(stiffness, mass):
+        count = self._count if count is None else count
+        own = self._pencil is not None and (self._pencil.exact or not count)
+        if self._pencil is None or not own or not self._pencil.update(stiffness, mass):
             self._pencil = None  # its memory is free before the next one takes any
-            self._pencil = Pencil(stiffness, mass, most_vectors(n_modes), self._similar(n_modes))
+            similar = None if count else similar_vectors(n_modes)
+            self._pencil = Pencil(stiffness, mass, most_vectors(n_modes), similar)
             self._shift = None
         pencil = self._pencil
         if size <= DENSE or n_modes > size // 2:
@@ -175,23 +181,31 @@ class ModeSolver:
         if not pencil.exact:
             return self._from_similar(pencil, n_modes, shift, start, kept_blocks)
         if start is not None and start.shape[1] >= n_modes and start.shape[0] == size:
-            if kept_blocks and not self._count and pencil.kept_shift is not None:
-                pairs = _by_similar(pencil, n_modes, pencil.kept_shift, start, kept_blocks)
+            if kept_blocks and pencil.kept_shift is not None:
+                kept_shift = pencil.kept_shift
+                pairs = _by_similar(pencil, n_modes, kept_shift, start, kept_blocks)
                 if pairs is not None and pairs.converged:
-                    self._shift = None
-                    return _solved(pairs, n_modes, pencil.kept_shift, "kept factors")
+                    solved = _solved(pairs, n_modes, kept_shift, "kept factors")
+                    if not count:
+                        self._shift = None
+                        return solved
+                    self._shift = kept_shift
+                    _, found, there = _below_last(pencil, solved)
+                    if there == found:
+                        return replace(solved, counted=True)
                 logger.info("the model is too far from the one factorised: factorised anew")
                 start = start if pairs is None else pairs.vectors
-            found = self._from_start(pencil, n_modes, shift, np.asfortranarray(start))
-            if found is not None:
-                return found
-        return self._from_random(pencil, n_modes, shift)
+            near = self._from_start(pencil, n_modes, shift, np.asfortranarray(start), count)
+            if near is not None:
+                return near
+        return self._from_random(pencil, n_modes, shift, count)
 
     def factorise(self, stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> None:
         """Only the factors of a model, for one that is like it. As `solve`, shift as it told."""
         if self._pencil is None or not self._pencil.update(stiffness, mass):
             self._pencil = None
-            self._pencil = Pencil(stiffness, mass, 0, self._similar(0))
+            similar = None if self._count else similar_vectors(0)
+            self._pencil = Pencil(stiffness, mass, 0, similar)
         self._shift = factorise_below(self._pencil, shift)
 
     def blocks_that_pay(self, n_modes: int) -> int:
@@ -231,10 +245,6 @@ class ModeSolver:
     def held(self) -> str:
         """How the factors are held, where that is not in double precision in memory."""
         return "" if self._pencil is None else self._pencil.held
-
-    def _similar(self, n_modes: int) -> int | None:
-        """Vectors beside factors that are not exact, by which nothing can be counted."""
-        return None if self._count else similar_vectors(n_modes)
 
     def _from_similar(
         self,
@@ -277,11 +287,11 @@ class ModeSolver:
         return solved
 
     def _from_start(
-        self, pencil: Pencil, n_modes: int, shift: float, start: Floats
+        self, pencil: Pencil, n_modes: int, shift: float, start: Floats, count: bool
     ) -> SolvedModes | None:
         """None where the start shapes are not good enough."""
         shapes, wanted, above, guard = start[pencil.rows], n_modes, np.inf, 0
-        if self._count:
+        if count:
             quotients, shapes = _rayleigh_ritz(pencil, start)
             if quotients.size < n_modes:
                 return None
@@ -304,23 +314,20 @@ class ModeSolver:
         )
         if not pairs.converged:
             return None
-        return of_pairs(pencil, pairs, n_modes, "start", self._count)
+        return of_pairs(pencil, pairs, n_modes, "start", count)
 
-    def _from_random(self, pencil: Pencil, n_modes: int, shift: float) -> SolvedModes:
+    def _from_random(self, pencil: Pencil, n_modes: int, shift: float, count: bool) -> SolvedModes:
         self._shift = factorise_below(pencil, shift)
         if not pencil.is_invertible():
             raise singular_together(pencil)
         pairs = _random_pairs(pencil, n_modes)
         solved = of_pairs(pencil, pairs, n_modes, "random", False)
-        if not self._count:
+        if not count:
             return solved
-        last = float(solved.eigenvalues[-1])
-        margin = _margin(pencil, last, self._shift)
-        below, there = count_below(pencil, last, -margin)
-        found = int(np.sum(solved.eigenvalues < below))
+        below, found, there = _below_last(pencil, solved)
         if there == found:
             return replace(solved, counted=True)
-        whole = self._with_missing(pencil, solved, margin)
+        whole = self._with_missing(pencil, solved)
         if whole is None:
             raise ModelError(
                 f"{n_modes} modes were looked for, but of the eigenvalues below {below:.6e} "
@@ -329,14 +336,13 @@ class ModeSolver:
             )
         return whole
 
-    def _with_missing(
-        self, pencil: Pencil, found: SolvedModes, margin: float
-    ) -> SolvedModes | None:
+    def _with_missing(self, pencil: Pencil, found: SolvedModes) -> SolvedModes | None:
         """Modes found and those between them that the count says are there; None in vain."""
         n_modes, shift = found.eigenvalues.size, found.shift
         # Those found are not below the eigenvalues of their numbers: here are n_modes or more,
         # all that are equal to the last one among them.
-        above, wanted = count_below(pencil, float(found.eigenvalues[-1]), margin)
+        last = float(found.eigenvalues[-1])
+        above, wanted = count_below(pencil, last, _margin(pencil, last, shift))
         if wanted < n_modes:
             return None
         self._shift = factorise_below(pencil, shift)
@@ -431,6 +437,13 @@ def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:
 def _margin(pencil: Pencil, eigenvalue: float, shift: float) -> float:
     """How far from an eigenvalue to count, so that neither it nor its equals are cut by chance."""
     return max(_SAME * abs(eigenvalue - shift), ROUNDING * pencil.largest_eigenvalue())
+
+
+def _below_last(pencil: Pencil, solved: SolvedModes) -> tuple[float, int, int]:
+    """A number just below the last eigenvalue, how many are below it of those found, and of all."""
+    last = float(solved.eigenvalues[-1])
+    below, there = count_below(pencil, last, -_margin(pencil, last, solved.shift))
+    return below, int(np.sum(solved.eigenvalues < below)), there
 
 
 def _rayleigh_ritz(pencil: Pencil, start: Floats) -> tuple[Floats, Floats]:

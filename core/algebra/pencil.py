@@ -287,6 +287,7 @@ def count_below(pencil: Pencil, eigenvalue: float, margin: float) -> tuple[float
         pencil.factorise(beside)
         if pencil.below >= 0:
             break
+    pencil.kept_shift = None  # among the eigenvalues: of no use for a model like it
     return beside, pencil.below
 
 

@@ -23,7 +23,16 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from modetune.core.correlation.pairing import FINE, UNSEEN, Pairing
-from modetune.core.modes import CLOSE, REPEATED, Floats, Integers, ModeSet, close_sets, common_dofs
+from modetune.core.modes import (
+    CLOSE,
+    REPEATED,
+    Floats,
+    Integers,
+    ModeSet,
+    close_labels,
+    close_sets,
+    common_dofs,
+)
 
 
 def rotation_onto(shapes: Floats, wanted: Floats, frequencies_hz: Floats) -> Floats:
@@ -53,8 +62,8 @@ def rotation_to_test(
     them either, or the sensors cannot tell how the members lie.
     """
     rows_m, rows_c = common_dofs(measured, computed)
-    alike = _labels(measured.frequencies_hz, resolution)
-    one = _labels(measured.frequencies_hz, FINE * resolution)
+    alike = close_labels(measured.frequencies_hz, resolution)
+    one = close_labels(measured.frequencies_hz, FINE * resolution)
     rotation = np.eye(computed.n_modes)
     turned = False
     for members in close_sets(computed.frequencies_hz, CLOSE):
@@ -90,8 +99,8 @@ def paired_clusters(
     Each pair is in one cluster, mostly alone; clusters are in the order of their first pairs.
     """
     sides = (
-        _labels(measured.frequencies_hz, resolution)[pairing.measured],
-        _labels(computed.frequencies_hz, CLOSE)[pairing.computed],
+        close_labels(measured.frequencies_hz, resolution)[pairing.measured],
+        close_labels(computed.frequencies_hz, CLOSE)[pairing.computed],
     )
     n_pairs = pairing.measured.size
     first, second = np.nonzero((sides[0][:, None] == sides[0]) | (sides[1][:, None] == sides[1]))
@@ -102,16 +111,8 @@ def paired_clusters(
 
 def with_neighbours(frequencies_hz: Floats, modes: Integers) -> Integers:
     """Positions of these modes of a model and of all that are close to them."""
-    labels = _labels(frequencies_hz, CLOSE)
+    labels = close_labels(frequencies_hz, CLOSE)
     return np.flatnonzero(np.isin(labels, labels[modes]))
-
-
-def _labels(frequencies_hz: Floats, width: float | Floats) -> Integers:
-    """The number of the close set that each mode is in, (n_modes,)."""
-    labels = np.empty(frequencies_hz.size, dtype=np.int64)
-    for number, members in enumerate(close_sets(frequencies_hz, width)):
-        labels[members] = number
-    return labels
 
 
 def _orthonormal(columns: Floats) -> Floats | None:

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, eigh
 
 from modetune.core.errors import ModesError
-from modetune.core.modes import CLOSE, Floats, Integers, close_sets
+from modetune.core.modes import CLOSE, Floats, Integers, close_labels
 from modetune.core.updating.parameter_matrices import powers_moved, powers_slopes
 from modetune.core.updating.sensitivity import ModeDerivatives
 
@@ -190,12 +190,9 @@ def _close(inverted: Floats, modes: Integers, shift: float) -> NDArray[np.bool_]
     """Which modes are in the cluster of each wanted one, itself included, (r, n_wanted)."""
     known = inverted > LEAST_MASS * inverted[0]
     hz = np.sqrt(np.abs(shift + 1.0 / inverted[known]))
-    found = np.zeros((inverted.size, modes.size), dtype=np.bool_)
-    places = np.flatnonzero(known)
-    for members in close_sets(hz, CLOSE):
-        wanted = np.isin(modes, places[members])
-        if wanted.any():
-            found[np.ix_(places[members], wanted)] = True
+    labels = np.zeros(inverted.size, dtype=np.int64)
+    labels[known] = close_labels(hz, CLOSE)
+    found: NDArray[np.bool_] = (labels[:, None] == labels[modes]) & known[:, None] & known[modes]
     return found
 
 
@@ -205,8 +202,10 @@ def _turn(inverted: Floats, seen: Floats, close: NDArray[np.bool_], shapes: Floa
     Alone a mode can be turned the other way round; close ones by the rotation that fits best, of
     some of them too (orthogonal Procrustes: Schoenemann 1966). seen: (n_rows, r).
     """
-    turn = np.zeros(close.shape)
-    for members in np.unique(close, axis=1).T:
+    turn, alone = np.zeros(close.shape), np.flatnonzero(close.sum(axis=0) == 1)
+    own = close[:, alone].argmax(axis=0)
+    turn[own, alone] = np.where((seen[:, own] * shapes[:, alone]).sum(axis=0) < 0.0, -1.0, 1.0)
+    for members in np.unique(np.delete(close, alone, axis=1), axis=1).T:
         wanted = np.flatnonzero((close.T == members).all(axis=1))
         basis = seen[:, members] / np.sqrt(inverted[members])
         left, _, right = np.linalg.svd(basis.T @ shapes[:, wanted], full_matrices=False)

@@ -58,7 +58,7 @@ class ModelSection(Section):
     """Which Nastran: MSC, or Simcenter (NX)."""
     eigensolver: Eigensolver = "auto"
     """Who finds the modes while updating: `solver`, the solver itself; `pardiso`, modetune from the
-    matrices that CalculiX or MYSTRAN assembles once, with the solver's own modes at the end;
+    matrices that CalculiX or MYSTRAN assembles once, with the solver's own run at the end;
     `mixed_precision`, the same with factors in single precision, which take half the memory;
     `auto`, what is expected to take less, in single precision where memory asks for it."""
     units: Units
@@ -181,10 +181,11 @@ class UpdateSection(Section):
     e2: NotNegative = 0.2
     """Change of the residual a parameter, up to which a sensitivity is skipped; 0: never. With
     `between: keep` it is 0.002 unless given."""
-    confirm: Literal["modes", "matrices"] = "modes"
+    confirm: Literal["auto", "modes", "matrices"] = "auto"
     """What ends updating by stored matrices: `modes`, a modal job of the solver at the final
     values; `matrices`, the matrices that it assembles there, whose modes are found anew and
-    counted: it takes less time, but the solver's own eigensolution is not seen."""
+    counted: it takes half the time, but the solver's own eigensolution is not seen; `auto`,
+    matrices where a modal job is expected to take ten seconds or more."""
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
     """Steps that are taken at most."""
     step_limit: Positive = 0.2

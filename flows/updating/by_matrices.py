@@ -4,7 +4,7 @@
     each set               modes of K(theta), M(theta)           `stored_modes.py`: a factorisation
     beside them            a reduced model around the set        `core/updating/reduced`
     each step              the whole problem on reduced models   `foresight.py`: milliseconds
-    at the end             the solver's own modes                one modal job a case
+    at the end             the solver's own modes or matrices    one job a case
 
 Nothing is skipped: sensitivities follow from the reduced model, which the step needs anyhow.
 """

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
 from modetune.core.correlation.held_out import HeldOut
 from modetune.core.errors import ModesError, ModetuneError, SolverError
 from modetune.core.modes import Floats
@@ -26,7 +26,7 @@ from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobOutcome, Ledger
 from modetune.flows.jobs.first_alone import FirstAlone
-from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.job import Job, analysis_kind
 from modetune.flows.jobs.watching import doing, told
 from modetune.flows.jobs.work import Execution, Work
 from modetune.flows.updating.asked import Ahead, AskedModes, CaseState, ModeTrack, Piece
@@ -42,10 +42,11 @@ from modetune.flows.updating.finders import (
     CAMPAIGNS_OWN,
     REDUCED,
     UNFIT,
+    by_solver,
     unless_failed,
 )
 from modetune.flows.updating.holding_out import HoldingOut
-from modetune.flows.updating.modes_choice import MANY
+from modetune.flows.updating.modes_choice import MANY, confirms_by_matrices
 from modetune.flows.updating.pieces import Pieces
 from modetune.flows.updating.small_matrices import one_thread
 
@@ -314,16 +315,16 @@ class Evaluator:
 
     def confirming(self, theta: Floats) -> list[Work]:
         """The solvers' own runs at the end, of modes that were found otherwise till then."""
-        by_matrices = self.campaign.update.confirm == "matrices"
-        return [
-            state.named(Work(kind, (Job(state.campaign.parameters.values(own), analysis),)))
-            for state in self.used
-            if state.finder.name != state.case.solver.program.name
-            for own in (state.own(theta),)
-            for kind, analysis in (
-                ("matrices", MatrixAnalysis()) if by_matrices else ("modal", state.analysis),
-            )
-        ]
+        found = []
+        for state in self.used:
+            if state.finder.name == state.case.solver.program.name:
+                continue
+            asked: Analysis = state.analysis
+            if confirms_by_matrices(state.campaign, by_solver(state.campaign, state.engine)):
+                asked = MatrixAnalysis()
+            job = Job(state.campaign.parameters.values(state.own(theta)), asked)
+            found.append(state.named(Work(analysis_kind(asked), (job,))))
+        return found
 
     def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:
         """Modes and whole cases that are only judged by, before and after.

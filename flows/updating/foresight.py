@@ -31,7 +31,7 @@ from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.loop import CONFIRMED, Loop, Noted
-from modetune.flows.updating.observed_modes import assembled_modes
+from modetune.flows.updating.modes_choice import confirms_by_matrices
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
 
 logger = logging.getLogger(__name__)
@@ -140,7 +140,7 @@ class ReducedForesight:
         if all(part.solved_by == state.case.solver.program.name for state, part in pairs):
             return None
         for state, _ in pairs:
-            if isinstance(state.finder, ByMatrices):
+            if isinstance(state.finder, ByMatrices) and not _by_assembling(state, state.finder):
                 state.finder.release()  # the factors' memory is the solver's now
         parts = [
             part
@@ -179,10 +179,11 @@ class ReducedForesight:
     def _by_solver(
         self, title: str, state: CaseState, part: CaseEvaluation, analysis: ModalAnalysis
     ) -> CaseEvaluation:
-        if self.campaign.update.confirm == "matrices":
-            found = self._by_assembled(title, state, part, analysis)
+        if isinstance(state.finder, ByMatrices) and _by_assembling(state, state.finder):
+            found = self._by_assembled(title, state, state.finder, part, analysis)
             if found is not None:
                 return found
+            state.finder.release()
         job = Job(state.campaign.parameters.values(part.theta), analysis)
         name = state.case.solver.program.name
         work = Work(f"modal confirmation by {name}", (job,), state.engine)
@@ -191,19 +192,25 @@ class ReducedForesight:
         return state.compared(part.theta, outcome.key, modal, part, name)
 
     def _by_assembled(
-        self, title: str, state: CaseState, part: CaseEvaluation, analysis: ModalAnalysis
+        self,
+        title: str,
+        state: CaseState,
+        finder: ByMatrices,
+        part: CaseEvaluation,
+        analysis: ModalAnalysis,
     ) -> CaseEvaluation | None:
         """By the matrices that the solver assembles at the set; None where they do not agree."""
         name = state.case.solver.program.name
+        job = Job(state.campaign.parameters.values(part.theta), MatrixAnalysis())
 
-        def assembled(job: Job) -> MatrixResult:
+        def assembled() -> MatrixResult:
             work = Work(f"matrices by {name}", (job,), state.engine)
             ((outcome,),) = self.evaluator.carry_out(title, [work], state)
             return outcome.result(MatrixResult)
 
-        job = Job(state.campaign.parameters.values(part.theta), MatrixAnalysis())
         try:
-            key, modal = assembled_modes(state.campaign, state.engine, job, analysis, assembled)
+            own = state.engine.key(job)
+            key, modal = finder.stored().assembled(part.theta, analysis, own, assembled)
         except (ModelError, UnlikeMatrices) as error:
             logger.warning("%s: its own modes are looked at", error)
             return None
@@ -226,6 +233,11 @@ class ReducedForesight:
         if foreseen is None or not np.allclose(foreseen.theta, theta, rtol=0.0, atol=1e-12):
             return None
         return foreseen
+
+
+def _by_assembling(state: CaseState, finder: ByMatrices) -> bool:
+    """Whether matrices that the solver assembles are to confirm a case's modes."""
+    return confirms_by_matrices(state.campaign, finder.solver)
 
 
 def _length(theta: Floats, previous: Evaluation) -> float:

@@ -11,6 +11,8 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
+import numpy as np
+
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.errors import NotComputed
 from modetune.core.storage.keys import Json
@@ -37,6 +39,9 @@ RUN_S, ELEMENT_S, HANDLED_S = 0.03, 1e-3, 0.05
 #: Shares of a modal run: a matrix job; the first solution, reading included; later ones. Seen on
 #: solids of 17,000 and 270,000 equations (`benchmarks/eigen.py`), the larger share of both.
 JOB, FIRST, LATER = 0.45, 0.45, 0.15
+#: A modal run at the end that is expected to take so long, seconds, is left to matrices, which take
+#: half of it.
+SPARED_S = 10.0
 #: Full solutions of an update by matrices after the first, and of a reduced model for many sets.
 STEPS_IN_FULL, MANY_IN_FULL = 2, 10
 
@@ -84,6 +89,20 @@ def modes_source(
     if campaign.update.confirm == "matrices" and demand == UPDATING:
         logger.warning("`update.confirm: matrices` has nothing to confirm: %s", reason)
     return None
+
+
+def confirms_by_matrices(campaign: Campaign, own: BySolver, run_s: float = np.nan) -> bool:
+    """Whether matrices at the final values confirm what was found by those of all values; else a
+    modal run of the solver does.
+
+    own: as of `modes_source`; run_s: what that run is expected to take, as its forecast unless
+    told.
+    """
+    if campaign.update.confirm != "auto":
+        return campaign.update.confirm == "matrices"
+    if np.isnan(run_s):
+        run_s = modes_forecast(campaign, own, UPDATING).run_s
+    return run_s >= SPARED_S
 
 
 def modes_forecast(campaign: Campaign, own: BySolver, demand: Demand) -> ModesForecast:
@@ -140,7 +159,8 @@ def _forecast(campaign: Campaign, own: BySolver, demand: Demand, extra: int) -> 
     else:
         matrices_s += demand.sets * LATER * run_s
         if demand.steps > 1:
-            last_s = run_s if campaign.update.confirm == "modes" else job_s + FIRST * run_s
+            by_matrices = confirms_by_matrices(campaign, own, run_s)
+            last_s = job_s + STEPS_IN_FULL * LATER * run_s if by_matrices else run_s
             matrices_s += STEPS_IN_FULL * LATER * run_s + last_s
     runs = demand.steps * (1 + extra) + demand.sets
     return ModesForecast(jobs, matrices_s, runs, solver_s, run_s, modal is not None)

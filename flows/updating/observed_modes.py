@@ -1,7 +1,4 @@
-"""Modes of matrices with all unknowns, as a campaign sees them: at its nodes, with energies.
-
-Also those of matrices that a solver assembled at one set, solved from nothing and counted.
-"""
+"""Modes of matrices with all unknowns, as a campaign sees them: at its nodes, with energies."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.rigid_modes import (
@@ -22,56 +18,14 @@ from modetune.core.algebra.rigid_modes import (
 )
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.modes import Floats, Integers
-from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.job import Job
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
-
-#: Carries out a matrix job.
-Assembled = Callable[[Job], MatrixResult]
 
 #: Raised by hand when the same matrices are solved to other numbers.
 MODES_VERSION = 6
 #: Unobservable nodes that a message names.
 NAMED = 5
-
-
-def assembled_modes(
-    campaign: Campaign, engine: JobEngine, job: Job, analysis: ModalAnalysis, assembled: Assembled
-) -> tuple[str, ModalResult]:
-    """The key and the modes of the matrices that a job assembles, from nothing, and counted.
-
-    assembled: carries the job out, where the store does not have the modes. Factors in single
-    precision count nothing: where the campaign wants these, modes are not. Raises ModelError where
-    the count says that modes are missing.
-    """
-    counted = engine.policy.single_factors is not True
-
-    def compute() -> ModalResult:
-        matrices = assembled(job)
-        with engine.all_cores():
-            solved = ModeSolver(count=counted).solve(
-                matrices.upper_stiffness,
-                matrices.upper_mass,
-                min(analysis.n_modes, matrices.upper_stiffness.shape[0]),
-                first_shift(campaign),
-            )
-            found = solved_energies(campaign, matrices, solved)
-        engine.store.drop(engine.key(job))  # as large as the model, and not asked for again
-        return modes_at(campaign, matrices, solved.eigenvalues, solved.shapes, *found, analysis)
-
-    asked: Json = {
-        "assembled modes": MODES_VERSION,
-        "matrices": engine.key(job),
-        "from": first_shift(campaign),
-        "n_modes": analysis.n_modes,
-        "nodes": list(analysis.nodes),
-        **({} if counted else {"counted": False}),
-    }
-    found = engine.derived(asked, compute, ModalResult)
-    return content_key(canonical_json(asked)), engine.solver.by_hand(found)
 
 
 def first_shift(campaign: Campaign) -> float:
@@ -95,18 +49,17 @@ def solved_energies(
 
 
 def modes_at(
-    campaign: Campaign,
-    base: MatrixResult,
+    observer: Callable[[Integers, Integers], sparse.csr_array],
     eigenvalues: Floats,
     shapes: Floats,
     energies: Floats,
     n_rigid: int,
     analysis: ModalAnalysis,
 ) -> ModalResult:
-    """The modes at an analysis' nodes, of shapes of all unknowns."""
+    """The modes at an analysis' nodes, of shapes of all unknowns; observer: as `observer_of`."""
     eigenvalues = eigenvalues[: analysis.n_modes]
     nodes, components = named_freedoms(analysis.nodes)
-    shapes = observer_of(campaign, base, nodes, components) @ shapes[:, : analysis.n_modes]
+    shapes = observer(nodes, components) @ shapes[:, : analysis.n_modes]
     rigid = min(n_rigid, eigenvalues.size)
     energies = energies[: eigenvalues.size]
     return ModalResult.of_shapes(eigenvalues, shapes, nodes, components, energies, rigid)

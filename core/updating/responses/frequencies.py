@@ -63,6 +63,7 @@ def _unsplit(state: ModelState) -> list[Integers]:
     return [
         alike[members]
         for alike in close_sets(test_hz, FINE * state.weighting.frequency_deviations[measured])
+        if alike.size > 1
         for members in close_sets(model_hz[alike], 0.5 * REPEATED)
         if members.size > 1
     ]

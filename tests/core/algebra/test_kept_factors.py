@@ -87,9 +87,13 @@ def upper(matrix: Floats) -> sparse.csr_array:
 
 
 def solve(
-    solver: ModeSolver, model: tuple[Floats, Floats], start: Floats | None = None, kept: int = 0
+    solver: ModeSolver,
+    model: tuple[Floats, Floats],
+    start: Floats | None = None,
+    kept: int = 0,
+    count: bool | None = None,
 ) -> SolvedModes:
-    return solver.solve(upper(model[0]), upper(model[1]), MODES, None, start, kept)
+    return solver.solve(upper(model[0]), upper(model[1]), MODES, None, start, kept, count)
 
 
 def exact(k: Floats, m: Floats) -> tuple[Floats, Floats]:
@@ -198,7 +202,41 @@ def test_whether_it_pays_is_told_by_the_factors_entries() -> None:
     assert solver.blocks_that_pay(MODES) == 0  # four entries a column: factorising takes nothing
 
 
-def test_with_a_count_nothing_is_kept() -> None:
-    solver = ModeSolver()
-    first = solve(solver, square_membrane(1.0, 1.0))
-    assert solve(solver, square_membrane(1.1, 1.0), first.shapes, kept=8).counted
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_a_count_beside_kept_factors_takes_one_factorisation(
+    structure: Structure, factorised: list[float]
+) -> None:
+    solver = ModeSolver(count=False)
+    first = solve(solver, structure(1.0, 1.0))
+    before = len(factorised)
+    later = structure(1.02, 0.99)
+    found = solve(solver, later, first.shapes, kept=8, count=True)
+    assert (found.way, found.counted) == ("kept factors", True)
+    assert len(factorised) == before + 1
+    agrees(found, *later)
+    # The factors at hand are the count's: nothing is found from them, and an inverse is made anew.
+    assert solver.blocks_that_pay(MODES) == 0
+    k, m = later
+    block = np.random.default_rng(5).standard_normal((len(k), 3))
+    # The beams' entries are up to 10^6, their answers of length one: ten digits less of sixteen.
+    np.testing.assert_allclose((k - found.shift * m) @ solver.inverse(block), block, atol=1e-6)
+    assert solver.has_own_factors
+
+
+@pytest.mark.parametrize("structure", [sandwich, mounted_beam])
+def test_a_count_finds_a_mode_that_start_and_guard_lack(
+    structure: Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modetune.core.algebra.eigen.GUARD", 0)  # nothing stands in for a count
+    model = structure(1.0, 1.0)
+    every = ModeSolver().solve(upper(model[0]), upper(model[1]), MODES + 6).shapes
+    start = np.delete(every, 3, axis=1)
+    solver = ModeSolver(count=False)
+    solve(solver, model)
+    found = solve(solver, model, start.copy(), kept=8)
+    lowest = exact(*model)[0]
+    assert found.way == "kept factors"
+    assert abs(found.eigenvalues[3] - lowest[4]) < 1e-6 * lowest[4]  # the fourth is passed over
+    found = solve(solver, model, start.copy(), kept=8, count=True)
+    assert found.counted
+    agrees(found, *model)

@@ -1,4 +1,4 @@
-"""A solver that always fails is told after one job; one that works runs its jobs side by side."""
+"""A solver that always fails is told after few jobs; one that works runs its jobs side by side."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_work_of_other_kinds_is_not_tried_after_a_failure() -> None:
 
 
 @pytest.mark.parametrize("bad", range(1, 6))
-def test_points_are_tried_one_by_one_until_one_succeeds_or_three_failed(bad: int) -> None:
+def test_few_points_are_tried_until_one_succeeds_or_three_failed(bad: int) -> None:
     names = [f"modal {number}" for number in range(8)]
     scripted = Scripted(dict.fromkeys(names[:bad], BROKEN))
     done = FirstAlone(scripted).run("points", pieces(*names))
@@ -84,12 +84,27 @@ def test_points_are_tried_one_by_one_until_one_succeeds_or_three_failed(bad: int
     assert len(done) == 8
     assert failed == (bad if bad < FIRST_FAILURES else 8)
     assert sum(map(len, scripted.batches)) == (8 if bad < FIRST_FAILURES else FIRST_FAILURES)
+    assert len(scripted.batches[0]) == FIRST_FAILURES
+
+
+def test_matrix_jobs_go_side_by_side_from_the_start() -> None:
+    scripted = Scripted({})
+    FirstAlone(scripted).run("1", pieces("matrices 1 of 2", "matrices 2 of 2", "modal"))
+    assert scripted.batches == [["matrices 1 of 2", "matrices 2 of 2"], ["modal"]]
+
+
+def test_failures_of_two_kinds_count_together() -> None:
+    scripted = Scripted(dict.fromkeys(["modal 0", "modal 1", "other 0", "modal 2"], BROKEN))
+    FirstAlone(scripted).run("1", pieces("modal 0", "modal 1", "other 0", "modal 2", "modal 3"))
+    assert scripted.batches == [["modal 0", "modal 1"], ["other 0"]]
+    assert scripted.skipped == ["modal 2", "modal 3"]
 
 
 def test_a_campaign_that_ends_tries_nothing_more() -> None:
     scripted = Scripted({"modal 0": SolverCancelled("the campaign is ending")})
-    FirstAlone(scripted).run("points", pieces("modal 0", "modal 1"))
-    assert scripted.batches == [["modal 0"]]
+    names = [f"modal {number}" for number in range(FIRST_FAILURES + 1)]
+    FirstAlone(scripted).run("points", pieces(*names))
+    assert scripted.batches == [names[:FIRST_FAILURES]]
 
 
 @pytest.mark.parametrize(("behaviour", "retries"), [("killed", 2), ("short", 1), ("killed", 0)])

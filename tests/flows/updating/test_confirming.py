@@ -1,0 +1,91 @@
+"""What ends updating by stored matrices: a modal run of the solver, or its matrices there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modetune.core.algebra import pencil
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.storage.record import CampaignRecord
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.updating import modes_choice
+from tests.adapters.solved import needs_ccx
+from tests.flows.studies.test_once import cymbal, ladder, tuning_fork
+from tests.flows.updating.test_by_matrices import (
+    BAR,
+    STORED,
+    Case,
+    row_of_materials,
+    updated,
+    written,
+)
+
+pytestmark = needs_ccx
+
+
+def record_of(file: Path, folder: Path, watcher: Any, *settings: str) -> CampaignRecord:
+    stored = f"store={folder / 'store'}"
+    return updated(load_campaign(file, [stored, STORED, *settings]), folder, watcher)
+
+
+def long_bar() -> Case:
+    """Of too many unknowns to be solved whole."""
+    return replace(BAR, deck=row_of_materials(60), nodes=tuple(range(5, 245, 9)))
+
+
+@pytest.mark.parametrize(
+    ("case", "way", "settings"),
+    [
+        (tuning_fork, "start", ()),
+        (cymbal, "start", ()),
+        (ladder, "whole", ("run.memory_gb=4",)),
+        (long_bar, "start", ("run.memory_gb=4",)),
+        (long_bar, "kept factors", ()),
+    ],
+)
+def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
+    case: Callable[[], Case],
+    way: str,
+    settings: Sequence[str],
+    tmp_path: Path,
+    watcher: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = case()
+    file = written(made, tmp_path / "part")
+    if way == "kept factors":  # as where a factorisation takes as long as hundreds of vectors
+        monkeypatch.setattr(pencil, "FACTORISED_COLUMNS", 100.0)
+    by_modes = record_of(file, tmp_path / "modes", watcher)
+    assert by_modes.best.solved_by == "calculix"  # of so few elements a run takes nothing
+    monkeypatch.setattr(modes_choice, "SPARED_S", 0.0)
+    ways = list[str]()
+    real = ModeSolver.solve
+
+    def solve(*given: Any, **named: Any) -> Any:
+        found = real(*given, **named)
+        ways.append(found.way)
+        return found
+
+    monkeypatch.setattr(ModeSolver, "solve", solve)
+    by_matrices = record_of(file, tmp_path / "matrices", watcher, *settings)
+    assert by_matrices.best.solved_by.startswith("calculix's matrices, ")
+    assert by_matrices.runs.modal == 0
+    assert by_matrices.runs.sensitivity == by_modes.runs.sensitivity + 1
+    assert ways[-1] == way  # what was found is where the search begins
+    np.testing.assert_array_equal(by_matrices.updated, by_modes.updated)
+    np.testing.assert_allclose(by_matrices.updated, made.truth, rtol=1e-4)
+    # CalculiX prints eigenvalues with seven digits.
+    np.testing.assert_allclose(
+        by_matrices.best.computed.frequencies_hz, by_modes.best.computed.frequencies_hz, rtol=1e-6
+    )
+    # The choice stays in the store, whatever is expected later.
+    monkeypatch.setattr(modes_choice, "RUN_S", 1e3)
+    monkeypatch.setattr(modes_choice, "SPARED_S", 100.0)
+    again = record_of(file, tmp_path / "modes", watcher)
+    assert (again.best.solved_by, again.runs.modal) == ("calculix", 0)
