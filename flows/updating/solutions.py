@@ -6,21 +6,26 @@ earlier set. So this too follows from the start alone; where other factors have 
 since a set lay too far away and was not kept, they are made once more.
 
 Shapes of all unknowns and the newest basis stay in memory. Where a campaign goes on that was killed
-what its next search begins with is found once more, set by set.
+what its next search begins with is found once more, set by set. Matrices that the solver assembles
+at a set are solved the same way, and their modes are counted.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 from scipy import sparse
 
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pencil import shift_below
+from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
+from modetune.core.updating.matrix_samples import differences
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
@@ -118,7 +123,16 @@ class StoredModel:
 
     def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
         """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
-        return observer_of(self.campaign, self.matrices.base, nodes, components)
+        mark = nodes.tobytes(), components.tobytes()
+        if mark not in self._observers:
+            base = self.matrices.base
+            self._observers[mark] = observer_of(self.campaign, base, nodes, components)
+        return self._observers[mark]
+
+    @cached_property
+    def _observers(self) -> dict[tuple[bytes, bytes], sparse.csr_array]:
+        """By what they were asked for: in a large model each takes as long as some solutions."""
+        return {}
 
 
 class Solutions:
@@ -146,15 +160,8 @@ class Solutions:
         if self._newest is not None and self._newest[0] is item:
             return self._newest[1]
         start = self._beginning(item)
-        self._newest = None
-        with self.engine.all_cores():
-            kept = self._at_hand(start.factors, item.n_modes)
-            at_hand, self._factors = self._factors, None
-            here = self.model.matrices.at(item.values)
-            solved = self._solver.solve(
-                here.upper_stiffness, here.upper_mass, item.n_modes, start.shift, start.shapes, kept
-            )
-            energies, n_rigid = solved_energies(self.model.campaign, here, solved)
+        here = self.model.matrices.at(item.values)
+        at_hand, solved, (energies, n_rigid) = self._solved(item, start, here, count=False)
         own = self._solver.has_own_factors
         self._factors = FactorsAt(item, solved.shift) if own else at_hand
         assert self._factors is not None
@@ -170,6 +177,41 @@ class Solutions:
             ),
         )
         return self._newest[1]
+
+    def counted(
+        self, item: ModalSet, assembled: Callable[[], MatrixResult]
+    ) -> tuple[SolvedModes, tuple[Floats, int]]:
+        """Modes of the matrices that the solver assembles at a set, and of these modes energies
+        (n_modes,) and how many are rigid.
+
+        Where the matrices differ from those of all values by the rounding of their text alone they
+        have the same modes, and the order of unknowns and the factors at hand serve. Raises
+        ModelError where they have other equations.
+        """
+        start = self._beginning(item)
+        if self.engine.policy.memory_bytes:  # what a campaign names is the job's alone
+            self._solver, self._factors = ModeSolver(count=False), None
+        here, there = assembled(), self.model.matrices.at(item.values)
+        if not any(upper.nnz for upper in differences(there, here)):
+            here = there
+        return self._solved(item, start, here, count=True)[1:]
+
+    def _solved(
+        self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool
+    ) -> tuple[FactorsAt | None, SolvedModes, tuple[Floats, int]]:
+        """The factors that were at hand, modes, and these modes' energies as `counted`.
+
+        Of what is in memory the shapes are gone after it, and other factors are at hand.
+        """
+        self._newest = None
+        with self.engine.all_cores():
+            kept = self._at_hand(start.factors, item.n_modes)
+            at_hand, self._factors = self._factors, None
+            upper = here.upper_stiffness, here.upper_mass
+            solved = self._solver.solve(
+                *upper, item.n_modes, start.shift, start.shapes, kept, count
+            )
+            return at_hand, solved, solved_energies(self.model.campaign, here, solved)
 
     def _at_hand(self, factors: FactorsAt | None, n_modes: int) -> int:
         """For how many blocks these factors are worth being kept; made once more if need be."""

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.algebra.matrices import symmetric
+from modetune.core.algebra.matrices import MatrixResult, symmetric
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.correlation.clusters import rotation_onto
 from modetune.core.modes import CLOSE, Floats
@@ -88,11 +88,44 @@ class MatrixModes:
         def compute() -> ModalResult:
             solved = self._solutions.modes(item)
             found = solved.eigenvalues, solved.shapes, solved.energies, solved.n_rigid
-            return modes_at(self.campaign, self._model.matrices.base, *found, analysis)
+            return modes_at(self._model.observer, *found, analysis)
 
         asked = _asked_modes(item, analysis)
         found = self._derived(asked, compute, ModalResult, "modal by stored matrices")
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
+
+    def assembled(
+        self,
+        theta: Floats,
+        analysis: ModalAnalysis,
+        job: str,
+        assembled: Callable[[], MatrixResult],
+    ) -> tuple[str, ModalResult]:
+        """As `modal`, of the matrices that the solver assembles at a set, and counted.
+
+        job: the key of its job, assembled: carries it out. The search begins with the modes by the
+        matrices of all values. Raises ModelError where the count says that modes are missing.
+        """
+        start = self._newest or next(iter(self._first.values()), None)
+        asked: Json = {
+            "assembled modes": MODES_VERSION,
+            "matrices": job,
+            "from": self._shift if start is None else start.key,
+            "n_modes": analysis.n_modes,
+            "nodes": list(analysis.nodes),
+        }
+        key = content_key(canonical_json(asked))
+
+        def compute() -> ModalResult:
+            n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
+            item = ModalSet(key, self.source.written(theta), n_modes, start)
+            solved, more = self._solutions.counted(item, assembled)
+            self.engine.store.drop(job)  # as large as the model, and not asked for again
+            found = solved.eigenvalues, solved.shapes, *more
+            return modes_at(self._model.observer, *found, analysis)
+
+        found = self.engine.derived(asked, compute, ModalResult)
+        return key, self.engine.solver.by_hand(found)
 
     def key(self, theta: Floats, analysis: ModalAnalysis) -> str:
         """The key of `modal`; nothing is computed."""
@@ -112,7 +145,7 @@ class MatrixModes:
             energies = 0.5 * eigenvalues
             energies[: basis.n_rigid] = np.nan
             found = eigenvalues, shapes, energies, basis.n_rigid
-            return modes_at(self.campaign, self._model.matrices.base, *found, analysis)
+            return modes_at(self._model.observer, *found, analysis)
 
         asked: Json = {
             "foreseen": around.key,
