@@ -12,10 +12,15 @@ import pytest
 
 from modetune.core.algebra import pencil
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating import modes_choice
+from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.updating import Unwatched
 from tests.adapters.solved import needs_ccx
+from tests.flows.records import differences
 from tests.flows.studies.test_once import cymbal, ladder, tuning_fork
 from tests.flows.updating.test_by_matrices import (
     BAR,
@@ -25,6 +30,7 @@ from tests.flows.updating.test_by_matrices import (
     updated,
     written,
 )
+from tests.flows.updating.test_same_bits import Killed, watch_puts
 
 pytestmark = needs_ccx
 
@@ -89,3 +95,31 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
     monkeypatch.setattr(modes_choice, "SPARED_S", 100.0)
     again = record_of(file, tmp_path / "modes", watcher)
     assert (again.best.solved_by, again.runs.modal) == ("calculix", 0)
+
+
+@pytest.mark.parametrize("columns", [0.5, 100.0], ids=["own factors", "kept factors"])
+def test_killed_before_matrices_confirm_it_ends_on_the_same_bits(
+    columns: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = written(long_bar(), tmp_path / "part")
+    monkeypatch.setattr(pencil, "FACTORISED_COLUMNS", columns)
+    settings = [STORED, "update.confirm=matrices"]
+
+    def run(place: Path) -> Path:
+        campaign = load_campaign(file, [f"store={place / 'store'}", *settings])
+        update_campaign(campaign, place / "run", Unwatched())
+        return place / "run" / "campaign.h5"
+
+    whole, put = run(tmp_path / "whole"), 0
+
+    def stop(store: Store, entry: Entry) -> None:
+        nonlocal put
+        put += isinstance(entry.result, MatrixResult)
+        if put == 3:  # two for the matrices of all values
+            raise Killed
+
+    with monkeypatch.context() as patch:
+        watch_puts(patch, stop)
+        with pytest.raises(Killed):
+            run(tmp_path / "killed")
+    assert differences(whole, run(tmp_path / "killed")) == ["settings"]  # where their stores are
