@@ -26,7 +26,7 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Work
 from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.by_matrices import ByMatrices, ByReduced
+from modetune.flows.updating.by_matrices import MATRICES, ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import REDUCED
@@ -236,8 +236,14 @@ class ReducedForesight:
 
 
 def _by_assembling(state: CaseState, finder: ByMatrices) -> bool:
-    """Whether matrices that the solver assembles are to confirm a case's modes."""
-    return confirms_by_matrices(state.campaign, finder.solver)
+    """Whether matrices that the solver assembles are to confirm a case's modes.
+
+    Where the factors had no room the count's would not have it either: then only if it is asked.
+    """
+    asked = state.campaign.update.confirm == "matrices"
+    return asked or (
+        finder.name == MATRICES and confirms_by_matrices(state.campaign, finder.solver)
+    )
 
 
 def _length(theta: Floats, previous: Evaluation) -> float:
