@@ -178,11 +178,11 @@ class Solutions:
         )
         return self._newest[1]
 
-    def counted(
-        self, item: ModalSet, assembled: Callable[[], MatrixResult]
+    def assembled(
+        self, item: ModalSet, assembled: Callable[[], MatrixResult], count: bool
     ) -> tuple[SolvedModes, tuple[Floats, int]]:
         """Modes of the matrices that the solver assembles at a set, and of these modes energies
-        (n_modes,) and how many are rigid.
+        (n_modes,) and how many are rigid. count: whether it is proved that none is missing.
 
         Where the matrices differ from those of all values by the rounding of their text alone they
         have the same modes, and the order of unknowns and the factors at hand serve. Raises
@@ -194,12 +194,12 @@ class Solutions:
         here, there = assembled(), self.model.matrices.at(item.values)
         if not any(upper.nnz for upper in differences(there, here)):
             here = there
-        return self._solved(item, start, here, count=True)[1:]
+        return self._solved(item, start, here, count)[1:]
 
     def _solved(
         self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool
     ) -> tuple[FactorsAt | None, SolvedModes, tuple[Floats, int]]:
-        """The factors that were at hand, modes, and these modes' energies as `counted`.
+        """The factors that were at hand, modes, and these modes' energies as `assembled`.
 
         Of what is in memory the shapes are gone after it, and other factors are at hand.
         """

@@ -104,8 +104,10 @@ class MatrixModes:
         """As `modal`, of the matrices that the solver assembles at a set, and counted.
 
         job: the key of its job, assembled: carries it out. The search begins with the modes by the
-        matrices of all values. Raises ModelError where the count says that modes are missing.
+        matrices of all values. Factors in single precision count nothing: where the campaign wants
+        these, modes are not. Raises ModelError where the count says that modes are missing.
         """
+        counted = self.engine.policy.single_factors is not True
         start = self._newest or next(iter(self._first.values()), None)
         asked: Json = {
             "assembled modes": MODES_VERSION,
@@ -113,13 +115,14 @@ class MatrixModes:
             "from": self._shift if start is None else start.key,
             "n_modes": analysis.n_modes,
             "nodes": list(analysis.nodes),
+            **({} if counted else {"counted": False}),
         }
         key = content_key(canonical_json(asked))
 
         def compute() -> ModalResult:
             n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
             item = ModalSet(key, self.source.written(theta), n_modes, start)
-            solved, more = self._solutions.counted(item, assembled)
+            solved, more = self._solutions.assembled(item, assembled, counted)
             self.engine.store.drop(job)  # as large as the model, and not asked for again
             found = solved.eigenvalues, solved.shapes, *more
             return modes_at(self._model.observer, *found, analysis)
