@@ -86,6 +86,11 @@ class ParameterMatrix:
         entries = (factors @ self.values, base.indices[self.places], pointers)
         return sparse.csr_array(entries, shape=base.shape)
 
+    def on(self, base: sparse.csr_array, vectors: Floats) -> Floats:
+        """Its powers on the space of these vectors (n, r), (n_powers, r, r)."""
+        units = np.eye(len(self.powers))
+        return np.stack([projected(self.upper(base, unit), vectors) for unit in units])
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterMatrices:
@@ -112,24 +117,19 @@ class ParameterMatrices:
     def on(self, vectors: Floats) -> ParameterMatrices:
         """On the space of these vectors (n_equations, r), whose numbers are its unknowns."""
 
-        def small(upper: sparse.csr_array) -> sparse.csr_array:
-            return sparse.csr_array(np.triu(projected(upper, vectors)))
+        def small(matrix: Floats) -> sparse.csr_array:
+            return sparse.csr_array(np.triu(matrix))
 
-        def parts(of: tuple[ParameterMatrix, ...], upper: sparse.csr_array) -> list[Powers]:
-            return [
-                Powers(
-                    part.column,
-                    part.powers,
-                    tuple(small(part.upper(upper, one)) for one in np.eye(len(part.powers))),
-                )
-                for part in of
-            ]
-
-        numbers = np.arange(vectors.shape[1])
-        stiffness, mass = self.base.upper_stiffness, self.base.upper_mass
-        few = MatrixResult(small(stiffness), small(mass), numbers, np.ones_like(numbers))
-        found = parts(self.stiffness, stiffness), parts(self.mass, mass)
-        return parameter_matrices(few, self.reference, *found)
+        numbers, wholes, parts = np.arange(vectors.shape[1]), [], []
+        for upper, of in (
+            (self.base.upper_stiffness, self.stiffness),
+            (self.base.upper_mass, self.mass),
+        ):
+            wholes.append(small(projected(upper, vectors)))
+            found = [(p, map(small, p.on(upper, vectors))) for p in of]
+            parts.append([Powers(p.column, p.powers, tuple(uppers)) for p, uppers in found])
+        few = MatrixResult(wholes[0], wholes[1], numbers, np.ones_like(numbers))
+        return parameter_matrices(few, self.reference, *parts)
 
     def change(
         self, theta: Floats, column: int, order: int = 1

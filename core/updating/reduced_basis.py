@@ -248,16 +248,7 @@ def with_directions(
 def _reduced_parts(
     upper: sparse.csr_array, parts: tuple[ParameterMatrix, ...], basis: Floats
 ) -> tuple[ReducedPart, ...]:
-    return tuple(
-        ReducedPart(
-            part.column,
-            part.powers,
-            np.stack(
-                [projected(part.upper(upper, unit), basis) for unit in np.eye(len(part.powers))]
-            ),
-        )
-        for part in parts
-    )
+    return tuple(ReducedPart(p.column, p.powers, p.on(upper, basis)) for p in parts)
 
 
 def _moved(parts: tuple[ReducedPart, ...], theta: Floats, reference: Floats, size: int) -> Floats:
