@@ -19,6 +19,7 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.updating import stored_modes
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
@@ -167,6 +168,7 @@ def screened(file: Path, place: Path) -> Screening:
 def test_a_range_that_was_killed_takes_each_full_solution_from_the_store(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ways: list[str]
 ) -> None:
+    monkeypatch.setattr(stored_modes, "KEPT_FROM", 0)  # as if the model were large
     kinds: list[type] = []
     with monkeypatch.context() as patch:
         watch_puts(patch, lambda store, entry: kinds.append(type(entry.result)))
