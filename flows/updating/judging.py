@@ -125,7 +125,7 @@ def checked(record: CampaignRecord) -> CampaignRecord:
         trust = replace(with_concerns(trust, found.sentence), times_noise=found.form.times_noise)
     elif found is not None and found.form.overstated:
         trust = replace(trust, notes=(*trust.notes, found.sentence))
-    return replace(record, trust=with_concerns(trust, *_worse(record)))
+    return replace(record, trust=with_concerns(trust, *_worse(record), *_new_below(record)))
 
 
 def _worse(record: CampaignRecord) -> tuple[str, ...]:
@@ -230,4 +230,18 @@ def _told_starts(spread: StartSpread) -> Json:
         places=int(spread.minima.max(initial=-1)) + 1,
         fit_as_well=spread.rivals,
         runs=[dict(zip(heads, run, strict=True)) for run in columns],
+    )
+
+
+def _new_below(record: CampaignRecord) -> tuple[str, ...]:
+    """A sentence where updating brought modes below all that answer the test."""
+    first, last = record.iterations[0], [item for item in record.iterations if item.accepted][-1]
+    below = min(last.pairing.computed, default=0)
+    if len(record.configurations) or below <= min(first.pairing.computed, default=0):
+        return ()
+    frequencies = ", ".join(f"{hz:.4g}" for hz in last.computed.frequencies_hz[:below])
+    return (
+        f"The updated model has modes below all that answer the test ({frequencies} Hz), more than "
+        "before updating: if the test covers that range the structure has none there, and the "
+        "values are not its own.",
     )

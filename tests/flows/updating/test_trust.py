@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from modetune.core.modes import MeasuredModes
+from modetune.core.storage.record import IterationRecord
 from modetune.core.storage.record_file import read_record
 from modetune.core.updating.estimation import StepForm
 from modetune.core.updating.judgement import trust_sentences
@@ -21,6 +22,7 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import E1Section, UpdateSection
 from modetune.flows.report.page import page, prose
 from modetune.flows.updating.display import show_run
+from modetune.flows.updating.judging import checked
 from modetune.flows.updating.recording import summary
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.running import update_campaign
@@ -131,6 +133,30 @@ def test_a_held_out_mode_that_got_worse_is_a_reservation(bench: Any, watcher: An
     found = trust_of(told)
     assert found.verdict == "trusted with reservations", trust_sentences(found)
     assert "1 of 1 held-out modes got worse by updating (mode 4)" in found.concerns[-1]
+
+
+def test_modes_that_updating_brought_below_those_of_the_test_are_a_reservation(
+    bench: Any, watcher: Any
+) -> None:
+    record = run(bench, watcher, bench.campaign(TRUTH, shapes=True)).record
+    assert record.trust is not None
+    assert record.trust.concerns == ()
+
+    def moved(iteration: IterationRecord, below: int) -> IterationRecord:
+        """With a partner further up for each measured mode, as if others had come below."""
+        pairing = iteration.pairing
+        return replace(iteration, pairing=replace(pairing, computed=pairing.computed + below))
+
+    first, *_, last = record.iterations
+    for before, after, told in ((0, 1, True), (1, 1, False), (2, 1, False)):
+        ends = replace(record, iterations=(moved(first, before), moved(last, after)))
+        found = checked(ends).trust
+        assert found is not None
+        said = [item for item in found.concerns if "below all that answer the test" in item]
+        assert bool(said) is told
+        if told:
+            assert f"({last.computed.frequencies_hz[0]:.4g} Hz)" in said[0]
+            assert found.verdict == "trusted with reservations"
 
 
 def test_shares_and_singular_values_are_those_of_the_chain(bench: Any, watcher: Any) -> None:
