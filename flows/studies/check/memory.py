@@ -7,7 +7,7 @@ from modetune.core.algebra.factor_room import factor_forecast
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.algebra.pencil import shifted_pattern
 from modetune.core.errors import SolverExhausted
-from modetune.flows.studies.check.findings import Finding
+from modetune.flows.studies.check.findings import MODEL, Finding
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.by_matrices import ByMatrices
 
@@ -25,9 +25,7 @@ def memory_findings(state: CaseState) -> list[Finding]:
         return []
     if not is_available():
         unknown = "the memory of factors is not limited: MKL's PARDISO is not installed"
-        return (
-            [Finding("doubtful", "model", unknown, LIMIT)] if state.campaign.run.memory_gb else []
-        )
+        return [MODEL.doubtful(unknown, LIMIT)] if state.campaign.run.memory_gb else []
     if isinstance(state.finder, ByMatrices):
         state.finder.release()
     base = state.finder.assembled(state.campaign.start).model.base
@@ -39,7 +37,7 @@ def memory_findings(state: CaseState) -> list[Finding]:
     try:
         on_disk, said = factor_forecast(pattern, vectors[0], vectors[1], room)
     except SolverExhausted as error:
-        return [Finding("wrong", "model", str(error), LIMIT)]
+        return [MODEL.wrong(str(error), LIMIT)]
     if not on_disk:
-        return [Finding("good", "model", said, LIMIT)]
-    return [Finding("doubtful", "model", said, LIMIT, "raise it where there is more memory")]
+        return [MODEL.good(said, LIMIT)]
+    return [MODEL.doubtful(said, LIMIT, "raise it where there is more memory")]

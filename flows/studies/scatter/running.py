@@ -102,22 +102,8 @@ def scatter_campaign(
     parameters), SolverError, ModesError, StoreError.
     """
     started, names = time.monotonic(), campaign.parameters.names
-    problems = request.problems(names)
-    if campaign.case.measurement.repeats is None:
-        problems.append(
-            f"{campaign.file}: the test was not repeated: name a table with a row a test as "
-            "`test.modes`, or more files of the same test as `test.repeats`"
-        )
-    if problems:
-        raise CampaignError(problems)
-    free = tuple(name for name in names if name in request.of) or names
+    free = _free(campaign, request)
     sampling = SamplingRequest(points=request.points, seed=request.seed)
-    n_values = len(names_of(campaign))
-    if len(free) > n_values:
-        raise CampaignError(
-            f"{n_values} measured values do not tell how {len(free)} parameters differ from test "
-            f"to test: name at most {n_values} of them with --of (others are the same in all)"
-        )
     wide = _of_one_test(campaign)
     with learned_posterior(wide, sampling, working, earlier, watcher) as known:
         values = values_of(known.campaign, known.solver.residual)
@@ -159,6 +145,27 @@ def scatter_campaign(
             runs=evaluator.runs,
             reduced_model=evaluator.range_use,
         )
+
+
+def _free(campaign: Campaign, request: ScatterRequest) -> tuple[str, ...]:
+    """The parameters that differ from test to test. Raises CampaignError, as `scatter_campaign`."""
+    names = campaign.parameters.names
+    problems = request.problems(names)
+    if campaign.case.measurement.repeats is None:
+        problems.append(
+            f"{campaign.file}: the test was not repeated: name a table with a row a test as "
+            "`test.modes`, or more files of the same test as `test.repeats`"
+        )
+    if problems:
+        raise CampaignError(problems)
+    free, n_values = tuple(name for name in names if name in request.of), len(names_of(campaign))
+    free = free or names
+    if len(free) > n_values:
+        raise CampaignError(
+            f"{n_values} measured values do not tell how {len(free)} parameters differ from test "
+            f"to test: name at most {n_values} of them with --of (others are the same in all)"
+        )
+    return free
 
 
 def _of_one_test(campaign: Campaign) -> Campaign:
