@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import shutil
 import signal
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 #: What tests compute in their own process is small: more threads only wait for each other.
 for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -21,7 +23,39 @@ for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+#: On a busy machine an example takes any time. Examples of a test share its folder.
+settings.register_profile(
+    "untimed",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+settings.load_profile("untimed")
+
+#: Files that take a minute or wait for others, beginning with the longest: one that began last would
+#: have all cores but its own wait.
+LONG = (
+    "tests/test_gallery.py",
+    "tests/flows/server/test_worker.py",
+    "tests/flows/updating/test_pages.py",
+    "tests/flows/jobs/test_prefect.py",
+    "tests/flows/jobs/test_dask.py",
+    "tests/test_docs.py",
+    "tests/test_structure.py",
+)
+
 CCX_ONCE = Path(__file__).with_name("adapters") / "ccx_once.py"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files begin first; the others keep their order."""
+    places = {name: place for place, name in enumerate(LONG)}
+    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0], len(places)))
+
+
+def pytest_collection_finish() -> None:
+    """What is there before the first test is there to the end: no need to look for it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

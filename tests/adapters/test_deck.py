@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from modetune.adapters.calculix.deck import (
@@ -22,9 +22,6 @@ from modetune.adapters.calculix.deck import (
 )
 from modetune.core.errors import ModelError
 from modetune.flows.campaign.solvers import is_nastran
-
-#: Files are written, at the speed of a busy machine.
-UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 MATERIAL = "*MATERIAL, NAME=AL\n*ELASTIC\n71000., 0.3\n*DENSITY\n2.81e-9\n"
 
@@ -201,7 +198,6 @@ def test_a_missing_deck_names_the_file(tmp_path: Path) -> None:
         read_deck(tmp_path / "main.inp")
 
 
-@UNTIMED
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_numbers_fit_the_field_and_read_back(value: float) -> None:
     text = format_number(value)
@@ -215,7 +211,6 @@ FIELDS = st.lists(
 )
 
 
-@UNTIMED
 @given(FIELDS, st.data())
 def test_replacing_a_field_changes_that_field_only(fields: list[str], data: st.DataObject) -> None:
     place = data.draw(st.integers(0, len(fields) - 1))
@@ -234,7 +229,6 @@ def test_blanks_round_a_replaced_field_stay() -> None:
 TEXTS = st.text(st.characters(exclude_characters="\0*\r", codec="utf-8"), max_size=40)
 
 
-@UNTIMED
 @given(TEXTS, TEXTS, st.sampled_from(["\n", "\r\n"]), st.booleans())
 def test_an_unchanged_deck_is_written_byte_for_byte(
     main: str, included: str, end: str, ended: bool

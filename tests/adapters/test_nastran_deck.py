@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pyNastran.bdf.bdf import BDF
 from pyNastran.bdf.field_writer_8 import print_float_8
@@ -27,9 +27,6 @@ from modetune.adapters.nastran.deck import (
 )
 from modetune.adapters.nastran.number import format_number, read_number
 from modetune.core.errors import ModelError
-
-#: Files are written, at the speed of a busy machine.
-UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 #: The last digits before a double overflows may round to what is none.
 FINITE = st.floats(-1e300, 1e300)
@@ -92,7 +89,6 @@ def test_short_numbers_are_written_as_people_write_them(value: float, text: str)
     assert format_number(value, width) == text
 
 
-@UNTIMED
 @given(FINITE, st.sampled_from([8, 16]))
 def test_written_numbers_fit_and_are_the_nearest_of_their_width(value: float, width: int) -> None:
     text = format_number(value, width)
@@ -104,7 +100,6 @@ def test_written_numbers_fit_and_are_the_nearest_of_their_width(value: float, wi
     assert format_number(value, width) == text
 
 
-@UNTIMED
 @given(ORDINARY)
 def test_eight_columns_hold_as_much_as_the_best_known_writer_gives_them(value: float) -> None:
     # pyNastran's own writer of small fields is the yardstick; a rounding error of a double is free.
@@ -202,7 +197,6 @@ def test_malformed_decks_name_file_and_line(
         read_deck(main)
 
 
-@UNTIMED
 @given(st.binary(max_size=200))
 def test_no_bytes_raise_anything_but_a_model_error(data: bytes) -> None:
     with tempfile.TemporaryDirectory() as name:
@@ -376,7 +370,6 @@ def mixed(fields: list[str]) -> str:
 LAYOUTS: tuple[Callable[[list[str]], str], ...] = (small, large, free, mixed)
 
 
-@UNTIMED
 @given(
     st.sampled_from(LAYOUTS),
     st.lists(ORDINARY, min_size=11, max_size=11),

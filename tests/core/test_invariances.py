@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 
@@ -57,7 +57,6 @@ def test_subspace_mac_does_not_see_a_pair_turn(angle: float, seed: int) -> None:
     assert subspace_mac(shape, turned(shapes, angle)[:, :2]) == pytest.approx(before, abs=1e-12)
 
 
-@settings(deadline=None)
 @given(ANGLES)
 def test_the_sum_of_a_pairs_derivatives_does_not_see_it_turn(angle: float) -> None:
     lam, shapes = pairs_of_modes()
@@ -67,7 +66,6 @@ def test_the_sum_of_a_pairs_derivatives_does_not_see_it_turn(angle: float) -> No
     assert found.eigenvalues.sum() == pytest.approx(shapes[1, 2] ** 2, rel=1e-9)
 
 
-@settings(deadline=None)
 @given(ANGLES)
 def test_a_modes_derivative_does_not_see_another_pair_turn(angle: float) -> None:
     lam, shapes = pairs_of_modes()
@@ -104,7 +102,6 @@ def test_pairs_do_not_depend_on_order_sign_or_scale(
     np.testing.assert_allclose(pairing.mac, 1.0)
 
 
-@settings(deadline=None)
 @given(ANGLES, st.sampled_from([-1.0, 1.0]))
 def test_a_direct_update_does_not_see_a_measured_pair_turn(angle: float, sign: float) -> None:
     # A pair of one frequency is imposed as a space, whichever of its shapes were measured.

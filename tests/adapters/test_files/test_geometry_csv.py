@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 
 from modetune.adapters.test_files.geometry_csv import (
     is_geometry,
@@ -27,9 +27,7 @@ def saved(tmp_path: Path, text: str) -> Path:
     return path
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40)
 @given(wanted_tests)
 def test_points_are_read_back_exactly(tmp_path: Path, wanted: Wanted) -> None:
     points = made(Wanted(wanted.seed, turned=wanted.turned, metres=wanted.metres)).geometry

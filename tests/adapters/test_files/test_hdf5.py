@@ -9,7 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modetune.adapters.test_files.hdf5 import read_test_hdf5, write_test_hdf5
@@ -19,10 +19,6 @@ from modetune.core.measurement.measurement import Measurement
 from tests.adapters.test_files.measured_tests import Wanted, made, wanted_tests
 from tests.core.storage.test_seal import resealed
 
-settings.register_profile(
-    "files", deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-FILES = settings.get_profile("files")
 TEXT = st.characters(codec="utf-8", exclude_characters="\0")
 
 
@@ -37,7 +33,7 @@ def same(one: Any, other: Any) -> None:
         same(getattr(one, field.name), getattr(other, field.name))
 
 
-@settings(FILES, max_examples=40)
+@settings(max_examples=40)
 @given(wanted_tests, st.lists(st.text(TEXT, max_size=20)))
 def test_a_test_is_read_back_exactly(tmp_path: Path, wanted: Wanted, notes: list[str]) -> None:
     test = replace(made(wanted), notes=tuple(notes))
@@ -57,7 +53,7 @@ def test_an_empty_test_is_read_back_and_refused_as_a_test_to_use(tmp_path: Path)
         read_measurement([tmp_path / "t.h5"])
 
 
-@settings(FILES, max_examples=60)
+@settings(max_examples=60)
 @given(st.data())
 def test_a_file_with_a_wrong_byte_is_refused(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "t.h5"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from modetune.adapters.test_files.hdf5 import read_test_hdf5, write_test_hdf5
@@ -16,9 +16,6 @@ from modetune.adapters.test_files.universal.write import write_universal
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredDeviations
 from modetune.core.modes import ModeSet, mode_set
-
-#: Files are written, at the speed of a busy machine.
-UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 TEXT = """\
 # wing, hung on bungees
@@ -104,7 +101,6 @@ def measurements(draw: st.DrawFn) -> tuple[tuple[int, ...], ModeSet]:
     return tuple(numbers), modes
 
 
-@UNTIMED
 @given(measurements())
 def test_what_is_written_is_read_again(measurement: tuple[tuple[int, ...], ModeSet]) -> None:
     numbers, modes = measurement

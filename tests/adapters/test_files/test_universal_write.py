@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.test_files.universal.contents import Function
@@ -22,9 +22,7 @@ from tests.adapters.test_files.measured_tests import Wanted, made, wanted_tests
 DIGITS = 5.1e-6
 
 
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=60)
 @given(wanted_tests)
 def test_what_is_written_is_read_back(tmp_path: Path, wanted: Wanted) -> None:
     test, path = made(wanted), tmp_path / "t.unv"

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import ortho_group
 
@@ -164,7 +164,6 @@ def state(test_angle: float, model_angle: float, seed: int) -> tuple[Residual, F
     )
 
 
-@settings(deadline=None)
 @given(st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi), st.integers(0, 20))
 def test_no_rotation_inside_a_cluster_changes_step_misfit_or_agreement(
     test_angle: float, model_angle: float, seed: int

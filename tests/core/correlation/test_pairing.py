@@ -28,7 +28,7 @@ def sines(frequencies: list[float], order: list[int], noise: float = 0.0) -> Mod
 
 
 @given(st.permutations(range(1, 7)), st.integers(0, 2**31))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_pairs_do_not_depend_on_order_sign_or_scale(order: list[int], seed: int) -> None:
     noise = np.random.default_rng(seed)
     measured = sines([10.0 * n for n in range(1, 7)], list(range(1, 7)))

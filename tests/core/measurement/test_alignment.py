@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -35,7 +35,6 @@ def grid(x: Floats, y: Floats, z: float = 0.0) -> Floats:
     return np.array([(a, b, z) for a in x for b in y])
 
 
-@settings(deadline=None)
 @given(angles, shifts, scales)
 def test_a_turned_scaled_and_shifted_cloud_is_found_exactly(
     degrees: tuple[float, ...], shift: tuple[float, ...], scale: float
@@ -50,7 +49,6 @@ def test_a_turned_scaled_and_shifted_cloud_is_found_exactly(
     assert found.notes == ()
 
 
-@settings(deadline=None)
 @given(angles)
 def test_points_in_a_plane_are_never_mirrored(degrees: tuple[float, ...]) -> None:
     plate = grid(np.linspace(0, 2, 4), np.array([0.0, 0.3, 1.0]))

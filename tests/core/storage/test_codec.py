@@ -11,7 +11,7 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
@@ -179,12 +179,7 @@ def test_what_hdf5_cannot_hold_is_escaped(tmp_path: Path) -> None:
     assert through(replace(tree(), text="a\0b\udce9"), tmp_path / "a.h5").text == r"a\x00b\udce9"
 
 
-settings.register_profile(
-    "codec", deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-
-
-@settings(settings.get_profile("codec"), max_examples=50)
+@settings(max_examples=50)
 @given(
     text=st.text(st.characters(codec="utf-8", exclude_characters="\0")),
     number=st.floats(),

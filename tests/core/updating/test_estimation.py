@@ -71,7 +71,7 @@ def test_underdetermined_minimum_norm_is_by_the_parameters_weights() -> None:
 
 
 @given(st.integers(0, 10_000), st.sampled_from(FORMS), st.integers(2, 8), st.integers(1, 6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_step_leaves_its_box(seed: int, form: LinearForm, rows: int, columns: int) -> None:
     p = problem(rows, columns, seed, box=0.05)
     change = parameter_step(p, form, 0.1).change

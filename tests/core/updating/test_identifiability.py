@@ -45,7 +45,7 @@ def test_the_share_of_one_parameter_is_by_the_information_of_both_sides() -> Non
 
 
 @given(st.integers(0, 10_000), st.integers(1, 7), st.integers(1, 5), st.floats(0.1, 10.0))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_the_resolution_is_its_definition(
     seed: int, rows: int, columns: int, factor: float
 ) -> None:
@@ -160,7 +160,7 @@ def test_a_triple_is_not_told_where_a_pair_of_it_already_is() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_indices_do_not_know_units_signs_or_lengths(seed: int) -> None:
     noise = np.random.default_rng(seed)
     s = noise.normal(size=(6, 4))

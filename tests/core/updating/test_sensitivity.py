@@ -101,7 +101,7 @@ def test_nelson_of_modes_a_millionth_apart_follows_the_modal_sum() -> None:
 
 
 @given(scale=st.floats(0.1, 10.0), sign=st.sampled_from([-1.0, 1.0]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_fox_kapoor_does_not_know_signs_and_scales_with_the_matrices(
     scale: float, sign: float
 ) -> None:

@@ -52,7 +52,7 @@ def test_more_columns_than_rows_have_the_rank_of_the_rows() -> None:
 
 
 @given(st.integers(0, 10_000), st.integers(2, 8), st.integers(1, 6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_pivoting_keeps_the_volume_of_the_columns(seed: int, rows: int, columns: int) -> None:
     s = np.random.default_rng(seed).normal(size=(max(rows, columns), columns))
     found = qr_order(s)

@@ -68,7 +68,7 @@ def test_only_bounds_of_an_order_of_magnitude_make_a_logarithm() -> None:
 
 
 @given(st.integers(0, 10_000), st.integers(2, 8), st.integers(1, 6), st.floats(0.01, 3.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_step_leaves_bounds_or_radius(seed: int, rows: int, columns: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
     theta = rng.uniform(0.1, 5.0, columns)

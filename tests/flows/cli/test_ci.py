@@ -48,13 +48,23 @@ def our_lines(scripts: list[str]) -> Iterator[list[str]]:
                 yield shlex.split(re.split(r" [|>]", line)[0])
 
 
+def own(folder: Path) -> dict[str, str]:
+    """A home and a store of the folder's own."""
+    store = folder / ".modetune" / "store"
+    return {"MODETUNE_HOME": str(folder / "home"), "MODETUNE_STORE": str(store)}
+
+
+def typed(folder: Path, command: str) -> subprocess.CompletedProcess[str]:
+    """A command that is not CI's own line, in this process."""
+    return run_command(folder, *command.split(), **own(folder))
+
+
 def run(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
     """Run a shell line as CI does, with modetune on PATH, in a home of its own."""
     environment = {
         **os.environ,
+        **own(folder),
         "PATH": f"{folder / 'bin'}:{os.environ['PATH']}",
-        "MODETUNE_HOME": str(folder / "home"),
-        "MODETUNE_STORE": str(folder / ".modetune" / "store"),
         "CAMPAIGN": "campaign.yaml",
         "BASELINE": "baseline.h5",
         "GITHUB_STEP_SUMMARY": str(folder / "summary.md"),
@@ -183,24 +193,24 @@ def test_a_change_that_no_parameter_makes_good_fails_both_jobs(repository: Path)
 
 def test_a_dry_run_says_that_the_deck_changed(repository: Path) -> None:
     changed(repository, "m2: 2.4", "m2: 3.2")
-    said = run(repository, "modetune update campaign.yaml --dry-run")
+    said = typed(repository, "update campaign.yaml --dry-run")
     assert said.returncode == 0
     assert "the deck's text differs" in said.stdout
     key = re.findall(r"^run   (\w{12})", said.stdout, re.MULTILINE)[0]
-    told = run(repository, f"modetune explain {key} --store campaign.yaml")
+    told = typed(repository, f"explain {key} --store campaign.yaml")
     assert told.returncode == 0, told.stderr
     assert "not run" in told.stdout
 
 
 def test_what_the_pre_check_found_is_a_summary_and_tests(repository: Path) -> None:
     for _ in range(2):  # a step adds to what others wrote
-        said = run(repository, "modetune check campaign.yaml --summary s.md --junit j.xml --json")
+        said = typed(repository, "check campaign.yaml --summary s.md --junit j.xml --json")
         assert said.returncode == 0, said.stderr
     assert (repository / "s.md").read_text().count("### six-mass: ") == 2
     (suite,) = ElementTree.parse(repository / "j.xml").getroot()
     assert len(suite) == len(json.loads(said.stdout)["findings"]) > 3
     assert all(case.find("failure") is None for case in suite)
-    said = run(repository, "modetune check campaign.yaml --summary no/s.md")
+    said = typed(repository, "check campaign.yaml --summary no/s.md")
     assert (said.returncode, said.stderr) == (
         2,
         "reading campaign.yaml\nmodes at the start\nmodetune: no/s.md: No such file or directory\n",
@@ -208,6 +218,6 @@ def test_what_the_pre_check_found_is_a_summary_and_tests(repository: Path) -> No
 
 
 def test_a_record_without_a_baseline_is_refused(repository: Path) -> None:
-    said = run(repository, "modetune check campaign.yaml --record baseline.h5")
+    said = typed(repository, "check campaign.yaml --record baseline.h5")
     assert said.returncode == 2
     assert "--against" in said.stderr

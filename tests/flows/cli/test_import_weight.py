@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import subprocess
 import sys
@@ -17,6 +18,7 @@ HEAVY = ("prefect", "matplotlib", "pyNastran", "polars", "pypardiso", "h5py", "s
 TELL = f"import json, sys; print(json.dumps([n for n in {HEAVY!r} if n in sys.modules]))"
 
 
+@functools.cache
 def imported_by(code: str) -> set[str]:
     """Heavy packages that are there after a piece of code has run in a fresh Python."""
     told = subprocess.run(

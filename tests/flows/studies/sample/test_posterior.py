@@ -13,6 +13,7 @@ from modetune.core.errors import CampaignError, SolverRejected
 from modetune.core.modes import Floats
 from modetune.core.updating.weighting import Weighting, even_weighting
 from modetune.flows.report.matplotlib_charts import save_all
+from modetune.flows.studies.sample import running
 from modetune.flows.studies.sample.figures import posterior_figures
 from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
@@ -120,7 +121,10 @@ def test_shapes_narrow_the_posterior(bench: Any, watcher: Any, record: Posterior
     assert np.all(np.abs(shaped.most_likely - list(TRUTH.values())) < shaped.deviation)
 
 
-def test_two_answers_to_one_test_are_told(bench: Any, watcher: Any) -> None:
+def test_two_answers_to_one_test_are_told(
+    bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "LONGER", 2)  # chains through both are long
     # Two frequencies and two springs: exchanging stiffness between the chain's ends fits again.
     campaign = bench.campaign({"k1": 1.6, "k7": 0.7}, (1, 2))
     loose = tuple(replace(item, standard_deviation=3.0) for item in campaign.parameters.parameters)
