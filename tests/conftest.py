@@ -31,8 +31,8 @@ settings.register_profile(
 )
 settings.load_profile("untimed")
 
-#: Files that take a minute or wait for others, beginning with the longest: one that began last would
-#: have all cores but its own wait.
+#: Files that take a minute or wait for others, beginning with the longest: one that began last
+#: would have all cores but its own wait.
 LONG = (
     "tests/test_gallery.py",
     "tests/flows/server/test_worker.py",
