@@ -18,11 +18,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shutil import disk_usage
 
 from scipy import sparse
 
+from modetune.core.algebra.elimination_order import elimination_order
 from modetune.core.algebra.pardiso import FactorFiles, Pardiso
 from modetune.core.errors import SolverExhausted
 
@@ -82,9 +84,10 @@ def roomy_factors(
     will not do. Raises as `Pardiso` does, SolverExhausted where neither memory nor disk suffices.
     """
     room = _room.get()
+    ordered = _ordered(upper, matching)
     if room is None:
-        return Pardiso(upper, matching=matching)
-    factors, said = _roomy(upper, matching, columns, similar, room)
+        return ordered()
+    factors, said = _roomy(ordered, columns, similar, room)
     if factors.held:
         logger.info("%s", said)
     return factors
@@ -97,16 +100,22 @@ def factor_forecast(
 
     Raises as `roomy_factors` does.
     """
-    factors, said = _roomy(upper, False, columns, similar, room)
+    factors, said = _roomy(_ordered(upper), columns, similar, room)
     factors.close()
     return factors.on_disk, said
 
 
+def _ordered(upper: sparse.csr_array, matching: bool = False) -> partial[Pardiso]:
+    """What makes factors of a matrix, in one order wherever they go."""
+    order = None if matching else elimination_order(upper)
+    return partial(Pardiso, upper, matching=matching, order=order)
+
+
 def _roomy(
-    upper: sparse.csr_array, matching: bool, columns: int, similar: int | None, room: FactorRoom
+    ordered: partial[Pardiso], columns: int, similar: int | None, room: FactorRoom
 ) -> tuple[Pardiso, str]:
     held, single = _resident(), similar is not None and room.single is True
-    factors = Pardiso(upper, matching=matching, single=single)
+    factors = ordered(single=single)
     told, vector = factors.memory, 8 * factors.n
     beside, peak = held + vector * (similar or 0 if single else columns), told.peak
     text = (
@@ -122,25 +131,19 @@ def _roomy(
         text = f"{text}; in single precision {_gb(peak)}, beside {_gb(beside)}"
         if beside + peak <= room.memory_bytes:
             said = "so they are made, and lead by products in double precision to the same modes"
-            return Pardiso(upper, single=True), f"{text}: {said}"
+            return ordered(single=True), f"{text}: {said}"
     files = room.files()
     try:
-        return _in_files(upper, matching, single, room, files, beside, text)
+        return _in_files(partial(ordered, files=files, single=single), room, files, beside, text)
     except BaseException:
         files.remove()
         raise
 
 
 def _in_files(
-    upper: sparse.csr_array,
-    matching: bool,
-    single: bool,
-    room: FactorRoom,
-    files: FactorFiles,
-    beside: int,
-    text: str,
+    ordered: partial[Pardiso], room: FactorRoom, files: FactorFiles, beside: int, text: str
 ) -> tuple[Pardiso, str]:
-    factors = Pardiso(upper, matching=matching, files=files, single=single)
+    factors = ordered()
     least, disk = beside + factors.memory_on_disk, factors.memory.factors
     free = disk_usage(files.folder).free
     if least > room.memory_bytes:

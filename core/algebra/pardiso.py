@@ -39,8 +39,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.errors import ModelError, ModetuneError, SolverExhausted
-
-Floats = NDArray[np.float64]
+from modetune.core.modes import Floats, Integers
 
 # One call at a time; reentrant, for garbage collection may free one matrix during a call.
 _ONE_CALL = threading.RLock()
@@ -133,19 +132,22 @@ class Pardiso:
         files: FactorFiles | None = None,
         long_integers: bool = False,
         single: bool = False,
+        order: Integers | None = None,
     ) -> None:
         """Order the unknowns of a matrix; `refactor` gives it its values.
 
         upper: (n, n), the upper triangle, sorted, with each diagonal entry; matching: scale and
         pair unknowns by their values first, for matrices with zeros on the diagonal; files: keep
         the factors there, not in memory; long_integers: for factors of more than 2^31 entries
-        (turned to anyhow where PARDISO asks for it); single: factors in single precision. Raises
-        ModelError where upper is not such a triangle, SolverExhausted where memory or disk do not
-        suffice.
+        (turned to anyhow where PARDISO asks for it); single: factors in single precision; order:
+        (n,), the unknowns from 0 in the order of their elimination, where PARDISO is not to find
+        one; it does not go with matching. Raises ModelError where upper is not such a triangle,
+        SolverExhausted where memory or disk do not suffice.
         """
         _check_triangle(upper)
         self.n = int(upper.shape[0])
-        self._settings = _settings(matching, files is not None, single)
+        self._order = order
+        self._settings = _settings(matching, files is not None, single, order is not None)
         self.files = files
         self.exact = not single
         self._unit = 1.0
@@ -235,6 +237,7 @@ class Pardiso:
             np.ascontiguousarray(columns, dtype=kind),
             self._settings.astype(kind),
             self.files,
+            self._order,
         )
         self._release = weakref.finalize(self, self._handle.close)
         self._release.atexit = False
@@ -264,13 +267,15 @@ class _Handle:
         columns: Any,
         iparm: NDArray[Any],
         files: FactorFiles | None = None,
+        order: Integers | None = None,
     ) -> None:
         self.files = files
         self.n, self.starts, self.columns = n, starts, columns
         self.iparm = iparm
         self.long_integers = bool(iparm.dtype == np.int64)
         self._addresses = np.zeros(64, dtype=np.int64)
-        self._permutation = np.zeros(1, dtype=iparm.dtype)  # none is given
+        given = np.zeros(1) if order is None else order + 1
+        self._permutation = given.astype(iparm.dtype)
         self._closed = False
 
     def call(
@@ -349,7 +354,7 @@ def _program(long_integers: bool) -> Any:
     return program
 
 
-def _settings(matching: bool, out_of_core: bool, single: bool) -> NDArray[np.int64]:
+def _settings(matching: bool, out_of_core: bool, single: bool, ordered: bool) -> NDArray[np.int64]:
     iparm = np.zeros(64, dtype=np.int64)
     # 1: own settings; 2: parallel METIS; 10: pivots below 1e-20 of the norm are lifted, zeros
     # that is, for masses and rotations make small ones; 24: factors in two levels of parallel
@@ -359,6 +364,8 @@ def _settings(matching: bool, out_of_core: bool, single: bool) -> NDArray[np.int
     chosen = {1: 1, 2: 3, 10: 20, 18: -1, 21: 1, 24: 1, 28: int(single), 37: -95}
     if matching:  # 10: the scaled matrix is of norm one; 24 does not go with 11 and 13
         chosen |= {2: 2, 10: 16, 11: 1, 13: 1, 24: 0, 37: 0}
+    if ordered:  # by unknowns, not by blocks of them
+        chosen |= {5: 1, 37: 0}
     if out_of_core:  # no two levels for factors on disk, and no blocks
         chosen |= {24: 0, 37: 0, 60: 2}
     for number, value in chosen.items():
