@@ -22,17 +22,8 @@ vectors, and others only as rounding brings them in: where the count says that s
 another one from the shapes found and random vectors goes on to c just above the last one found,
 until it holds as many as there are.
 
-A factorisation of 10^6 equations takes as long as hundreds of solved columns. There the factors
-of an earlier model do as well, as long as it is near (`block_davidson`): K and M new, the inverse
-old. Residuals are held to the same bound; where their fall over the first blocks says that a
-factorisation is the shorter way, that is gone from where they are. Where nothing is
-counted, random vectors beside the start shapes stay in the block to the end and turn to the lowest
-of what the others lack, and a mode among the lowest has to converge like the rest. A count then
-takes the one factorisation, just below the last eigenvalue.
-
-Factors in single precision (core/algebra/factor_room) are those of a similar matrix too, some 6e-8
-of K away. They take half the memory, and modes come from them in the same way as from an earlier
-model's, with products in double precision, from random vectors on where nothing is known.
+Factors of a similar matrix, of an earlier model or in single precision, do as well:
+core/algebra/similar_factors.
 
 Rounding sets a limit to all ways: lambda is known to about 10^-16 of the largest eigenvalue, as
 the computed eigenvalues of rigid modes show. Small models are solved whole by LAPACK
@@ -50,13 +41,7 @@ from scipy.linalg import eigh
 from scipy.linalg.blas import dgemm
 
 from modetune.core.algebra.dense_modes import solve_condensed, solve_whole
-from modetune.core.algebra.krylov import (
-    DAVIDSON,
-    RitzPairs,
-    block_davidson,
-    unit_combinations,
-    with_random,
-)
+from modetune.core.algebra.krylov import GUARD, RitzPairs, unit_combinations, with_random
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pencil import (
     LEAST_SHIFT,
@@ -68,18 +53,22 @@ from modetune.core.algebra.pencil import (
     factorise_below,
     largest_pairs,
     singular_together,
-    triangle_product,
 )
-from modetune.core.algebra.solved_modes import SolvedModes, completed, of_pairs
-from modetune.core.errors import ModelError, SolverExhausted
+from modetune.core.algebra.similar_factors import (
+    blocks_worth,
+    modes_in_single_precision,
+    pairs_by_similar,
+    similar_modes,
+    similar_vectors,
+)
+from modetune.core.algebra.solved_modes import TOLERANCE, SolvedModes, completed, of_pairs
+from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
 logger = logging.getLogger(__name__)
 
 #: Models up to this many unknowns are solved whole.
 DENSE = 300
-#: Random vectors beside the start shapes: they hold a little of every mode.
-GUARD = 4
 #: Blocks of a Krylov space, the start shapes being the first, before the start counts as bad.
 BLOCKS = 5
 #: Random start vectors where nothing is known: a solution with a few costs little more than with
@@ -89,18 +78,8 @@ COLUMNS = 6
 VECTORS, MORE_VECTORS = 8, 80
 #: Krylov spaces, each from the best of the one before, for modes that the first did not hold.
 ROUNDS = 4
-#: Largest residual of a mode before the last solution, which leaves a few hundredths of it.
-#: Eigenvalues have its square over the gap to modes that were not looked for.
-TOLERANCE = 2e-5
-#: The same from random vectors, whose modes hold some of any other; a block more.
+#: Largest residual from random vectors, whose modes hold some of any other; a block more.
 RANDOM_TOLERANCE = 2e-6
-#: Blocks with an earlier model's factors: fewer are too few to try, more never came to an end.
-LEAST_BLOCKS, MOST_BLOCKS = 3, 8
-#: The same with factors in single precision, for which there are no others.
-SINGLE_BLOCKS = 30
-#: Solved columns that a column of such a block costs, with its products and its part of the basis,
-#: and that a mode costs with factors of its own (three blocks, the later ones smaller).
-BLOCK_COLUMN, KRYLOV_MODE = 2.5, 4.5
 #: Eigenvalues this close, relative to their distance from the shift, are not told apart.
 _SAME = 1e-6
 
@@ -108,11 +87,6 @@ _SAME = 1e-6
 def most_vectors(n_modes: int) -> int:
     """Vectors of a space from nothing, each twice (M times it); half of them is common."""
     return VECTORS * n_modes + MORE_VECTORS
-
-
-def similar_vectors(n_modes: int) -> int:
-    """Vectors beside the factors of a similar matrix."""
-    return DAVIDSON * (n_modes + GUARD)
 
 
 class ModeSolver:
@@ -178,23 +152,15 @@ class ModeSolver:
             self._shift = factorise_below(pencil, shift)
             inverted, shapes = solve_condensed(pencil, n_modes)
             return completed(pencil, inverted, shapes, "condensed", pencil.n_with_mass, True)
+        given = start is not None and start.shape[0] == size and start.shape[1] >= n_modes
+        if start is not None and given and kept_blocks and pencil.kept_shift is not None:
+            solved, start = self._from_kept(pencil, n_modes, start, kept_blocks, count)
+            if solved is not None:
+                return solved
         if not pencil.exact:
-            return self._from_similar(pencil, n_modes, shift, start, kept_blocks)
-        if start is not None and start.shape[1] >= n_modes and start.shape[0] == size:
-            if kept_blocks and pencil.kept_shift is not None:
-                kept_shift = pencil.kept_shift
-                pairs = _by_similar(pencil, n_modes, kept_shift, start, kept_blocks)
-                if pairs is not None and pairs.converged:
-                    solved = _solved(pairs, n_modes, kept_shift, "kept factors")
-                    if not count:
-                        self._shift = None
-                        return solved
-                    self._shift = kept_shift
-                    _, found, there = _below_last(pencil, solved)
-                    if there == found:
-                        return replace(solved, counted=True)
-                logger.info("the model is too far from the one factorised: factorised anew")
-                start = start if pairs is None else pairs.vectors
+            self._shift = factorise_below(pencil, shift)
+            return modes_in_single_precision(pencil, n_modes, self._shift, start if given else None)
+        if start is not None and given:
             near = self._from_start(pencil, n_modes, shift, np.asfortranarray(start), count)
             if near is not None:
                 return near
@@ -215,9 +181,7 @@ class ModeSolver:
         """
         if self._pencil is None or self._pencil.kept_shift is None:
             return 0
-        columns = self._pencil.factorisation_columns + KRYLOV_MODE * n_modes
-        blocks = int(columns / (BLOCK_COLUMN * (n_modes + GUARD)))
-        return min(blocks, MOST_BLOCKS) if blocks >= LEAST_BLOCKS else 0
+        return blocks_worth(self._pencil.factorisation_columns, n_modes)
 
     @property
     def has_own_factors(self) -> bool:
@@ -246,45 +210,24 @@ class ModeSolver:
         """How the factors are held, where that is not in double precision in memory."""
         return "" if self._pencil is None else self._pencil.held
 
-    def _from_similar(
-        self,
-        pencil: Pencil,
-        n_modes: int,
-        shift: float,
-        start: Floats | None,
-        kept_blocks: int,
-    ) -> SolvedModes:
-        """By factors in single precision, this model's or an earlier one's."""
-        if kept_blocks and start is not None and pencil.kept_shift is not None:
-            self._shift, shift = None, pencil.kept_shift
-            pairs = _by_similar(pencil, n_modes, shift, start, kept_blocks)
-            if pairs is not None and pairs.converged:
-                return _solved(pairs, n_modes, shift, "kept factors in single precision")
-            start = start if pairs is None else pairs.vectors
-        self._shift = factorise_below(pencil, shift)
-        if not pencil.is_invertible():
-            raise singular_together(pencil)
-        shapes = np.zeros((pencil.n, 0)) if start is None else start
-        pairs = _by_similar(pencil, n_modes, self._shift, shapes, SINGLE_BLOCKS)
-        if pairs is None or not pairs.converged:
-            largest = np.inf if pairs is None else float(pairs.residuals[:n_modes].max())
-            raise SolverExhausted(
-                f"{n_modes} modes of {pencil.n} equations were not found with factors in single "
-                f"precision: the largest residual is {largest:.1e}; take factors in double "
-                "precision, which need up to twice the memory, or take that of the disk"
-            )
-        solved = _solved(pairs, n_modes, self._shift, "single precision")
-        bounds = solved.residuals * np.abs(1.0 - self._shift / solved.eigenvalues)
-        logger.info(
-            "%d modes of %d equations with factors in single precision: residuals at most %.1e, "
-            "eigenvalues within %.1e of their own size, and a mode that random vectors lack is not "
-            "counted",
-            n_modes,
-            pencil.n,
-            float(solved.residuals.max()),
-            float(bounds[solved.eigenvalues > -self._shift].max(initial=0.0)),
-        )
-        return solved
+    def _from_kept(
+        self, pencil: Pencil, n_modes: int, start: Floats, blocks: int, count: bool
+    ) -> tuple[SolvedModes | None, Floats]:
+        """By the factors at hand, an earlier model's; None and better shapes where they will not
+        do."""
+        assert pencil.kept_shift is not None
+        self._shift, shift = None, pencil.kept_shift
+        pairs = pairs_by_similar(pencil, n_modes, shift, start, blocks)
+        if pairs is not None and pairs.converged:
+            solved = similar_modes(pairs, n_modes, shift, f"kept factors{pencil.held}")
+            if not count:
+                return solved, start
+            self._shift = shift
+            _, found, there = _below_last(pencil, solved)
+            if there == found:
+                return replace(solved, counted=True), start
+        logger.info("the model is too far from the one factorised: factorised anew")
+        return None, start if pairs is None else pairs.vectors
 
     def _from_start(
         self, pencil: Pencil, n_modes: int, shift: float, start: Floats, count: bool
@@ -388,32 +331,6 @@ def solve_modes(
     upper = [upper_triangle(sparse.csr_array(a).astype(np.float64)) for a in (stiffness, mass)]
     solved = ModeSolver().solve(upper[0], upper[1], n_modes, shift)
     return solved.eigenvalues, solved.shapes
-
-
-def _by_similar(
-    pencil: Pencil, n_modes: int, shift: float, start: Floats, blocks: int
-) -> RitzPairs | None:
-    """By the factors at hand, whose matrix is not this model's."""
-
-    def mass(block: Floats) -> Floats:
-        return triangle_product(pencil.mass, block)
-
-    def shifted(block: Floats, inertia: Floats) -> Floats:
-        forces = pencil.stiff(block)
-        for own, of in zip(forces.T, inertia.T, strict=True):
-            own -= shift * of
-        return forces
-
-    known = start.shape[1]
-    block = with_random(start, max(n_modes - known, 0) + GUARD)
-    pencil.inverse(mass(block[:, known:]), block[:, known:])
-    return block_davidson(pencil.inverse, shifted, mass, block, n_modes, TOLERANCE, blocks)
-
-
-def _solved(pairs: RitzPairs, n_modes: int, shift: float, way: str) -> SolvedModes:
-    values, shapes = 1.0 / pairs.inverted[:n_modes] + shift, pairs.vectors[:, :n_modes]
-    residuals = pairs.residuals[:n_modes]
-    return SolvedModes(values, shapes, residuals, shift, way, False, pairs.solutions + GUARD)
 
 
 def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:

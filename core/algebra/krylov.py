@@ -34,11 +34,15 @@ from modetune.core.modes import Floats
 #: A product with a block (n_rows, n_columns), in Fortran order, and where to put it.
 Product = Callable[[Floats, Floats], object]
 
+#: Random vectors beside shapes that are known: they hold a little of every mode.
+GUARD = 4
+
 _ROWS_AT_ONCE = 4096  # of tall blocks that are combined in their place
 
-#: Vectors that `block_davidson` has in memory, in columns of its start.
-DAVIDSON = 9
-_BASIS_BLOCKS = 3  # of it in the basis, two of which stay at a restart
+#: Vectors that `block_davidson` has in memory, in pairs that it looks at: its basis, K - s M times
+#: that, and one block that a product or a solution works with.
+DAVIDSON = 7
+_BASIS_BLOCKS = 3  # two of which stay at a restart
 
 _DEPENDENT = 1e-14  # of a Gram matrix of unit columns: directions that are rounding
 _TOLD_APART = 1e-2  # residual of a pair beyond those wanted, from which on it is one of its own
@@ -124,39 +128,42 @@ def block_krylov(
 
 
 def block_davidson(
-    nearly: Callable[[Floats], Floats],
-    shifted: Callable[[Floats, Floats], Floats],
+    nearly: Product,
+    shifted: Product,
     mass: Callable[[Floats], Floats],
     start: Floats,
     n_pairs: int,
     tolerance: float,
     n_blocks: int,
+    n_random: int,
 ) -> RitzPairs | None:
     """The n_pairs largest eigenvalues of A by the inverse of a similar matrix.
 
-    nearly: P of a block (n, n_columns); mass: M of it; shifted: (K - s M) of it, given M of it too;
-    start: (n, n_start), more than n_pairs columns, written over; n_blocks: after how many blocks to
-    give up, or as soon as residuals fall so slowly that these will not do. It goes on until the
-    pair next to those wanted is known well enough to be none of them. As many pairs as start has
-    columns are given back, without images, for whoever goes on; None where K - s M is not positive.
-    In memory are DAVIDSON vectors (n,) a column of start.
+    nearly: P of a block (n, n_columns); shifted: K - s M of it; mass: M of it; start: (n, n_start);
+    n_random: random columns beside those, more than n_pairs in all; n_blocks: after how many blocks
+    to give up, or as soon as residuals fall so slowly that these will not do. It goes on until the
+    pair next to those wanted is known well enough to be none of them. As many pairs as start and
+    random have columns are given back, without images, for whoever goes on; None where K - s M is
+    not positive. In memory are DAVIDSON vectors (n,) a pair: blocks are made in their place in the
+    basis.
     """
-    width = start.shape[1]
+    known = start.shape[1]
+    new = width = known + n_random
     room = width * min(n_blocks + 1, _BASIS_BLOCKS)
     v = np.empty((start.shape[0], room), order="F")
     sv = np.empty_like(v, order="F")
+    v[:, :new] = with_random(start, n_random)
+    nearly(mass(v[:, known:new]), v[:, known:new])
     t = np.zeros((room, room))
-    slow, used, solutions, before, residuals = 0, 0, 0, np.inf, np.full(width, np.inf)
-    w, ritz, last = start, np.zeros((0, 0)), np.zeros((0, 0))
+    slow, used, solutions, before, residuals = 0, 0, n_random, np.inf, np.full(width, np.inf)
+    ritz, last = np.zeros((0, 0)), np.zeros((0, 0))
     for left in range(n_blocks, -1, -1):
-        if used + w.shape[1] > room:
-            used, ritz = _restart(v, sv, t, used, ritz, last)
-        sw = shifted(w, mass(w))
+        w, sw = v[:, used : used + new], sv[:, used : used + new]
+        shifted(w, sw)
         part = sv[:, :used].T @ w
         _subtract(w, v[:, :used], part)
         _subtract(sw, sv[:, :used], part)
         block = slice(used, used + _append_orthonormal(w, sw, v, sv, used, 0.0))
-        del w, sw
         used = block.stop
         t[:used, block] = v[:, :used].T @ mass(v[:, block])
         t[block, : block.start] = t[: block.start, block].T
@@ -174,15 +181,21 @@ def block_davidson(
         if converged or left == 0 or slow == 2:
             x = dgemm(1.0, v[:, :used], ritz / np.sqrt(theta))
             return RitzPairs(theta, x, x, residuals, solutions, bool(converged))
-        r = dgemm(1.0, sv[:, :used], ritz)
-        for pair in range(width):  # one by one: their block would be as large as any here
+        if used + theta.size > room:
+            used, ritz = _restart(v, sv, t, used, ritz, last)
+        w, r = (vectors[:, used : used + theta.size] for vectors in (v, sv))
+        r[...] = 0.0
+        _subtract(r, sv[:, :used], -ritz)
+        for pair in range(theta.size):  # one by one: their block would be as large as any here
             r[:, pair] -= mass(v[:, :used] @ (ritz[:, pair] / theta[pair]))
-        w = nearly(r)
-        del r
-        solutions += w.shape[1]
+        nearly(r, w)
+        solutions += theta.size
         squares = np.array([x @ mass(x) for x in w.T]) / theta
         before, residuals = worst, np.sqrt(np.maximum(squares, 0.0))
-        w = np.asfortranarray(w[:, residuals > _DROPPED * tolerance])
+        going_on = np.flatnonzero(residuals > _DROPPED * tolerance)
+        new = going_on.size
+        for place, own in enumerate(going_on):
+            w[:, place] = w[:, own]
     raise AssertionError("the last block ends it")
 
 

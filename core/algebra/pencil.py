@@ -163,6 +163,13 @@ class Pencil:
         """K block, (n, n_columns)."""
         return triangle_product(self.stiffness, block)
 
+    def shifted(self, block: Floats, shift: float, out: Floats) -> None:
+        """(K - s M) block at any shift s, (n, n_columns), put into out, column by column."""
+        triangle_product(self.stiffness, block, out=out)
+        diagonal = self.mass.diagonal()
+        for x, forces in zip(block.T, out.T, strict=True):
+            forces -= shift * triangle_product(self.mass, x, diagonal)
+
     def inertia(self, block: Floats, out: Floats | None = None) -> Floats:
         """M block, on the rows with mass; out: where to put it, in Fortran order."""
         return triangle_product(self._inner_mass, block, self._inner_diagonal, out)

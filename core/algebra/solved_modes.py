@@ -18,6 +18,10 @@ from modetune.core.algebra.krylov import RitzPairs
 from modetune.core.algebra.pencil import Pencil
 from modetune.core.modes import Floats
 
+#: Largest residual of a mode before the last solution, which leaves a few hundredths of it.
+#: Eigenvalues have its square over the gap to modes that were not looked for.
+TOLERANCE = 2e-5
+
 
 @dataclass(frozen=True, slots=True)
 class SolvedModes:

@@ -23,8 +23,8 @@ from functools import cached_property, partial
 import numpy as np
 from scipy import sparse
 
-from modetune.core.algebra.eigen import GUARD, ModeSolver
-from modetune.core.algebra.krylov import with_random
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.krylov import GUARD, with_random
 from modetune.core.algebra.matrices import upper_product
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes

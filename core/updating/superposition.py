@@ -42,8 +42,9 @@ import numpy as np
 from scipy import linalg, sparse
 
 from modetune.core.algebra.damped_modes import DampedSystem
-from modetune.core.algebra.eigen import GUARD, ModeSolver
+from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.factorisation import factorise
+from modetune.core.algebra.krylov import GUARD
 from modetune.core.algebra.matrices import MatrixResult, projected, upper_product
 from modetune.core.measurement.frf import Complexes
 from modetune.core.modes import REPEATED, Floats, Integers, close_sets
