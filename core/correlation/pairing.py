@@ -265,10 +265,12 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     rows, columns = least_cost(-table)
     reasons = []
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
-        cluster = close_modes(computed.frequencies_hz, column)
-        if (
-            table[row, column] < LOST_MAC
-            and _space_or_zero(shapes_before[:, row], shapes_now[:, cluster]) < LOST_MAC
+        if table[row, column] < LOST_MAC and (
+            _space_or_zero(
+                shapes_before[:, row],
+                shapes_now[:, close_modes(computed.frequencies_hz, column)],
+            )
+            < LOST_MAC
         ):
             raise LostMode(
                 f"the elastic mode at {previous.frequencies_hz[before.computed[row]]:.4g} Hz, one "
@@ -287,8 +289,10 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
 
 def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
     """MAC where a mode may rest at all sensors: it resembles nothing."""
-    table = np.zeros((first.shape[1], second.shape[1]))
     rows, columns = first.any(axis=0), second.any(axis=0)
+    if rows.all() and columns.all():
+        return mac(first, second)
+    table = np.zeros((first.shape[1], second.shape[1]))
     table[np.ix_(rows, columns)] = mac(first[:, rows], second[:, columns])
     return table
 

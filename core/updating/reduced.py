@@ -90,11 +90,10 @@ class ReducedModel:
 
     def at(self, theta: Floats) -> tuple[Floats, Floats]:
         """Projected stiffness and mass (r, r) at these values (n_parameters,)."""
-        stiffness, mass = self.base_stiffness, self.base_mass
-        for part in self.stiffness:
-            stiffness = stiffness + part.moved(theta[part.column], self.reference[part.column])
-        for part in self.mass:
-            mass = mass + part.moved(theta[part.column], self.reference[part.column])
+        stiffness, mass = self.base_stiffness.copy(), self.base_mass.copy()
+        for whole, parts in ((stiffness, self.stiffness), (mass, self.mass)):
+            for part in parts:
+                whole += part.moved(theta[part.column], self.reference[part.column])
         return stiffness, mass
 
     def modes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:

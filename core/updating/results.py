@@ -12,7 +12,7 @@ from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
 from modetune.core.measurement.alignment import Registration
-from modetune.core.modes import Floats, Integers, ModeSet, mode_set
+from modetune.core.modes import Floats, Integers, ModeSet
 from modetune.core.updating.modes_forecast import ModesForecast
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
@@ -71,12 +71,13 @@ class ModalResult:
         of freedom have these nodes and components; energies: (n_modes,), of the whole model."""
         return cls(
             eigenvalues=eigenvalues,
-            modes=mode_set(
+            modes=ModeSet(
                 np.sqrt(np.maximum(eigenvalues, 0.0)) / (2.0 * np.pi),
                 shapes,
                 nodes,
                 components,
-                normalisation="mass",
+                np.zeros(0),
+                "mass",
             ),
             groups=(),
             strain_energies=np.zeros((0, eigenvalues.size)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -26,6 +26,8 @@ logger = logging.getLogger(__name__)
 
 #: How often the computed range is widened in search of a lost mode.
 WIDENINGS = 1
+#: Sets that modes are tracked from at most: the nearest of so many is near, and they fill memory.
+MOST_KNOWN = 400
 
 
 @dataclass(slots=True, eq=False)
@@ -129,12 +131,14 @@ class AskedModes:
 class ModeTrack:
     """Evaluation points that modes are tracked from, where the test has no shapes: the nearest one.
 
-    width: (n_parameters,), what distances are measured by; grows: whether new sets join them.
+    width: (n_parameters,), what distances are measured by; grows: whether new sets join them, till
+    there are MOST_KNOWN.
     """
 
     width: Floats
     known: list[Evaluation]
     grows: bool
+    _places: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     def next(self, thetas: Floats, waiting: Sequence[int]) -> int:
         """The waiting set that is nearest to one that is known, where the known grow by it."""
@@ -148,10 +152,16 @@ class ModeTrack:
             return self.known[0] if self.known else None
         return self.known[int(np.argmin(self._distances(theta[None])))]
 
+    def join(self, evaluation: Evaluation) -> None:
+        """A new set, which others may be tracked from."""
+        if self.grows and len(self.known) < MOST_KNOWN:
+            self.known.append(evaluation)
+
     def _distances(self, thetas: Floats) -> Floats:
-        known = np.stack([evaluation.theta for evaluation in self.known])
+        if len(self._places) != len(self.known):
+            self._places = np.stack([evaluation.theta for evaluation in self.known]) / self.width
         return np.asarray(
-            scipy.spatial.distance.cdist(thetas / self.width, known / self.width, "sqeuclidean")
+            scipy.spatial.distance.cdist(thetas / self.width, self._places, "sqeuclidean")
         )
 
 

@@ -182,21 +182,23 @@ def compare(
     the test's.
     """
     modal = result.at(case.nodes)
-    seen, pairing = _paired(case, modal, previous, drop)
+    elastic = modal.elastic
+    seen, pairing = _paired(case, elastic, previous, drop)
     test = case.test
     if test.has_shapes and case.needs("shapes"):
         rotation = rotation_to_test(test.modes, seen, pairing, case.weighting.frequency_deviations)
         if rotation is not None:
             result = result.turned(rotation)
             modal = result.at(case.nodes)
-            seen, pairing = _paired(case, modal, previous, drop)
+            elastic = modal.elastic
+            seen, pairing = _paired(case, elastic, previous, drop)
     state = model_state(case, seen, pairing, modal, matrices)
     return CaseEvaluation(
         theta=theta,
         key=key,
         modal=modal,
         seen=seen,
-        field=result.elastic,
+        field=elastic if modal is result else result.elastic,
         pairing=pairing,
         residual=residual(case.responses, state),
         errors=frequency_errors(test.modes, seen, pairing),
@@ -216,14 +218,16 @@ def model_state(
 
 
 def _paired(
-    case: Case, modal: ModalResult, previous: CaseEvaluation | None, drop: bool
+    case: Case, elastic: ModeSet, previous: CaseEvaluation | None, drop: bool
 ) -> tuple[ModeSet, Pairing]:
     """The elastic modes as the test's sensors see them, and their pairs."""
     test, rules, resolution = case.test, case.rules, case.weighting.frequency_deviations
-    seen = case.sensors.observe(modal.elastic) if test.has_shapes else modal.elastic
+    seen = case.sensors.observe(elastic) if test.has_shapes else elastic
     if previous is not None:
-        before = previous.pairing, previous.modal.elastic
-        return seen, next_pairing(test, seen, modal.elastic, before, rules, resolution)
+        # Without shapes `seen` is the elastic modes themselves.
+        known = previous.modal.elastic if test.has_shapes else previous.seen
+        before = previous.pairing, known
+        return seen, next_pairing(test, seen, elastic, before, rules, resolution)
     others = np.zeros(0) if case.held_out is None else case.held_out.modes.frequencies_hz
     drop = drop or (rules.drop and not test.has_shapes)  # more modes would change no order
     pairing = first_pairing(test, seen, rules, resolution, others, drop)

@@ -266,6 +266,17 @@ class Evaluator:
         ]
         return self._solve(title, thetas, asked, track, Ahead(), [])
 
+    def tracked(self, item: Evaluation, known: Sequence[Evaluation]) -> Evaluation:
+        """A set with its modes paired anew, tracked from the nearest of others. Raises LostMode."""
+        bounds = self.campaign.parameters
+        near = ModeTrack(bounds.upper - bounds.lower, list(known), False).nearest(item.theta)
+        assert near is not None
+        parts = [
+            state.compared(part.theta, part.key, part.modal, before, part.solved_by)
+            for state, part, before in zip(self.used, item.parts, near.parts, strict=True)
+        ]
+        return self.whole(item.theta, parts)
+
     def modes(self, theta: Floats, analysis: ModalAnalysis) -> ModalResult:
         """The modes of the only case at a set, as an analysis of one's own asks for them."""
         return self.pieces.modes("modes", self.only, theta, analysis)[1]
@@ -414,8 +425,7 @@ class Evaluator:
                     own = [parts[point, id(state)] for state in self.used]
                     whole = self.whole(thetas[point], own)
                     found[point] = whole
-                    if track.grows:
-                        track.known.append(whole)
+                    track.join(whole)
         return [found[point] for point in range(len(thetas))]
 
     def _before(self, item: AskedModes, previous: Evaluation | None) -> CaseEvaluation | None:

@@ -145,7 +145,7 @@ def learn(
         training, keys = training.plus(solved.training), keys + solved.keys
     if reduced:
         tell("looking for the posterior by the reduced model itself")
-        return learned.by_model(reduced, rng)
+        return learned.by_model(replace(reduced, known=solver.fitting(each)[0]), rng)
     refuse_poor(learned, each)
     return learned
 

@@ -5,22 +5,27 @@ some milliseconds each. Else sets are ordinary modal jobs, which go through the 
 store, limits and retries, so that what was solved once is never solved again. Without measured
 shapes a set's modes are tracked from the nearest set that has been paired already, beginning at the
 campaign's start. Over long ways modes that approach each other may be mistaken for each other.
-Sets that fit the test are those that were not, so further ones are tracked from these.
+Sets that fit the test are those that were not, so further ones are tracked from these, and those
+near the posterior that do not fit once more when it is known which do: a few sets there with two
+modes exchanged are holes in what is learned, that no spline goes through.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
+from modetune.core.correlation.pairing import LostMode
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training
+from modetune.flows.updating.asked import MOST_KNOWN
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.small_matrices import one_thread
@@ -108,22 +113,60 @@ class PointSolver:
         all of them where it is 0; grows: whether these too. Raises CampaignError where more than
         half fail; SolverError, ModesError where all do; StoreError.
         """
-        known = self.known
-        if around:
-            fits = np.array(self._misfits)
-            reach = max(np.sort(fits)[:around].max(), fits.min() + NEARLY)
-            known = [item for item, fit in zip(known, fits.tolist(), strict=True) if fit <= reach]
-        found = list(self.evaluator.points(title, points, known, grows, in_full=False))
-        self._tell([item for item in found if isinstance(item, ModetuneError)], len(found))
-        sets = {n: item for n, item in enumerate(found) if isinstance(item, Evaluation)}
-        training = self._training(list(sets.values()))
-        self.known += sets.values()
-        self._misfits += (training.values**2).sum(axis=1).tolist()
-        return SolvedPoints(
-            training,
-            tuple(item.key for item in sets.values()),
-            np.array(list(sets), dtype=np.int64),
-        )
+        failed: list[ModetuneError] = []
+        keys: list[str] = []
+        places: list[int] = []
+        values: list[Floats] = []
+        for place, item in enumerate(self._evaluated(title, points, around, grows)):
+            if isinstance(item, ModetuneError):
+                failed.append(item)
+                continue
+            self._join(item)
+            keys.append(item.key)
+            places.append(place)
+            values.append(standardised(item))
+        self._tell(failed, len(points))
+        responses, names = response_names(self.known[0])
+        rows = np.array(values).reshape(-1, responses.size)
+        training = Training(points[places], rows, responses, names)
+        return SolvedPoints(training, tuple(keys), np.array(places, dtype=np.int64))
+
+    def fitting(
+        self, least: int, more: Sequence[Evaluation] = ()
+    ) -> tuple[list[Evaluation], float]:
+        """So many sets at least that fit best, of those that are known and more, and the largest
+        squared misfit that counts as such."""
+        sets = [*self.known, *more]
+        fits = np.array([*self._misfits, *map(misfit, more)])
+        reach = float(max(np.sort(fits)[:least].max(), fits.min() + NEARLY))
+        return [item for item, fit in zip(sets, fits.tolist(), strict=True) if fit <= reach], reach
+
+    def _evaluated(
+        self, title: str, points: Floats, around: int, grows: bool
+    ) -> Iterator[Evaluation | ModetuneError]:
+        """Evaluations at points in turn, or why there is none. Those that do not fit the test near
+        others that do are tracked once more, from these."""
+        known = self.fitting(around)[0] if around else self.known
+        found = self.evaluator.points(title, points, known, grows, in_full=False)
+        if not around:
+            yield from found
+            return
+        items = list(found)
+        fitting, reach = self.fitting(around, [i for i in items if isinstance(i, Evaluation)])
+        for item in items:
+            if isinstance(item, Evaluation) and misfit(item) > reach:
+                with suppress(LostMode):
+                    again = self.evaluator.tracked(item, fitting)
+                    item = min(item, again, key=misfit)
+            yield item
+
+    def _join(self, item: Evaluation) -> None:
+        """Keep a set for modes to be tracked from; of too many the one that fits worst goes."""
+        self.known.append(item)
+        self._misfits.append(misfit(item))
+        if len(self.known) > MOST_KNOWN:
+            worst = 1 + int(np.argmax(self._misfits[1:]))
+            del self.known[worst], self._misfits[worst]
 
     def _tell(self, failed: Sequence[ModetuneError], asked: int) -> None:
         self.failures += map(str, failed)
@@ -138,18 +181,6 @@ class PointSolver:
                 f"{failed[0]}\nnarrow the parameters' bounds"
             )
 
-    def _training(self, found: Sequence[Evaluation]) -> Training:
-        responses, names = response_names(found[0] if found else self.known[0])
-        values = [standardised(evaluation) for evaluation in found]
-        return Training(
-            points=np.array([item.theta for item in found]).reshape(
-                -1, len(self.campaign.parameters)
-            ),
-            values=np.array(values).reshape(-1, responses.size),
-            responses=responses,
-            names=names,
-        )
-
 
 def standardised(evaluation: Evaluation) -> Floats:
     """Entries of a residual that take part, in standard deviations of the test, (n_residuals,).
@@ -161,6 +192,12 @@ def standardised(evaluation: Evaluation) -> Floats:
     found = evaluation.residual
     used = found.weights > 0.0
     return np.asarray(found.independent(found.values)[used] / np.sqrt(found.noise[used]))
+
+
+def misfit(evaluation: Evaluation) -> float:
+    """Of a set: the sum of squares of its standardised residual."""
+    values = standardised(evaluation)
+    return float(values @ values)
 
 
 def response_names(evaluation: Evaluation) -> tuple[Integers, tuple[str, ...]]:
