@@ -29,6 +29,7 @@ import select
 import sys
 import time
 
+LIBC = ctypes.CDLL(None)
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 SIGKILL = 9
 ENOENT, EINVAL = 2, 22
@@ -89,19 +90,19 @@ def _say(line: str) -> None:
 
 def _start(output: int, arguments: list[str], environment: dict[str, str]) -> tuple[int, int]:
     """The program's process number, and the error number that kept it from starting, or 0."""
-    libc, parent = ctypes.CDLL(None), os.getpid()
-    libc.prctl(PR_SET_CHILD_SUBREAPER, 1)
+    parent = os.getpid()
+    LIBC.prctl(PR_SET_CHILD_SUBREAPER, 1)
     told, tell = os.pipe()  # closes when the program starts
     program = os.fork()
     if program == 0:
         failure = 0
         try:
             os.setsid()
-            libc.prctl(PR_SET_PDEATHSIG, SIGKILL)
+            LIBC.prctl(PR_SET_PDEATHSIG, SIGKILL)
             if os.getppid() != parent:  # it died before the kernel was told
                 os._exit(1)
             for number in IGNORED_BY_PYTHON:
-                libc.signal(number, None)
+                LIBC.signal(number, None)
             nothing = os.open(os.devnull, os.O_RDONLY)
             for source, target in ((nothing, 0), (output, 1), (output, 2)):
                 os.dup2(source, target)

@@ -139,12 +139,13 @@ def calculix_deck(mesh: AircraftMesh) -> str:
     """The aircraft as a complete CalculiX deck, free-free, first 18 modes."""
     model = aircraft(mesh)
     lines = ["*HEADING", "GARTEUR SM-AG19 testbed; units mm, t, s, MPa", "*NODE, NSET=NALL"]
-    lines += [f"{i}, {x:.10g}, {y:.10g}, {z:.10g}" for i, (x, y, z) in enumerate(model.nodes, 1)]
+    places = enumerate(model.nodes.tolist(), 1)
+    lines += [f"{i}, {x:.10g}, {y:.10g}, {z:.10g}" for i, (x, y, z) in places]
     first = 1
     for group in GROUPS:
         lines.append(f"*ELEMENT, TYPE=C3D8I, ELSET={group}")
         rows = model.elements[group].tolist()
-        lines += [", ".join(map(str, [number, *row])) for number, row in enumerate(rows, first)]
+        lines += [str([number, *row])[1:-1] for number, row in enumerate(rows, first)]
         first += len(rows)
     for group in GROUPS:
         lines += [

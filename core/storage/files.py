@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import re
 import shutil
@@ -11,6 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from uuid import uuid4
 
 from modetune.core.errors import StorageUnavailable
 
@@ -30,19 +32,17 @@ def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
     with storage_errors(path, remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
         device = path.exists() and not path.is_file()
-        folder = None if device else path.parent
-        handle, name = tempfile.mkstemp(dir=folder, prefix=".", suffix=".part")
-        os.close(handle)
-        part = Path(name)
+        folder = Path(tempfile.gettempdir()) if device else path.parent
+        part = folder / f".{uuid4().hex}.part"
+        part.touch(0o600 if device else 0o666, exist_ok=False)
         try:
             yield part
-            with part.open("rb") as written:
+            with io.FileIO(part) as written:
                 os.fsync(written.fileno())
             if device:
                 with part.open("rb") as written, path.open("wb") as out:
                     shutil.copyfileobj(written, out)
                 return
-            part.chmod(0o666 & ~_umask())  # mkstemp's files are for their owner only
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
@@ -60,15 +60,6 @@ def check_writable(folder: Path, remedy: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-
-
-def _umask() -> int:
-    """The process's file mode mask, as the kernel tells it without changing it."""
-    try:
-        status = Path("/proc/self/status").read_text()
-    except OSError:
-        return 0o022
-    return int(status.partition("Umask:")[2].split(None, 1)[0], 8)
 
 
 @contextmanager

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import io
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from modetune.core.storage.files import storage_errors
 
@@ -33,13 +34,17 @@ class FileLock:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._handle: IO[str] | None = None
+        self._handle: io.FileIO | None = None
         self._lease: SoftFileLease | None = None
 
     def take(self) -> bool:
-        """Take the lock unless another has it; its folder is there. Raises StorageUnavailable."""
+        """Take the lock unless another has it. Raises StorageUnavailable."""
         with storage_errors(self.path):
-            handle = self.path.open("w")
+            try:
+                handle = io.FileIO(self.path, "w")
+            except FileNotFoundError:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                handle = io.FileIO(self.path, "w")
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
@@ -103,7 +108,7 @@ class FileLock:
         return False
 
 
-def _is_removed(handle: IO[str]) -> bool:
+def _is_removed(handle: io.FileIO) -> bool:
     try:
         return os.fstat(handle.fileno()).st_nlink == 0
     except OSError:  # a share says so of a file that is gone

@@ -190,10 +190,7 @@ class Store:
 
         waiting: called over and over while another holds it; it sleeps a little, or raises.
         """
-        path = self.folder / "locks" / key
-        with storage_errors(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(path).held(waiting):
+        with FileLock(self.folder / "locks" / key).held(waiting):
             yield
 
     def _set_aside(self, path: Path, inode: int) -> None:

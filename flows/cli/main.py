@@ -7,6 +7,7 @@ that need them.
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import os
@@ -15,7 +16,7 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable
+from importlib import import_module
 from inspect import cleandoc
 from typing import Annotated
 
@@ -23,48 +24,21 @@ import typer
 
 from modetune import __version__
 from modetune.core.errors import ModetuneError
-from modetune.flows.cli.check import check
-from modetune.flows.cli.correlate import correlate
-from modetune.flows.cli.demo import demo
-from modetune.flows.cli.deploy import deploy
-from modetune.flows.cli.direct import direct
-from modetune.flows.cli.doctor import doctor
-from modetune.flows.cli.expand import expand
-from modetune.flows.cli.explain import explain
-from modetune.flows.cli.identify import identify
-from modetune.flows.cli.init import init
-from modetune.flows.cli.inspect import inspect
-from modetune.flows.cli.localise import localise
-from modetune.flows.cli.modes import modes
-from modetune.flows.cli.paraview import paraview
-from modetune.flows.cli.pretest import pretest
-from modetune.flows.cli.reduce import reduce
-from modetune.flows.cli.report import report
-from modetune.flows.cli.sample import sample
-from modetune.flows.cli.scatter import scatter
-from modetune.flows.cli.schema import schema
-from modetune.flows.cli.screen import screen
-from modetune.flows.cli.sensors import sensors
-from modetune.flows.cli.serve import serve
-from modetune.flows.cli.server import server_app
-from modetune.flows.cli.store import store_app
-from modetune.flows.cli.twin import twin
-from modetune.flows.cli.update import update
-from modetune.flows.cli.validate import validate
-from modetune.flows.cli.view import view
-from modetune.flows.cli.worker import worker
 
-#: In the order of a campaign's life, under the headings of `--help`.
-COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "The test": (pretest, inspect, identify, sensors),
-    "Model and test, before updating": (init, check, modes, correlate, screen, localise),
-    "Updating": (update, view, explain),
-    "Whole matrices": (expand, reduce, direct),
-    "How far to trust it": (validate, sample, scatter),
-    "Results": (report, paraview),
-    "Unattended": (deploy, serve, worker),
-    "This installation": (demo, doctor, twin, schema),
-}
+#: In the order of a campaign's life, under the headings of `--help`; each is in the module of its
+#: name.
+COMMANDS = {
+    "The test": ("pretest", "inspect", "identify", "sensors"),
+    "Model and test, before updating": (
+        "init", "check", "modes", "correlate", "screen", "localise",
+    ),
+    "Updating": ("update", "view", "explain"),
+    "Whole matrices": ("expand", "reduce", "direct"),
+    "How far to trust it": ("validate", "sample", "scatter"),
+    "Results": ("report", "paraview"),
+    "Unattended": ("deploy", "serve", "worker", "server"),
+    "This installation": ("demo", "doctor", "twin", "schema", "store"),
+}  # fmt: skip
 #: The extra of `modetune[...]` that brings a package; a cluster's tell themselves.
 EXTRAS = {
     **dict.fromkeys(("polars", "pypardiso"), "calculix"),
@@ -72,15 +46,6 @@ EXTRAS = {
     **dict.fromkeys(("SALib", "emcee", "pandas"), "studies"),
     "pyoma2": "oma",
 }
-app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
-for heading, commands in COMMANDS.items():
-    for command in commands:
-        paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
-        # Typer keeps line ends: a paragraph is broken anew at the terminal's width.
-        told = "\n\n".join(" ".join(part.split()) for part in paragraphs)
-        app.command(rich_help_panel=heading, help=told)(command)
-app.add_typer(server_app, name="server", rich_help_panel="Unattended")
-app.add_typer(store_app, name="store", rich_help_panel="This installation")
 
 
 def _tell_version(asked: bool) -> None:
@@ -89,7 +54,6 @@ def _tell_version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _modetune(
     version: Annotated[
         bool,
@@ -97,6 +61,33 @@ def _modetune(
     ] = False,
 ) -> None:
     """Finite element models that agree with vibration tests."""
+
+
+def command_line(asked: str = "") -> typer.Typer:
+    """The command line; of the one command that is asked for, where there is such a one: the
+    modules of all of them take a moment to import."""
+    app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
+    app.callback()(_modetune)
+    alone = any(asked in names for names in COMMANDS.values())
+    for heading, names in COMMANDS.items():
+        for name in (asked,) * (asked in names) if alone else names:
+            module = import_module(f"modetune.flows.cli.{name}")
+            group = getattr(module, f"{name}_app", None)
+            if group is not None:
+                app.add_typer(group, name=name, rich_help_panel=heading)
+                continue
+            command = getattr(module, name)
+            paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
+            # Typer keeps line ends: a paragraph is broken anew at the terminal's width.
+            told = "\n\n".join(" ".join(part.split()) for part in paragraphs)
+            app.command(rich_help_panel=heading, help=told)(command)
+    return app
+
+
+def __getattr__(name: str) -> typer.Typer:
+    if name == "app":
+        return command_line()
+    raise AttributeError(name)
 
 
 def _quiet() -> None:
@@ -116,9 +107,10 @@ def _quiet() -> None:
 def main() -> None:
     """Run the command line and end the process with its exit code."""
     _quiet()
+    gc.set_threshold(10_000, 10, 10)  # imports make objects that stay: looked at less often
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
     try:
-        app(standalone_mode=True)
+        command_line(*sys.argv[1:2])(standalone_mode=True)
     except ModetuneError as error:
         _fail(str(error), error.exit_code)
     except BrokenPipeError:

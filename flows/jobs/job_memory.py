@@ -24,7 +24,9 @@ class JobMemory:
     """
 
     def __init__(self) -> None:
-        self.of_machine = machine_memory()  # some twenty files tell it: not with every job
+        # Files of the system tell both: not with every job.
+        self.of_machine = machine_memory()
+        self._slots = max(LEAST_SHARES, 4 * (os.cpu_count() or 1))
         self._peaks: dict[tuple[str, str, str], int] = {}
         self._lock = threading.Lock()
 
@@ -33,7 +35,7 @@ class JobMemory:
 
         named: whether the campaign names a limit.
         """
-        slots = max(LEAST_SHARES, 4 * (os.cpu_count() or 1))
+        slots = self._slots
         peak = self._peaks.get(kind, memory_bytes if named else 0)
         return Limit(MEMORY, slots, min(max(-(-slots * peak // memory_bytes), 1), slots))
 

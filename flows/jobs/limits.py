@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from modetune.core.storage.files import storage_errors
 from modetune.core.storage.locks import FileLock
 
 #: The machine's own limits: processor cores, and shares of the memory that may be taken; every
@@ -72,8 +71,6 @@ class MachineLimits:
     def _take(self, limit: Limit, held: ExitStack, waiting: Callable[[str], None]) -> None:
         assert self.folder is not None
         folder = self.folder / limit.name
-        with storage_errors(folder):
-            folder.mkdir(parents=True, exist_ok=True)
         with ExitStack() as gate:
             while not _lock(folder / "gate", gate):
                 waiting(limit.name)

@@ -29,7 +29,6 @@ def factor_files(store: Store) -> FactorFiles:
     name = f"{PREFIX}{uuid.uuid4().hex}"
     folder, lock = store.folder / "jobs" / f"{name}.part", FileLock(store.folder / "locks" / name)
     with storage_errors(folder):
-        lock.path.parent.mkdir(parents=True, exist_ok=True)
         lock.take()  # nobody else knows the name
         folder.mkdir(parents=True)
     files = FactorFiles(folder, partial(_remove, folder, lock))

@@ -72,8 +72,6 @@ class StoreFile:
 def in_use(store: Store) -> Iterator[None]:
     """Results of a store stay for as long as this lasts. Raises StorageUnavailable."""
     lock = FileLock(store.folder / "locks" / f"{CAMPAIGN}{uuid.uuid4().hex}")
-    with storage_errors(lock.path):
-        lock.path.parent.mkdir(parents=True, exist_ok=True)
     with lock.held(lambda: time.sleep(0.01)):
         try:
             yield
