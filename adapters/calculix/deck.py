@@ -142,15 +142,18 @@ def _read_file(
     pieces = read_text(path).split("\n")  # ccx knows no other line end; a \r before it is dropped
     if not pieces[-1]:
         pieces.pop()
-    for number, text in enumerate(pieces, start=1):
-        line = Line(text.rstrip("\r"), path, number)
-        if not INCLUDE.match(text):
-            lines.append(line)
+    own = [*OwnLines([piece.rstrip("\r") for piece in pieces], path)]
+    done = 0
+    for place, text in enumerate(pieces):
+        if "*" not in text or not INCLUDE.match(text):
             continue
-        include = _include(line, main)
+        lines += own[done:place]
+        done = place + 1
+        include = _include(own[place], main)
         check_include(include, above, lines, includes)
         includes.append(include)
         _read_file(include.target, main, (*above, include.target.resolve()), lines, includes)
+    lines += own[done:]
 
 
 def _include(line: Line, main: Path) -> Include:

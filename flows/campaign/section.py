@@ -46,7 +46,7 @@ Deviations = Annotated[
 class Section(BaseModel):
     """A mapping of the campaign file; the docstring below a field says what its key means."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 def section_problems(

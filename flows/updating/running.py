@@ -14,7 +14,6 @@ from modetune.core.errors import CampaignRunning
 from modetune.core.storage.files import check_writable, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import write_record
 from modetune.flows.campaign.campaign import Campaign, cores
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.campaign.self_test import not_confirmed
@@ -37,6 +36,7 @@ from modetune.flows.updating.prefect import Pages, PagesProgress
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.sensitivities import not_linear
 from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of, with_first_cost
+from modetune.flows.updating.unfinished import unfinished_record
 from modetune.flows.updating.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
@@ -143,7 +143,7 @@ def _update(
     def keep(record: CampaignRecord) -> None:
         nonlocal logged
         ended = record.status != "running"
-        write_record(unfinished, with_first_cost(record, earlier) if ended else record)
+        write(with_first_cost(record, earlier) if ended else record)
         logged = log_iterations(record, logged)
 
     if pages is not None:
@@ -165,13 +165,9 @@ def _update(
     if len(campaign.cases) > 1:
         forecast = None
     forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
-    updating = Updating(
-        campaign,
-        evaluator_of(campaign, engine, execution),
-        forecaster or progress,
-        keep,
-    )
-    record = updating.run()
+    evaluator = evaluator_of(campaign, engine, execution)
+    with unfinished_record(unfinished) as write:
+        record = Updating(campaign, evaluator, forecaster or progress, keep).run()
     logger.info("%s: %s", record.status, record.reason)
     for case in campaign.cases:
         engine_of(engine, campaign, case).keep_text()

@@ -15,7 +15,9 @@ SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 HEAVY = ("prefect", "matplotlib", "pyNastran", "polars", "pypardiso", "h5py", "scipy.optimize",
          "scipy.stats", "scipy.sparse", "numpy", "pydantic", "yaml", "dask",
          "rich.markdown")  # fmt: skip
-TELL = f"import json, sys; print(json.dumps([n for n in {HEAVY!r} if n in sys.modules]))"
+#: A command that the others do not use.
+OTHER = "modetune.flows.cli.screen"
+TELL = f"import json, sys; print(json.dumps([n for n in {(*HEAVY, OTHER)!r} if n in sys.modules]))"
 
 
 @functools.cache
@@ -28,7 +30,14 @@ def imported_by(code: str) -> set[str]:
 
 
 def test_help_and_mistakes_of_use_import_no_numbers() -> None:
-    assert imported_by("import modetune.flows.cli.main") == set()
+    assert imported_by("from modetune.flows.cli.main import app") == {OTHER}
+
+
+def test_a_command_imports_no_other() -> None:
+    code = "from modetune.flows.cli.main import command_line; command_line({!r})"
+    assert imported_by(code.format("demo")) == set()
+    for wrong in ("dem", "--help", ""):  # which of them is meant, or all of them
+        assert imported_by(code.format(wrong)) == {OTHER}
 
 
 def test_the_server_is_found_without_importing_prefect() -> None:

@@ -1,0 +1,71 @@
+"""The record of a campaign under way: what waits to be written, and what never does."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from modetune.core.errors import StorageUnavailable
+from modetune.core.storage.record_file import read_record
+from modetune.flows.updating import unfinished
+from modetune.flows.updating.unfinished import unfinished_record
+from tests.core.storage.test_record import record
+
+RUNNING = replace(record(), status="running", reason="")
+
+
+def test_what_comes_soon_after_waits_for_the_last_one(tmp_path: Path) -> None:
+    path = tmp_path / "record.h5"
+    with unfinished_record(path) as keep:
+        keep(RUNNING)
+        keep(RUNNING)
+        assert not path.exists()
+        keep(replace(RUNNING, status="converged"))
+        assert read_record(path).status == "converged"
+    assert read_record(path).status == "converged"
+
+
+def test_what_took_long_is_written_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unfinished, "LATE_S", 0.0)
+    with unfinished_record(tmp_path / "record.h5") as keep:
+        keep(RUNNING)
+        assert read_record(tmp_path / "record.h5").status == "running"
+
+
+def test_what_waits_is_written_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unfinished, "LATE_S", 0.2)
+    written = threading.Event()
+    monkeypatch.setattr(unfinished, "write_record", lambda path, record: written.set())
+    before = threading.active_count()
+    with unfinished_record(tmp_path / "record.h5") as keep:
+        keep(RUNNING)
+        assert written.wait(60.0)
+    assert threading.active_count() == before
+
+
+def test_a_campaign_that_fails_leaves_its_newest_record(tmp_path: Path) -> None:
+    path = tmp_path / "record.h5"
+
+    def fail() -> None:
+        with unfinished_record(path) as keep:
+            keep(RUNNING)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert read_record(path).status == "running"
+
+
+def test_a_place_that_cannot_be_written_is_told_with_the_last_record(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+
+    def work() -> None:
+        with unfinished_record(tmp_path / "file" / "record.h5") as keep:
+            keep(RUNNING)
+            keep(replace(RUNNING, status="converged"))
+
+    with pytest.raises(StorageUnavailable, match="a folder is needed"):
+        work()
