@@ -41,7 +41,7 @@ from modetune.flows.studies.identify.identify import identify as identify_modes
 from modetune.flows.studies.identify.operational import OperationalModes, operational_modes
 from modetune.flows.studies.identify.reading import SpectraSettings, read_functions
 from modetune.flows.studies.init.draft import Draft
-from modetune.flows.studies.init.written import init_campaign
+from modetune.flows.studies.init.text import init_campaign
 from modetune.flows.studies.localise.localise import Localisation, place_of
 from modetune.flows.studies.localise.localise import localise as localise_error
 from modetune.flows.studies.pretest.running import Pretest, run_pretest

@@ -45,6 +45,7 @@ from modetune.flows.campaign.refusals import (
     target_problems,
 )
 from modetune.flows.campaign.residual_section import ResidualSection
+from modetune.flows.campaign.response_section import TestedModel
 from modetune.flows.campaign.schema import (
     STORE_VARIABLE,
     CampaignFile,
@@ -54,11 +55,9 @@ from modetune.flows.campaign.schema import (
     SensitivitySection,
     UpdateSection,
 )
-from modetune.flows.campaign.section import section_problems
-from modetune.flows.campaign.settings import override
+from modetune.flows.campaign.section import override, section_problems
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.campaign.solvers import bind_solver
-from modetune.flows.campaign.tested_model import TestedModel
 from modetune.flows.campaign.units import KILOGRAMS, METRES
 from modetune.flows.campaign.weights import weighting_of
 

@@ -9,12 +9,15 @@ import numpy as np
 from pydantic import Field
 
 from modetune.adapters.yaml_file import Place
-from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.complex_shapes import ComplexShapes
-from modetune.flows.campaign.observing import nothing_seen, observer
-from modetune.flows.campaign.response_section import ModewiseSection
+from modetune.core.updating.responses.damping import DampedPairs
+from modetune.flows.campaign.response_section import (
+    ModewiseSection,
+    TestedModel,
+    nothing_seen,
+    observer,
+)
 from modetune.flows.campaign.section import Positive
-from modetune.flows.campaign.tested_model import TestedModel
 
 
 class ComplexSection(ModewiseSection):

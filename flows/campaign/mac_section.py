@@ -8,9 +8,8 @@ from typing import ClassVar
 from pydantic import Field
 
 from modetune.core.updating.responses.mac import Mac, MacQuantity
-from modetune.flows.campaign.response_section import ModewiseSection, of_modes
+from modetune.flows.campaign.response_section import ModewiseSection, TestedModel, of_modes
 from modetune.flows.campaign.section import Deviations
-from modetune.flows.campaign.tested_model import TestedModel
 
 
 class MacSection(ModewiseSection):

@@ -13,9 +13,8 @@ from modetune.core.updating.responses.mass_properties import (
     MassResponse,
     MassTarget,
 )
-from modetune.flows.campaign.response_section import ResponseSection
+from modetune.flows.campaign.response_section import ResponseSection, TestedModel
 from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section
-from modetune.flows.campaign.tested_model import TestedModel
 
 
 class MassQuantitySection(Section):

@@ -15,7 +15,7 @@ from modetune.flows.campaign.damping_section import DampingSection
 from modetune.flows.campaign.frf_section import FrfSection
 from modetune.flows.campaign.mac_section import MacSection
 from modetune.flows.campaign.mass_section import MassSection
-from modetune.flows.campaign.response_section import ResponseSection
+from modetune.flows.campaign.response_section import ResponseSection, TestedModel
 from modetune.flows.campaign.section import (
     OTHERS,
     Deviations,
@@ -27,7 +27,6 @@ from modetune.flows.campaign.section import (
 )
 from modetune.flows.campaign.static_section import StaticSection
 from modetune.flows.campaign.strain_section import ModalStrainSection
-from modetune.flows.campaign.tested_model import TestedModel
 
 #: What a key of modes stands for.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]

@@ -1,17 +1,57 @@
-"""What the section of each kind of response beside frequencies and shapes tells."""
+"""What the section of each kind of response tells, and the test and model it is read beside."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
+from scipy import sparse
 
+from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
+from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.errors import ModelError
+from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.measurement import MeasuredFrfs, RepeatedTests
+from modetune.core.measurement.sensors import SensorMap
+from modetune.core.modes import MeasuredModes, dof_name
+from modetune.core.parameters import ParameterSet
+from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.observation import sensor_observation
 from modetune.core.updating.responses.response import Response
 from modetune.flows.campaign.section import OTHERS, Section, Weights
-from modetune.flows.campaign.tested_model import TestedModel
+
+
+@dataclass(frozen=True, slots=True)
+class TestedModel:
+    """A test, of the modes that are used, and a model.
+
+    frfs: response functions of the test, where they are asked for; seen: where their sensors and
+    forces are on the model. kilograms, metres: the model's units of mass and length. notes: what
+    readers said of the test. sensors: of the test's shapes on the model; complex_shapes:
+    (n_sensors, n_modes), as measured, where they are not real. repeats: the tests that the test is
+    the mean of.
+    """
+
+    __test__ = False  # not a test of pytest's
+
+    test: MeasuredModes
+    deck: Deck
+    e1: Tolerances
+    parameters: ParameterSet
+    kilograms: float
+    metres: float
+    frfs: MeasuredFrfs | None = None
+    seen: SensorMap | None = None
+    notes: tuple[str, ...] = ()
+    sensors: SensorMap | None = None
+    complex_shapes: Complexes | None = None
+    repeats: RepeatedTests | None = None
 
 
 class ResponseSection(Section):
@@ -60,3 +100,21 @@ def of_modes(given: Mapping[str, float], numbers: Iterable[int]) -> dict[int, fl
     """What a key by mode says of the modes of these numbers; without those it does not tell."""
     told = ((n, given.get(str(n), given.get(OTHERS))) for n in numbers)
     return {n: value for n, value in told if value is not None}
+
+
+def observer(what: str, seen: SensorMap, deck: Deck) -> Callable[[MatrixResult], sparse.csr_array]:
+    """Gives the sensors' rows (n_sensors, n_equations) for matrices; what: is compared there."""
+
+    def observe(here: MatrixResult) -> sparse.csr_array:
+        observed = sensor_observation(seen, partial(deck.observation, here))
+        for row in np.flatnonzero(observed.unknown)[:1].tolist():
+            dof = dof_name((int(seen.nodes[row]), int(seen.components[row])))
+            raise ModelError(f"{what}: {dof} does not follow from the matrices' unknowns")
+        return observed.matrix
+
+    return observe
+
+
+def nothing_seen(here: MatrixResult) -> sparse.csr_array:
+    """No sensors."""
+    return sparse.csr_array((0, here.nodes.size))

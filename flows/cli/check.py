@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
 
@@ -11,6 +10,7 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import (
     AsJson,
     ModelPath,
@@ -89,10 +89,12 @@ def check(
                 campaign_file, changed, against, record, state, bands, no_prefect
             )
         outcome_of_comparison(campaign.name, found).write(summary, junit)
-        if as_json:
-            typer.echo(json.dumps(_told_check(found, state, bands)))
-        else:
-            show([_comparison_table(found), *found.remarks, _comparison_end(found)])
+        parts: list[Table | str] = [
+            _comparison_table(found),
+            *found.remarks,
+            _comparison_end(found),
+        ]
+        tell_end(_told_check(found, state, bands), parts, as_json)
         raise typer.Exit(0 if found.within else 3)
     with begun(f"reading {campaign_file}"):
         from modetune.flows.campaign.sketch import looked_at
@@ -110,7 +112,7 @@ def check(
             pages.done(_end(report), _tables(report), status=report.level, good=good)
     _outcome(campaign.name, report).write(summary, junit)
     if as_json:
-        typer.echo(json.dumps(told(campaign, report)))
+        tell_end(told(campaign, report), (), as_json)
     else:
         _show(campaign, report)
     raise typer.Exit(report.exit_code)

@@ -72,8 +72,11 @@ def _identify_modes(folder: Path) -> None:
     """Make lab.unv as the lab sends it, and identify modes.csv from it."""
     from modetune.adapters.test_files.measurements import read_measurement
     from modetune.configs.garteur.lab import BAND_HZ, write_lab
-    from modetune.flows.studies.identify.files import write_modes
-    from modetune.flows.studies.identify.identify import IdentificationSettings, identify
+    from modetune.flows.studies.identify.identify import (
+        IdentificationSettings,
+        identify,
+        write_modes,
+    )
 
     write_lab(folder)
     measured = read_measurement([folder / "lab.unv"])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import ModelOptions, Opened, study
@@ -44,15 +45,11 @@ def direct(
 ) -> StudyEnd:
     """Correct stiffness and mass as whole matrices, and tell what that breaks in them."""
     from modetune.adapters.matrices.exchange import check_form, write_matrices
-    from modetune.flows.studies.condensation.direct import (
-        correct_directly,
-        filling_named,
-        method_named,
-    )
+    from modetune.flows.studies.condensation.direct import FILLINGS, METHODS, correct_directly
 
     if out is not None:
         check_form(out)
-    ways = method_named(method), filling_named(filling)
+    ways = named("--method", method, METHODS), named("--filling", filling, FILLINGS)
     found = correct_directly(on.campaign, on.values, *ways, mass_normalised, on.pages)
     written = write_matrices(out, found.matrices) if out is not None else ()
     lines = [*found.notes, found.sentence]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +20,16 @@ if TYPE_CHECKING:
 
     from modetune.flows.report.chart import Chart
     from modetune.flows.updating.prefect import Pages
+
+
+def tell_end(
+    told: Json | Mapping[str, Json], parts: Iterable[Table | Text | str], as_json: bool
+) -> None:
+    """What a command found: its `--json` object, or tables and sentences for people."""
+    if as_json:
+        typer.echo(json.dumps(told))
+    else:
+        show(parts)
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ class StudyEnd:
 
             written += save_all(charts, figures)
         if page is not None:
-            from modetune.flows.report.study_page import write_study
+            from modetune.flows.report.page import write_study
 
             written.append(write_study(page, title, self, charts))
         if pages is not None:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
 from modetune.core.errors import CampaignError
+from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
-from modetune.flows.report.tables import Column, json_object, show, table_of
+from modetune.flows.report.tables import Column, json_object, json_of, table_of
 
 if TYPE_CHECKING:
-    from modetune.core.measurement.measurement import Measurement
-    from modetune.core.measurement.time_histories import TimeHistories
     from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
     from modetune.flows.studies.identify.operational import OperationalModes
 
@@ -67,75 +66,49 @@ def identify(
         stoppable("stopped; the same command starts from the beginning"),
         begun(f"reading {names}") as tell,
     ):
-        from modetune.adapters.test_files.writing import check_out
-        from modetune.flows.studies.identify.files import write_modes
+        from modetune.adapters.test_files.writing import check_out, write_modes
+        from modetune.core.measurement.time_histories import Estimator, Window
+        from modetune.flows.studies.identify.identify import comments
         from modetune.flows.studies.identify.identify import identify as identify_modes
-        from modetune.flows.studies.identify.reading import read_functions, spectra_settings
+        from modetune.flows.studies.identify.operational import operational_modes
+        from modetune.flows.studies.identify.reading import SpectraSettings, read_functions
 
         settings = _settings(band, order, pick, criteria)
         if out is not None:
             check_out(out)
-        measurement, outputs = read_functions(frfs, spectra_settings(estimator, segment, window))
+        spectra = SpectraSettings(
+            None if estimator is None else named("--estimator", estimator, get_args(Estimator)),
+            segment,
+            None if window is None else named("--window", window, get_args(Window)),
+        )
+        measurement, outputs = read_functions(frfs, spectra)
         tell("identifying modes")
-        if measurement.frfs is None:
-            assert outputs is not None
+        written: tuple[Path, ...] = ()
+        if outputs is not None:
             if figures is not None:
                 raise CampaignError("--figures shows response functions, and none were measured")
-            _operational(outputs, settings, measurement, names, out, as_json)
-            return
-        found = identify_modes(measurement.frfs, settings)
+            alone = operational_modes(outputs, settings)
+            modes, notes = _modes(alone), (*measurement.notes, *alone.notes)
+            source = f"identified by modetune from {' '.join(names.split())}"
+            test, said, lines = alone.modes, (source, *notes), []
+            about = json_object(alone, "auto_mac", normalisation="max", output_only=True)
+        else:
+            assert measurement.frfs is not None
+            found = identify_modes(measurement.frfs, settings)
+            modes, notes = _modes(found), (*measurement.notes, *found.notes)
+            test, said, lines = found.modes, comments(found, names), [_fit(found)]
+            if figures is not None:
+                from modetune.flows.studies.identify.figures import write_figures
+
+                written = write_figures(figures, ", ".join(path.name for path in frfs), found)
+            about = _told(found) | {"figures": json_of(written)}
         if out is not None:
-            write_modes(out, found, measurement.geometry, names)
-        written: tuple[Path, ...] = ()
-        if figures is not None:
-            from modetune.flows.studies.identify.figures import write_figures
-
-            written = write_figures(figures, ", ".join(path.name for path in frfs), found)
-    _say(found, (*measurement.notes, *found.notes), out, written, as_json)
-
-
-def _say(
-    found: Identification,
-    notes: tuple[str, ...],
-    out: Path | None,
-    written: tuple[Path, ...],
-    as_json: bool,
-) -> None:
-    if as_json:
-        typer.echo(json.dumps(told(found, notes, out, written)))
-        return
-    files = [f"written: {path}" for path in (*([out] if out else []), *written)]
-    show(
-        [table_of("Identified modes", _modes(found), IdentifiedMode), *_lines(found, notes), *files]
-    )
-
-
-def _operational(
-    outputs: TimeHistories,
-    settings: IdentificationSettings,
-    measurement: Measurement,
-    names: str,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Modes of responses alone: identified, written and told."""
-    from modetune.adapters.test_files.writing import write_modes
-    from modetune.flows.studies.identify.operational import operational_modes
-
-    found = operational_modes(outputs, settings)
-    notes = (*measurement.notes, *found.notes)
-    if out is not None:
-        source = f"identified by modetune from {' '.join(names.split())}"
-        write_modes(out, found.modes, measurement.geometry, (source, *notes))
-    if as_json:
-        modes = _modes(found)
-        said = json_object(
-            found, "auto_mac", status="identified", modes=modes, notes=notes, out=out
-        )
-        typer.echo(json.dumps({**said, "normalisation": "max", "output_only": True}))
-        return
-    lines = [f"note: {note}" for note in notes] + ([f"written: {out}"] if out else [])
-    show([table_of("Identified modes", _modes(found), IdentifiedMode), *lines])
+            write_modes(out, test, measurement.geometry, said)
+            written = (out, *written)
+    table = table_of("Identified modes", modes, IdentifiedMode)
+    lines += [*(f"note: {note}" for note in notes), *(f"written: {path}" for path in written)]
+    about |= json_object(status="identified", modes=modes, notes=notes, out=out)
+    tell_end(about, [table, *lines], as_json)
 
 
 def _settings(
@@ -179,10 +152,8 @@ def _modes(found: Identification | OperationalModes) -> list[IdentifiedMode]:
     ]
 
 
-def told(
-    found: Identification, notes: tuple[str, ...], out: Path | None, written: tuple[Path, ...]
-) -> dict[str, Json]:
-    """The `--json` object of `modetune identify`."""
+def _told(found: Identification) -> dict[str, Json]:
+    """What the `--json` object of `modetune identify` has of response functions."""
     lines = found.frfs.frequencies_hz
     worst = [
         {"function": found.function_name(place), "frac": found.frac[place]}
@@ -191,26 +162,20 @@ def told(
     return json_object(
         found,
         "auto_mac",
-        status="identified",
         band_hz=[lines[0], lines[-1]],
         order=found.settings.order,
         functions=found.frac.size,
         normalisation=found.modes.modes.normalisation,
-        modes=_modes(found),
         frac={"mean": found.frac.mean(), "least": found.frac.min(), "worst": worst},
-        notes=notes,
-        out=out,
-        figures=written,
     )
 
 
-def _lines(found: Identification, notes: tuple[str, ...]) -> list[str]:
+def _fit(found: Identification) -> str:
     worst = int(found.worst_functions[0])
-    fit = (
+    return (
         f"FRAC of {found.frac.size} functions: mean {found.frac.mean():.4f}, least "
         f"{found.frac[worst]:.4f} at {found.function_name(worst)}"
     )
-    return [fit, *(f"note: {note}" for note in notes)]
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

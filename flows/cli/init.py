@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +9,7 @@ import typer
 
 from modetune.core.near_names import listed
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import (
     AsJson,
     SolverChoice,
@@ -42,14 +42,10 @@ def init(
 ) -> None:
     """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
     with stoppable("stopped; the same command starts from the beginning"), begun(f"reading {deck}"):
-        from modetune.flows.studies.init.written import init_campaign
+        from modetune.flows.studies.init.text import init_campaign
 
         draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)
-    if as_json:
-        typer.echo(json.dumps(told(draft)))
-        return
-    for line in _lines(draft):
-        typer.echo(line)
+    tell_end(told(draft), _lines(draft), as_json)
 
 
 def told(draft: Draft) -> dict[str, Json]:

@@ -5,7 +5,6 @@ Heavy packages are imported where they are needed.
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from dataclasses import dataclass
@@ -15,8 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from modetune.core.errors import CampaignError
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson
-from modetune.flows.report.tables import Column, json_object, show, table_of
+from modetune.flows.report.tables import Column, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.adapters.test_files.measurements import Inspection
@@ -60,12 +60,10 @@ def inspect(
         if write is None
         else [str(path) for path in _write(write, files, inspection.measurement)]
     )
-    if as_json:
-        typer.echo(json.dumps(told))
-        return
     modes = table_of("", _modes(inspection), MeasuredMode)
     notes = [f"note: {note}" for note in told["notes"]]
-    show([*_lines(told), modes, *notes, *(f"written: {path}" for path in told["written"])])
+    written = [f"written: {path}" for path in told["written"]]
+    tell_end(told, [*_lines(told), modes, *notes, *written], as_json)
 
 
 def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path]:

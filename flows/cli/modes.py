@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from math import isfinite
 from typing import Annotated
 
 import typer
 
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import (
     AsJson,
     At,
@@ -19,7 +19,7 @@ from modetune.flows.cli.options import (
     stoppable,
     with_model,
 )
-from modetune.flows.report.tables import json_of
+from modetune.flows.report.tables import json_object
 
 
 def modes(
@@ -36,21 +36,27 @@ def modes(
     """Compute the modes of a campaign's model or of a deck, at its values or those of --at."""
     with stoppable(), begun(f"reading {model}") as tell:
         from modetune.flows.campaign.sketch import looked_at
-        from modetune.flows.updating.modal_run import modal_summary, model_modes, parse_values
+        from modetune.flows.campaign.units import KILOGRAMS
+        from modetune.flows.updating.modal_run import model_modes, parse_values
 
         campaign = looked_at(model, with_model(settings, solver, units))
         values = parse_values(campaign, at or [])
         tell(f"modes of {campaign.name} by {campaign.solver_name}")
-        result = model_modes(campaign, values, number)
-    found = modal_summary(campaign, result)
-    if as_json:
-        typer.echo(json.dumps(json_of(found)))
-        return
-    typer.echo("mode      frequency")
-    for place, frequency in enumerate(found.frequencies_hz.tolist(), start=1):
-        rigid = "  rigid" if place <= found.rigid_modes else ""
-        typer.echo(f"{place:4d} {frequency:14.6f} Hz{rigid}")
+        found = model_modes(campaign, values, number)
+    name, version, hz = campaign.solver_name, campaign.solver_version(), found.modes.frequencies_hz
+    mass_kg = found.mass * KILOGRAMS[campaign.case.units]  # a model of rotations alone has none
+    told = json_object(
+        frequencies_hz=hz,
+        rigid_modes=found.n_rigid,
+        mass=found.mass,
+        mass_kg=mass_kg,
+        solver=name,
+        solver_version=version,
+    )
+    lines = ["mode      frequency"]
+    for place, frequency in enumerate(hz.tolist(), start=1):
+        rigid = "  rigid" if place <= found.n_rigid else ""
+        lines.append(f"{place:4d} {frequency:14.6f} Hz{rigid}")
     mass = f"mass {found.mass:.6g} (the deck's unit)" if isfinite(found.mass) else "mass not known"
-    mass = f"mass {found.mass_kg:.6g} kg" if isfinite(found.mass_kg) else mass
-    version = found.solver_version.removeprefix(f"{found.solver} ")
-    typer.echo(f"{mass}; {found.solver} {version}")
+    mass = f"mass {mass_kg:.6g} kg" if isfinite(mass_kg) else mass
+    tell_end(told, [*lines, f"{mass}; {name} {version.removeprefix(f'{name} ')}"], as_json)

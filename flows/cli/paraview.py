@@ -5,7 +5,6 @@ Heavy packages are imported where they are needed.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +12,7 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, Settings, stoppable
 from modetune.flows.report.tables import json_object
 
@@ -59,23 +59,11 @@ def paraview(
         with stoppable():
             written = write_paraview(source.campaign, states, place)
             fields = write_field_file(source, place)
-    if as_json:
-        typer.echo(
-            json.dumps(
-                {
-                    "status": "good",
-                    "series": [told_series(item) for item in written],
-                    "fields": fields and str(fields),
-                }
-            )
-        )
-        return
-    for item in written:
-        typer.echo(f"{item.state:8}  {item.file}  {item.n_modes} modes{_cost(item)}")
-    if fields is not None:
-        typer.echo(f"fields    {fields}")
-    if unrun:
-        typer.echo("the campaign has not been run, so there is no updated model yet")
+    series = [told_series(item) for item in written]
+    lines = [f"{x.state:8}  {x.file}  {x.n_modes} modes{_cost(x)}" for x in written]
+    lines += [f"fields    {fields}"] if fields is not None else []
+    lines += ["the campaign has not been run, so there is no updated model yet"] if unrun else []
+    tell_end(json_object(status="good", series=series, fields=fields), lines, as_json)
 
 
 def told_series(item: Series) -> dict[str, Json]:

@@ -5,7 +5,6 @@ Heavy packages are imported where they are needed.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -14,8 +13,9 @@ import typer
 
 from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, NoPrefect, Settings, begun, paged, stoppable
-from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.core.planning.placement import Quality
@@ -77,13 +77,9 @@ def pretest(
             mass,
         )
         found = _run(campaign_file, settings or [], asked, out, picture, no_prefect, tell)
-    if as_json:
-        typer.echo(json.dumps(told_pretest(found, out, picture)))
-        return
-    _show(found)
-    for name, path in (("sensor file", out), ("picture", picture)):
-        if path is not None:
-            typer.echo(f"{name}: {path}")
+    files = {"sensor file": out, "picture": picture}
+    written = [f"{name}: {path}" for name, path in files.items() if path is not None]
+    tell_end(told_pretest(found, out, picture), [*_parts(found), *written], as_json)
 
 
 def _run(
@@ -172,12 +168,12 @@ def _told_quality(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]
     )
 
 
-def _show(found: Pretest) -> None:
+def _parts(found: Pretest) -> list[Table | str]:
     sensors, *others = _tables(found)
     held = ", ".join(f"{item.node} ({100 * item.share:.0f} %)" for item in found.suspension)
     suspension = [f"moves least, for a suspension: nodes {held}"] if held else []
     notes = [f"note: {note}" for note in found.notes]
-    show([sensors, *quality_lines(found), *others, *suspension, *notes])
+    return [sensors, *quality_lines(found), *others, *suspension, *notes]
 
 
 def _tables(found: Pretest) -> list[Table]:

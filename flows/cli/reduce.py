@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import ModelOptions, Opened, study
@@ -46,15 +47,11 @@ def reduce(
     """Reduce a model to a few unknowns, its frequencies beside the full model's."""
     from modetune.adapters.matrices.exchange import check_form, write_matrices
     from modetune.core.modes import dof_name
-    from modetune.flows.studies.condensation.reduce import (
-        ReductionRequest,
-        method_named,
-        reduce_model,
-    )
+    from modetune.flows.studies.condensation.reduce import METHODS, ReductionRequest, reduce_model
 
     if out is not None:
         check_form(out)
-    request = ReductionRequest(method_named(method), masters, modes)
+    request = ReductionRequest(named("--method", method, METHODS), masters, modes)
     found = reduce_model(on.campaign, on.values, request, on.pages)
     written = write_matrices(out, found.matrices) if out is not None else ()
     held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from modetune.core.near_names import named
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, begun
 from modetune.flows.report.tables import json_object
 
@@ -39,10 +39,5 @@ def report(
             from modetune.flows.report.matplotlib_charts import save_all
 
             pictures = save_all(dict(campaign_charts(known)), figures, form)
-    if as_json:
-        told = json_object(known, "name", status="good", page=page, figures=pictures)
-        typer.echo(json.dumps(told))
-        return
-    typer.echo(f"report  {page}")
-    for picture in pictures:
-        typer.echo(f"figure  {picture}")
+    told = json_object(known, "name", status="good", page=page, figures=pictures)
+    tell_end(told, [f"report  {page}", *(f"figure  {picture}" for picture in pictures)], as_json)

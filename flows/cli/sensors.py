@@ -5,7 +5,6 @@ Heavy packages are imported where they are needed.
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
@@ -14,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, CampaignPath, Settings, begun
-from modetune.flows.report.tables import Column, Table, json_object, show
+from modetune.flows.report.tables import Column, Table, json_object
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.mapping import Mapping, SensorRow
@@ -43,14 +43,12 @@ def sensors(
     if posed is not None:
         mapping = replace(posed[0].mapping, notes=(*posed[0].mapping.notes, posed[1]))
     if picture is not None:
-        from modetune.flows.report.sensor_figure import save_sensor_picture
+        from modetune.flows.report.mesh_picture import save_sensor_picture
 
         save_sensor_picture(picture, mapping, campaign.case.solver.deck.mesh())
-    if as_json:
-        typer.echo(json.dumps(told_sensors(mapping, picture)))
-        return
     drawn = [f"picture: {picture}"] if picture is not None else []
-    show([sensor_table(mapping), *sensor_lines(mapping), *drawn])
+    parts: list[Table | str] = [sensor_table(mapping), *sensor_lines(mapping), *drawn]
+    tell_end(told_sensors(mapping, picture), parts, as_json)
 
 
 def sensor_table(mapping: Mapping) -> Table:

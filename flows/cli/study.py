@@ -93,7 +93,7 @@ class ModelOptions(StudyOptions):
     def opened(self, name: str) -> Iterator[Opened]:
         with begun(f"{name}: reading {self.model}") as tell:
             from modetune.flows.campaign.sketch import looked_at
-            from modetune.flows.report.study_page import check_page
+            from modetune.flows.report.page import check_page
             from modetune.flows.updating.modal_run import parse_values
 
             check_page(self.page)
@@ -120,7 +120,7 @@ class CampaignOptions(StudyOptions):
         page, figures = self.places
         with begun(f"reading {self.campaign_file}") as tell:
             from modetune.flows.campaign.campaign import load_campaign
-            from modetune.flows.report.study_page import check_page
+            from modetune.flows.report.page import check_page
 
             check_page(page)
             campaign = load_campaign(self.campaign_file, self.settings or [])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated
 
 import typer
 
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, At, CampaignPath, Settings, stoppable
 
 
@@ -20,13 +20,9 @@ def twin(
     as_json: AsJson = False,
 ) -> None:
     """Run the model's modal analysis on several solvers and show their modes side by side."""
-    from modetune.flows.studies.cross_solver.cross_solver import run_twin, twin_summary
-    from modetune.flows.studies.cross_solver.telling import show_twin
+    from modetune.flows.studies.cross_solver.cross_solver import run_twin, twin_parts, twin_summary
 
     with stoppable():
         compared = run_twin(campaign_file, solvers.split(","), at or [], settings or [])
-    if as_json:
-        typer.echo(json.dumps(twin_summary(compared)))
-    else:
-        show_twin(compared)
+    tell_end(twin_summary(compared), twin_parts(compared), as_json)
     raise typer.Exit(0 if len(compared.solvers) > 1 else 4)

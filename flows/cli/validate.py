@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import (
     AsJson,
     CampaignPath,
@@ -17,7 +17,7 @@ from modetune.flows.cli.options import (
     paged,
     stoppable,
 )
-from modetune.flows.report.tables import OUTSIDE, Column, Table, json_object, show
+from modetune.flows.report.tables import OUTSIDE, Column, Table, json_object
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -41,7 +41,7 @@ def validate(
     """
     with begun(f"reading {campaign_file}"):
         from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.report.held_out_tables import held_out_table
+        from modetune.flows.report.mode_tables import held_out_table
         from modetune.flows.studies.validate.leave_out import leave_one_out
         from modetune.flows.studies.validate.leave_out import validate as by_held_out
 
@@ -56,16 +56,13 @@ def validate(
         if pages is not None:
             tables, good = [held_out_table(found.held_out)], found.status == "good"
             pages.done(found.sentence, tables, status=found.status, good=good)
-    if as_json:
-        typer.echo(json.dumps(told(found, one_out)))
-    else:
-        show(_parts(found))
+    tell_end(told(found, one_out), _parts(found), as_json)
     raise typer.Exit(0 if found.status == "good" else 3)
 
 
 def told(found: Validation, one_out: bool) -> dict[str, Json]:
     """The `--json` object of `modetune validate`."""
-    from modetune.flows.report.held_out_tables import held_out_rows
+    from modetune.flows.report.mode_tables import held_out_rows
 
     spread = zip(found.parameters, *found.spread, strict=True)
     return json_object(

@@ -17,6 +17,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
+from modetune.core.modes import Floats
 from modetune.core.storage.files import writing
 from modetune.flows.report.chart import ZERO, Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, Towers
 
@@ -132,52 +133,27 @@ def _draw_curve(axes: Axes, item: Curve) -> None:
         markeredgewidth=2.0 if item.mark in ("x", "ring") else None,
         label=plain(item.name) or None,
     )
-    for text, x, y in zip(item.written, item.x, item.y, strict=bool(item.written)):
-        axes.annotate(
-            plain(text),
-            (float(x), float(y)),
-            (0.0, -12.0),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=8,
-        )
+    _write(axes, item.written, (item.x, item.y), -12.0, "center")
 
 
 def _draw_bars(axes: Axes, panel: Panel, item: Bars, place: int, count: int) -> None:
     width = 0.8 / count
     at = np.arange(len(item.values)) + (place - (count - 1) / 2) * width
     colours = item.colours if isinstance(item.colours, str) else list(item.colours)
-    label = plain(item.name) or None
-    if panel.sideways:
-        axes.barh(
-            at,
-            item.values,
-            width,
-            color=colours,
-            label=label,
-            xerr=item.errors,
-            error_kw={"linewidth": 0.8},
-        )
-    else:
-        axes.bar(
-            at,
-            item.values,
-            width,
-            color=colours,
-            label=label,
-            yerr=item.errors,
-            error_kw={"linewidth": 0.8},
-        )
-    for text, x, y in zip(item.written, at, item.values, strict=bool(item.written)):
-        axes.annotate(
-            plain(text),
-            (float(x), float(y)),
-            (0.0, 2.0),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8,
-        )
+    draw, errors = (axes.barh, "xerr") if panel.sideways else (axes.bar, "yerr")
+    more: dict[str, Any] = {errors: item.errors, "label": plain(item.name) or None}
+    draw(at, item.values, width, color=colours, error_kw={"linewidth": 0.8}, **more)
+    _write(axes, item.written, (at, item.values), 2.0, "baseline")
+
+
+def _write(
+    axes: Axes, texts: tuple[str, ...], places: tuple[Floats, Floats], up: float, on: str
+) -> None:
+    """Texts beside their places, so many points up, on this line of theirs; none where no texts."""
+    for text, x, y in zip(texts, *places, strict=bool(texts)):
+        at = float(x), float(y)
+        style: dict[str, Any] = {"ha": "center", "va": on, "fontsize": 8}
+        axes.annotate(plain(text), at, (0.0, up), textcoords="offset points", **style)
 
 
 def _draw_heat(axes: Axes, item: HeatMap) -> None:

@@ -12,15 +12,16 @@ import base64
 import hashlib
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from modetune.core.errors import CampaignError
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord
@@ -32,9 +33,8 @@ from modetune.flows.report.comparison import remarks, sensor_agreement
 from modetune.flows.report.field_tables import brief_record
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.headline import headline, number, percent
-from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
 from modetune.flows.report.iteration_tables import iteration_table, key_table, run_table
-from modetune.flows.report.mode_tables import mode_table, pair_table
+from modetune.flows.report.mode_tables import held_out_lines, held_out_table, mode_table, pair_table
 from modetune.flows.report.parameter_tables import (
     LONG_PARAMETERS,
     parameter_table,
@@ -43,7 +43,7 @@ from modetune.flows.report.parameter_tables import (
 )
 from modetune.flows.report.response_tables import response_table
 from modetune.flows.report.scene import Scene, scene, told_scene
-from modetune.flows.report.tables import signed
+from modetune.flows.report.tables import Table, signed
 
 HERE = Path(__file__).resolve().parent
 #: Singular values that are written out, the largest: a field has hundreds.
@@ -265,3 +265,37 @@ def _policy(scripts: tuple[str, ...]) -> str:
 @cache
 def _asset(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
+
+
+class ToldStudy(Protocol):
+    """What a study came to."""
+
+    @property
+    def lines(self) -> Sequence[str]: ...
+    @property
+    def doubts(self) -> Sequence[str]: ...
+    @property
+    def tables(self) -> Sequence[Table]: ...
+
+
+def check_page(path: Path | None) -> None:
+    """Refuse a page of another kind of file before the work is done. Raises CampaignError."""
+    if path is not None and (path.suffix.lower() not in (".html", ".htm") or path.is_dir()):
+        raise CampaignError(f"--page {path}: a page is a file that ends in .html")
+
+
+def write_study(
+    path: Path, title: tuple[str, str], found: ToldStudy, charts: Mapping[str, object]
+) -> Path:
+    """Write a study's page, of its charts those that are no pictures. Raises StorageUnavailable."""
+    kind, name = title
+    return written_page(
+        path,
+        "study.html",
+        f"{name} - modetune {kind}",
+        {name: chart for name, chart in charts.items() if isinstance(chart, Chart)},
+        kind=kind,
+        name=name,
+        study=found,
+        lines=[line for line in found.lines if line not in found.doubts],
+    )

@@ -220,7 +220,7 @@ def json_of(value: Any) -> Json:
     raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
-def json_object(result: object, names: str = "", **named: Any) -> dict[str, Json]:
+def json_object(result: object = None, names: str = "", **named: Any) -> dict[str, Json]:
     """The `--json` object of a result: attributes of these names, and others by their own."""
     found = {name: json_of(getattr(result, name)) for name in names.split()}
     return found | {name: json_of(value) for name, value in named.items()}

@@ -19,9 +19,14 @@ from modetune.core.updating.judgement import trust_sentences
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.report.drawing import PAGE
 from modetune.flows.report.field_tables import brief_record
-from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row
-from modetune.flows.report.mode_tables import mode_label, mode_table, unmatched_sentence
+from modetune.flows.report.mode_tables import (
+    held_out_lines,
+    held_out_table,
+    mode_label,
+    mode_table,
+    unmatched_sentence,
+)
 from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_table
 from modetune.flows.report.response_tables import response_table
 from modetune.flows.report.tables import OUTSIDE, Table, columns_of, show

@@ -4,28 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from modetune.core.errors import CampaignError
-from modetune.core.modes import Floats
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.campaign.units import KILOGRAMS
 from modetune.flows.jobs.job import Job
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine
-
-
-@dataclass(frozen=True, slots=True)
-class ModalSummary:
-    """The `--json` object of `modetune modes`; frequencies_hz: (n_modes,), rigid ones first."""
-
-    frequencies_hz: Floats
-    rigid_modes: int
-    mass: float
-    mass_kg: float
-    solver: str
-    solver_version: str
 
 
 def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
@@ -59,15 +45,3 @@ def model_modes(
     analysis = campaign_analysis(campaign)
     job = Job(values, replace(analysis, n_modes=number or analysis.n_modes))
     return job_engine(campaign).solve(job).result(ModalResult)
-
-
-def modal_summary(campaign: Campaign, result: ModalResult) -> ModalSummary:
-    """What `modetune modes` tells; mass in the deck's unit and in kg, NaN where there is none."""
-    return ModalSummary(
-        frequencies_hz=result.modes.frequencies_hz,
-        rigid_modes=result.n_rigid,
-        mass=result.mass,  # a model of rotations alone has none
-        mass_kg=result.mass * KILOGRAMS[campaign.case.units],
-        solver=campaign.solver_name,
-        solver_version=campaign.solver_version(),
-    )

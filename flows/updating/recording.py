@@ -19,8 +19,7 @@ from modetune.core.updating.estimation import parameter_covariance
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.field_tables import told_fields
 from modetune.flows.report.form_verdict import verdict_summary
-from modetune.flows.report.held_out_tables import held_out_rows
-from modetune.flows.report.mode_tables import mode_rows, unmatched_modes
+from modetune.flows.report.mode_tables import held_out_rows, mode_rows, unmatched_modes
 from modetune.flows.report.parameter_tables import parameter_rows
 from modetune.flows.report.response_tables import response_rows
 from modetune.flows.report.tables import json_object

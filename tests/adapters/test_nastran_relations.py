@@ -9,8 +9,8 @@ import pytest
 from pyNastran.bdf.bdf import BDF
 
 from modetune.adapters.nastran.deck import read_deck
+from modetune.adapters.nastran.design import equation_card, in_fortran
 from modetune.adapters.nastran.dialect import DIALECTS
-from modetune.adapters.nastran.equation import equation_card, in_fortran
 from modetune.adapters.nastran.job import job_text
 from modetune.adapters.nastran.model import understand
 from modetune.adapters.solver import SensitivityAnalysis

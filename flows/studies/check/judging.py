@@ -50,8 +50,7 @@ from modetune.flows.studies.check.parameters import (
     joined_values,
     loose_findings,
 )
-from modetune.flows.studies.check.sensors import sensor_findings
-from modetune.flows.studies.check.suspects import suspected_sensors
+from modetune.flows.studies.check.sensors import sensor_findings, suspected_sensors
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of

@@ -25,7 +25,6 @@ from modetune.core.condensation.measured_unknowns import MeasuredModel
 from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, Integers, ModeSet, Normalisation, mode_set
-from modetune.core.near_names import named
 from modetune.core.parameters import Values
 from modetune.core.updating.direct import (
     DirectUpdate,
@@ -135,16 +134,6 @@ class DirectCorrection:
             f"unknowns (filled by {self.filling}): these are modes of the corrected model to "
             f"{self.residual:.2g}"
         )
-
-
-def method_named(name: str) -> DirectMethod:
-    """A method by its name. Raises CampaignError."""
-    return named("--method", name, METHODS)
-
-
-def filling_named(name: str) -> Filling:
-    """A way of filling by its name. Raises CampaignError."""
-    return named("--filling", name, FILLINGS)
 
 
 def correct_directly(

@@ -289,14 +289,6 @@ def _by_balance(test: _Test, frequencies_hz: Floats, method: str) -> ExpandedSha
     return test.told(method, test.held_out(fill), modes, test.mesh, seen_shapes, worst)
 
 
-def _kidder(test: _Test) -> ExpandedShapes:
-    return _by_balance(test, test.frequencies_hz, "kidder")
-
-
-def _static(test: _Test) -> ExpandedShapes:
-    return _by_balance(test, np.zeros_like(test.frequencies_hz), "static")
-
-
 def _irs(test: _Test) -> ExpandedShapes:
     seen, moving = test.seen
     shapes = test.shapes[moving]
@@ -350,8 +342,8 @@ def _spline(test: _Test) -> ExpandedShapes:
 
 FILLERS: Mapping[str, Callable[[_Test], ExpandedShapes]] = {
     "serep": _serep,
-    "kidder": _kidder,
-    "static": _static,
+    "kidder": lambda test: _by_balance(test, test.frequencies_hz, "kidder"),
+    "static": lambda test: _by_balance(test, np.zeros_like(test.frequencies_hz), "static"),
     "irs": _irs,
     "spline": _spline,
 }

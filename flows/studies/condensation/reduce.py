@@ -24,7 +24,6 @@ from modetune.core.condensation.reduction import (
 )
 from modetune.core.errors import CampaignError
 from modetune.core.modes import CLOSE, Floats, Integers, close_sets
-from modetune.core.near_names import named
 from modetune.core.parameters import Values
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import JobWatcher
@@ -93,11 +92,6 @@ class ModelReduction:
             f"{self.n_full} unknowns reduced to {self.reduction.stiffness.shape[0]} by "
             f"{self.method}{settled}: {told}, condition number {self.reduction.condition:.1e}"
         )
-
-
-def method_named(name: str) -> ReductionMethod:
-    """A method by its name. Raises CampaignError."""
-    return named("--method", name, METHODS)
 
 
 def reduce_model(

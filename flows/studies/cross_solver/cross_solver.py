@@ -22,7 +22,7 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.case import EXTRA_MODES
 from modetune.flows.campaign.measured import tracking_nodes
-from modetune.flows.report.tables import json_object
+from modetune.flows.report.tables import Column, Table, json_object
 from modetune.flows.updating.modal_run import model_modes, parse_values
 
 
@@ -130,3 +130,37 @@ def twin_summary(twin: Twin) -> dict[str, Json]:
         ],
         absent=dict(twin.absent),
     )
+
+
+def twin_parts(twin: Twin) -> list[Table | str]:
+    """Frequencies of all solvers side by side, differences and MAC from the first."""
+    first, *others = twin.solvers
+    columns = [Column("mode"), Column(first.solver, "Hz", ".4f")]
+    values: list[list[float]] = [
+        [pair + 1 for pair in range(first.frequencies_hz.size)],
+        first.frequencies_hz.tolist(),
+    ]
+    for other in others:
+        columns += [
+            Column(other.solver, "Hz", ".4f"),
+            Column("its mode"),
+            Column("differs", "%", "+.3f"),
+            Column("MAC", form=".4f"),
+        ]
+        values += [
+            other.frequencies_hz.tolist(),
+            (other.pairing.computed + 1).tolist(),
+            twin.differences(other).tolist(),
+            other.pairing.judged_mac.tolist(),
+        ]
+    rows = tuple(zip(*values, strict=True))
+    lines = []
+    for item in twin.solvers:
+        lines.append(
+            f"{item.solver} {item.version}: {item.result.n_rigid} rigid-body modes, mass "
+            f"{item.result.mass:.6g}, {item.wall_s:.1f} s"
+        )
+        if item.masses:
+            lines.append(f"  {item.masses}")
+    lines += [f"{solver} did not run: {reason}" for solver, reason in twin.absent]
+    return [Table(f"Elastic modes of {twin.name}", tuple(columns), rows), *lines]

@@ -9,16 +9,18 @@ shapes and how real they were; synthesised against measured functions.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from modetune.adapters.lscf import lscf_poles
+from modetune.adapters.test_files import writing
 from modetune.core.brief import brief
 from modetune.core.correlation.complexity import DOUBTFUL, modal_phase_collinearity, real_shapes
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import Complexes, Response, frac
-from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.measurement import MeasuredFrfs, TestGeometry
 from modetune.core.measurement.modal_fit import (
     ModalFit,
     fit_residues,
@@ -38,7 +40,7 @@ from modetune.core.measurement.stabilisation import (
     pick_tracks,
 )
 from modetune.core.modes import Floats, Integers, MeasuredModes, dof_name, mode_set
-from modetune.flows.studies.identify.selection import functions_in_band
+from modetune.flows.studies.identify.reading import functions_in_band
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,3 +290,33 @@ def _doubts(found: Identification) -> list[str]:
             f"{found.function_name(low)}; the fit does not weigh by it"
         )
     return said
+
+
+def write_modes(
+    path: Path, found: Identification, geometry: TestGeometry | None, source: str
+) -> None:
+    """Write the real modes. Raises StorageUnavailable, CampaignError for an unknown ending."""
+    writing.write_modes(path, found.modes, geometry, comments(found, source))
+
+
+def comments(found: Identification, source: str) -> tuple[str, ...]:
+    """Source, settings and quality, a line each."""
+    lines, settings = found.frfs.frequencies_hz, found.settings
+    limits = settings.criteria
+    names = " ".join(source.split())
+    chosen = f"nearest to {', '.join(map(str, settings.pick))} Hz" if settings.pick else "automatic"
+    collinear = ", ".join(f"{value:.3f}" for value in found.phase_collinearity)
+    worst = int(found.worst_functions[0])
+    scale = {"mass": "unit modal mass in kg", "max": "largest entry 1"}
+    return (
+        f"identified by modetune from {names}",
+        f"{found.frac.size} functions ({found.frfs.kind}), {lines[0]:g} to {lines[-1]:g} Hz, "
+        f"{lines.size} lines, least-squares complex frequency, order {settings.order}",
+        f"stable poles: frequency {limits.frequency:g}, damping {limits.damping:g}, shape "
+        f"{limits.shape:g}; choice: {chosen}",
+        f"shapes: {scale.get(found.modes.modes.normalisation, 'any scale')}; modal phase "
+        f"collinearity {collinear}",
+        f"FRAC: mean {found.frac.mean():.4f}, least {found.frac[worst]:.4f} at "
+        f"{found.function_name(worst)}",
+        *found.notes,
+    )

@@ -1,4 +1,5 @@
-"""What modes are identified from: response functions, as they are or from time histories."""
+"""What modes are identified from: response functions, as they are or from time histories, and
+which of them can be fitted."""
 
 from __future__ import annotations
 
@@ -6,17 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from modetune.adapters.test_files.histories import read_histories
 from modetune.adapters.test_files.kinds import kind_of
 from modetune.adapters.test_files.measurements import inspect_files, read_measurement
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.time_histories import (
     Estimator,
     TimeHistories,
     Window,
     response_functions,
 )
+from modetune.core.modes import dof_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,21 +30,6 @@ class SpectraSettings:
     estimator: Estimator | None = None
     segment_s: float | None = None
     window: Window | None = None
-
-
-def spectra_settings(
-    estimator: str | None, segment_s: float | None, window: str | None
-) -> SpectraSettings:
-    """Settings by their names. Raises CampaignError."""
-    if estimator not in (None, "h1", "h2"):
-        raise CampaignError(f"--estimator {estimator!r}: expected h1 or h2")
-    if window not in (None, "hann", "boxcar"):
-        raise CampaignError(f"--window {window!r}: expected hann or boxcar")
-    return SpectraSettings(
-        {"h1": "h1", "h2": "h2"}.get(estimator or ""),  # type: ignore[arg-type]
-        segment_s,
-        {"hann": "hann", "boxcar": "boxcar"}.get(window or ""),  # type: ignore[arg-type]
-    )
 
 
 def read_functions(
@@ -80,3 +69,54 @@ def read_functions(
         f"{frfs.frequencies_hz[0]:.4g} Hz) from {len(runs)} recordings"
     )
     return replace(test, frfs=frfs, notes=(*test.notes, said)), None
+
+
+def functions_in_band(
+    frfs: MeasuredFrfs, band_hz: tuple[float, float] | None
+) -> tuple[MeasuredFrfs, list[str]]:
+    """The functions that can be fitted: lines above 0 Hz in the band, signs applied, none zero."""
+    if frfs.values.shape[1] == 0:
+        raise CampaignError("there are no response functions to identify modes from")
+    _check_directions(frfs)
+    lines = frfs.frequencies_hz
+    low, high = band_hz or (float(lines[0]), float(lines[-1]))
+    kept = (lines >= low) & (lines <= high) & (lines > 0.0)
+    if not low < high or np.count_nonzero(kept) < 6:
+        raise CampaignError(
+            f"{np.count_nonzero(kept)} lines of the response functions lie in the band {low:g} to "
+            f"{high:g} Hz, at least 6 are needed; they reach from {lines[0]:g} to {lines[-1]:g} Hz"
+        )
+    values = frfs.values[kept] * frfs.signs * frfs.reference_signs
+    alive = np.flatnonzero(np.abs(values).max(axis=0) > 0.0)
+    if alive.size == 0:
+        raise CampaignError("all response functions are zero in the band: nothing was measured")
+    ones = np.ones(alive.size)
+    used = MeasuredFrfs(
+        frfs.kind,
+        lines[kept],
+        values[:, alive],
+        frfs.nodes[alive],
+        frfs.components[alive],
+        ones,
+        frfs.reference_nodes[alive],
+        frfs.reference_components[alive],
+        ones,
+        frfs.coherences[kept][:, alive] if frfs.coherences.size else frfs.coherences,
+    )
+    left_out = [
+        f"{dof_name((int(frfs.nodes[place]), int(frfs.components[place])))} is zero in the band "
+        "and was left out"
+        for place in np.setdiff1d(np.arange(frfs.nodes.size), alive)
+    ]
+    return used, left_out
+
+
+def _check_directions(frfs: MeasuredFrfs) -> None:
+    if ((frfs.components < 1) | (frfs.components > 6)).any():
+        raise CampaignError(
+            "a response function does not tell in which direction its sensor measures (1 to 6)"
+        )
+    if ((frfs.reference_components < 1) | (frfs.reference_components > 6)).any():
+        raise CampaignError(
+            "a response function names no reference: where, and in which direction, the force acts"
+        )

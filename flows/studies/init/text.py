@@ -1,4 +1,5 @@
-"""The text of a drafted campaign: keys with what each line is for, and candidates by quantity."""
+"""A drafted campaign as text: keys with what each line is for, and candidates by quantity; and as a
+file that `check` accepts."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ import json
 import os
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import get_args
@@ -14,11 +15,14 @@ from typing import get_args
 import numpy as np
 import yaml
 
-from modetune.flows.campaign.schema import Units
+from modetune.core.errors import CampaignError
+from modetune.core.storage.files import writing
+from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.campaign.schema import CampaignFile, OpenFile, Units
 from modetune.flows.campaign.sketch import campaign_name
 from modetune.flows.campaign.units import METRES
 from modetune.flows.studies.init.candidates import Candidate
-from modetune.flows.studies.init.draft import Draft, TestDraft
+from modetune.flows.studies.init.draft import Draft, TestDraft, draft_campaign, keep
 
 #: Columns of the text.
 WIDTH = 100
@@ -199,3 +203,28 @@ def _word(text: str) -> str:
 def _target(name: str) -> str:
     """A target: numbers as Nastran decks have them, else a word."""
     return name if name.isdecimal() and str(int(name)) == name else _word(name)
+
+
+def init_campaign(
+    deck: Path,
+    tests: Sequence[Path] = (),
+    settings: Sequence[str] = (),
+    out: Path | None = None,
+    force: bool = False,
+) -> Draft:
+    """Write a campaign for a deck, beside it unless named, and read it as `check` will.
+
+    settings: `model.solver=NAME`, `model.units=NAME`. Files that are there stay unless force.
+    Raises CampaignError, ModelError for why there can be none.
+    """
+    path = out or deck.with_name("campaign.yaml")
+    keep(path, force)
+    draft = draft_campaign(deck, tests, settings, path, force)
+    with writing(path) as part:
+        part.write_text(campaign_text(draft), encoding="utf-8")
+    try:
+        load_campaign(path, [], CampaignFile if draft.test else OpenFile)
+    except CampaignError as error:
+        path.unlink()
+        raise CampaignError([f"a campaign for {deck} is refused:", *error.problems]) from error
+    return draft

@@ -10,8 +10,7 @@ import pyvista as pv
 
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.flows.report.mesh_picture import PIXELS, mesh_picture
-from modetune.flows.report.sensor_figure import ARROW, LABELS
+from modetune.flows.report.mesh_picture import ARROW, LABELS, PIXELS, mesh_picture
 from modetune.flows.studies.pretest.running import Pretest
 
 #: Colours of Okabe and Ito (2008), as in the other figures.

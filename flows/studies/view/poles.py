@@ -14,11 +14,11 @@ from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.storage.keys import Json
 from modetune.flows.report.chart import told_chart
 from modetune.flows.studies.identify.figures import stabilisation_chart
-from modetune.flows.studies.identify.files import write_modes
 from modetune.flows.studies.identify.identify import (
     Identification,
     IdentificationSettings,
     identify,
+    write_modes,
 )
 from modetune.flows.studies.view.changes import Change, Part
 

@@ -20,7 +20,7 @@ from modetune.flows.campaign.mapping import Mapping, map_sensors
 from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.cli.sensors import sensor_lines, sensor_table, told_sensors
 from modetune.flows.report import mesh_picture
-from modetune.flows.report.sensor_figure import save_sensor_picture
+from modetune.flows.report.mesh_picture import save_sensor_picture
 
 MM = 1e-3
 

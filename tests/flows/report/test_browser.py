@@ -15,8 +15,7 @@ from PIL import Image, ImageSequence
 from modetune.core.modes import ModeSet, mode_set
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.surface import Surface
-from modetune.flows.report.page import write_page
-from modetune.flows.report.study_page import write_study
+from modetune.flows.report.page import write_page, write_study
 from modetune.flows.report.tables import Column, Table
 
 PLAYER = "modetune.player"

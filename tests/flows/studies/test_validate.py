@@ -22,7 +22,7 @@ from modetune.core.parameters import Values
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.report.held_out_tables import held_out_lines, held_out_table
+from modetune.flows.report.mode_tables import held_out_lines, held_out_table
 from modetune.flows.report.page import page
 from modetune.flows.report.tables import show
 from modetune.flows.studies.validate.leave_out import leave_one_out, leave_out, validate
