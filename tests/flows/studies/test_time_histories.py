@@ -236,7 +236,7 @@ ROWS = "".join(f"{0.01 * k:.2f},{k % 3},{k % 5}\n" for k in range(400))
             "segments of 900 samples: the length is not between 16 and 400",
         ),
         (HEAD + ROWS, ("--estimator", "h3"), "expected one of h1, h2"),
-        (HEAD + ROWS, ("--window", "hamming"), "expected hann or boxcar"),
+        (HEAD + ROWS, ("--window", "hamming"), "expected one of hann, boxcar"),
         (HEAD + ROWS, ("--segment", "4"), "1 segments cannot tell 1 forces apart from noise"),
         (HEAD.replace("[N]", "[m/s^2]") + ROWS, ("--estimator", "h1"), "responses without forces"),
         (HEAD.replace("[N]", "[m/s^2]") + ROWS, (), "too few for --order"),
