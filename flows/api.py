@@ -44,8 +44,8 @@ from modetune.flows.studies.init.draft import Draft
 from modetune.flows.studies.init.text import init_campaign
 from modetune.flows.studies.localise.localise import Localisation, place_of
 from modetune.flows.studies.localise.localise import localise as localise_error
+from modetune.flows.studies.pretest.choice import PretestSettings
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
-from modetune.flows.studies.pretest.settings import PretestSettings
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.scatter.record import ScatterRecord

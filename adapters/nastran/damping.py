@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
-from modetune.adapters.nastran.bush_axes import bush_axes, bush_place
 from modetune.adapters.nastran.deck import NastranCard
+from modetune.adapters.nastran.element_axes import bush_axes, bush_place
 from modetune.adapters.nastran.geometry import output_frames
 from modetune.adapters.nastran.places import ELEMENT_ENTRIES, MATERIAL_ENTRIES
 from modetune.adapters.nastran.sections import FIELDS, holds, section_entries

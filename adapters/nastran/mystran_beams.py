@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from modetune.adapters.nastran.beam_axes import BeamAxes, beam_axes
 from modetune.adapters.nastran.bodies import PointMass, point_mass
 from modetune.adapters.nastran.bulk import Bulk
 from modetune.adapters.nastran.cards import LARGE
@@ -35,6 +34,7 @@ from modetune.adapters.nastran.cross_sections import (
     cross_section,
 )
 from modetune.adapters.nastran.deck import NastranCard
+from modetune.adapters.nastran.element_axes import BeamAxes, beam_axes
 from modetune.adapters.nastran.geometry import output_frames
 from modetune.adapters.nastran.mystran_scalars import Card
 from modetune.adapters.nastran.number import format_number

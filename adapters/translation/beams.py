@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.beam_axes import beam_axes
 from modetune.adapters.nastran.cross_sections import check_warping, cross_section
+from modetune.adapters.nastran.element_axes import beam_axes
 from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.beam_theory import Beam, cross_matrix
 from modetune.adapters.translation.calculix_text import CalculixText, number_list

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.bush_axes import bush_axes, bush_place
+from modetune.adapters.nastran.element_axes import bush_axes, bush_place
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.translation.assembly import Assembly
 from modetune.adapters.translation.calculix_text import number_list

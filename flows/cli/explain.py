@@ -5,7 +5,6 @@ Heavy packages are imported where they are needed.
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +12,7 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, StorePlace, store_and_campaign
 from modetune.flows.report.tables import json_object
 
@@ -49,11 +49,7 @@ def explain(
                 else "; a campaign file as --store tells of jobs that are still to be run"
             )
         )
-    if as_json:
-        typer.echo(json.dumps(_told(found)))
-        return
-    for heading, text in _lines(found):
-        typer.echo(f"{heading:9}{text}")
+    tell_end(_told(found), [f"{heading:9}{text}" for heading, text in _lines(found)], as_json)
 
 
 def nearest_line(found: Nearest | None) -> str:

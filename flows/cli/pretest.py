@@ -63,7 +63,7 @@ def pretest(
     """Choose places for sensors and exciters from the model alone, before there is a test."""
     with begun(f"reading {campaign_file}") as tell:
         from modetune.flows.studies.pretest.candidates import Directions
-        from modetune.flows.studies.pretest.settings import Method, PretestSettings, parse_modes
+        from modetune.flows.studies.pretest.choice import Method, PretestSettings, parse_modes
 
         asked = PretestSettings(
             parse_modes(modes),

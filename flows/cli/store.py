@@ -5,7 +5,6 @@ Heavy packages are imported where they are needed.
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections import Counter
@@ -20,8 +19,9 @@ import typer
 
 from modetune.core.errors import CampaignError, StoreDamaged
 from modetune.core.storage.keys import Json
+from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, StorePlace, stoppable, store_and_campaign
-from modetune.flows.report.tables import Column, show, table_of
+from modetune.flows.report.tables import Column, table_of
 
 if TYPE_CHECKING:
     from modetune.flows.jobs.store_files import StoreFile
@@ -91,11 +91,10 @@ def store_ls(
     before_ns = int((time.time() - age_s(older)) * 1e9) if older else Chosen().before_ns
     chosen = Chosen(before_ns, size_bytes(larger) if larger else 0)
     found = ask_index(place, lambda index: index.entries(chosen, limit or -1, _order(by)))
-    if as_json:
-        typer.echo(json.dumps({"store": str(place.folder), "results": list(map(_told, found))}))
-        return
+    told: Json = {"store": str(place.folder), "results": list(map(_told, found))}
     none = [] if found else [f"{place.folder} has no such result"]
-    show([table_of("", [_row(entry, time.time()) for entry in found], EntryRow), *none])
+    rows = [_row(entry, time.time()) for entry in found]
+    tell_end(told, [table_of("", rows, EntryRow), *none], as_json)
 
 
 @store_app.command("size")
@@ -120,19 +119,18 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
         add((item.what, "", ""), 1, item.size, 0.0)
     sorted_sums = sorted(sums.items(), key=lambda item: -item[1][1])
     total = sum(size for _, size, _ in sums.values())
-    if as_json:
-        told = [
-            {"what": what, "solver": solver, "model": model, "files": files, "size_bytes": size,
-             "wall_s": wall_s}
-            for (what, solver, model), (files, size, wall_s) in sorted_sums
-        ]  # fmt: skip
-        typer.echo(json.dumps({"store": str(place.folder), "size_bytes": total, "holds": told}))
-        return
+    holds: list[Json] = [
+        {"what": what, "solver": solver, "model": model, "files": files, "size_bytes": size,
+         "wall_s": wall_s}
+        for (what, solver, model), (files, size, wall_s) in sorted_sums
+    ]  # fmt: skip
+    told: Json = {"store": str(place.folder), "size_bytes": total, "holds": holds}
     rows = [
         SumRow(*name, files, shown_size(size), wall_s)
         for name, (files, size, wall_s) in sorted_sums
     ]
-    show([table_of("", rows, SumRow), f"{place.folder} holds {shown_size(total)}"])
+    said = f"{place.folder} holds {shown_size(total)}"
+    tell_end(told, [table_of("", rows, SumRow), said], as_json)
 
 
 @store_app.command("check")
@@ -146,15 +144,10 @@ def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
     place, _ = store_and_campaign(store)
     with stoppable("stopped; what was found damaged was set aside"):
         whole, damaged = check(place)
-    aside = place.folder / "damaged"
-    if as_json:
-        keys: list[Json] = [path.name.partition(".")[0] for path in damaged]
-        told: Json = {"store": str(place.folder), "whole": whole, "damaged": keys}
-        typer.echo(json.dumps(told))
-    else:
-        typer.echo(f"{whole} whole, {len(damaged)} damaged")
-        for path in damaged:
-            typer.echo(f"set aside: {aside / path.name}")
+    aside = [f"set aside: {place.folder / 'damaged' / path.name}" for path in damaged]
+    keys: list[Json] = [path.name.partition(".")[0] for path in damaged]
+    told: Json = {"store": str(place.folder), "whole": whole, "damaged": keys}
+    tell_end(told, [f"{whole} whole, {len(damaged)} damaged", *aside], as_json)
     if damaged:
         raise typer.Exit(StoreDamaged.exit_code)
 
@@ -260,20 +253,19 @@ def _order(by: By) -> Order:
 
 def _tell_removed(folder: Path, gone: Sequence[StoreFile], dry_run: bool, as_json: bool) -> None:
     total = sum(item.size for item in gone)
-    if as_json:
-        told = [
-            {"what": item.what, "path": str(item.path), "key": item.key,
-             "size_bytes": item.size, "written": _time(item.written_s)}
-            for item in gone
-        ]  # fmt: skip
-        done = {"store": str(folder), "dry_run": dry_run, "size_bytes": total, "removed": told}
-        typer.echo(json.dumps(done))
-        return
+    removed: list[Json] = [
+        {"what": item.what, "path": str(item.path), "key": item.key,
+         "size_bytes": item.size, "written": _time(item.written_s)}
+        for item in gone
+    ]  # fmt: skip
+    done: Json = {"store": str(folder), "dry_run": dry_run, "size_bytes": total, "removed": removed}
+    lines = []
     for what, count in Counter(item.what for item in gone).most_common():
         size = sum(item.size for item in gone if item.what == what)
-        typer.echo(f"{count:7} {what}: {shown_size(size)}")
+        lines.append(f"{count:7} {what}: {shown_size(size)}")
     said = "would be freed" if dry_run else "freed"
-    typer.echo(f"{shown_size(total)} {said} in {folder}" if gone else "nothing to remove")
+    lines.append(f"{shown_size(total)} {said} in {folder}" if gone else "nothing to remove")
+    tell_end(done, lines, as_json)
 
 
 def _row(entry: IndexedEntry, now_s: float) -> EntryRow:

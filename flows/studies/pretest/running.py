@@ -32,6 +32,9 @@ from modetune.flows.studies.pretest.candidates import (
 from modetune.flows.studies.pretest.choice import (
     Ground,
     PlacedSensor,
+    PretestSettings,
+    check_count,
+    check_settings,
     choose_sensors,
     likeness,
     needed_number,
@@ -45,7 +48,6 @@ from modetune.flows.studies.pretest.excitation import (
     suspension_points,
 )
 from modetune.flows.studies.pretest.information import Knowledge, information_of, with_shapes
-from modetune.flows.studies.pretest.settings import PretestSettings, check_count, check_settings
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import campaign_analysis

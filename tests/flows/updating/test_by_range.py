@@ -14,8 +14,8 @@ from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.localise.localise import Localisation, localise
+from modetune.flows.studies.pretest.choice import Method, PretestSettings
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
-from modetune.flows.studies.pretest.settings import Method, PretestSettings
 from modetune.flows.studies.sample import density, sampling
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.screen.record import Screening
