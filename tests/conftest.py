@@ -31,14 +31,21 @@ settings.register_profile(
 )
 settings.load_profile("untimed")
 
-#: Files that take a minute or wait for others, beginning with the longest: one that began last
-#: would have all cores but its own wait.
+#: Files that take the better part of a minute or more begin first: one at the end would have all
+#: cores but its own wait. Those that wait for a server or a clock stand between those that compute.
 LONG = (
     "tests/test_gallery.py",
     "tests/flows/server/test_worker.py",
+    "tests/cases/test_garteur.py",
     "tests/flows/updating/test_pages.py",
+    "tests/cases/test_fixture.py",
     "tests/flows/jobs/test_prefect.py",
+    "tests/benchmarks/test_ways.py",
     "tests/flows/jobs/test_dask.py",
+    "tests/flows/studies/test_kinds.py",
+    "tests/flows/cli/test_cli.py",
+    "tests/flows/report/test_browser.py",
+    "tests/flows/server/test_flow.py",
     "tests/test_docs.py",
     "tests/test_structure.py",
 )
@@ -72,7 +79,8 @@ def real_ccx(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     if not program.exists():
         part = tmp_path_factory.mktemp("ccx-part")
         (part / "bin").mkdir()
-        (part / "real-ccx").symlink_to(real)
+        (part / "real").mkdir()
+        (part / "real" / "ccx").symlink_to(real)
         (part / "solved").mkdir()
         (part / "bin" / "ccx").write_text(f"#!{sys.executable} -IS\n{CCX_ONCE.read_text()}")
         (part / "bin" / "ccx").chmod(0o755)
