@@ -37,7 +37,7 @@ from tests.core.storage.test_store import holdings
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, Watcher, recased
 
 ROOT = Path(__file__).resolve().parents[3]
-CAMPAIGNS = 30
+CAMPAIGNS = 20
 #: Generous: only a fault makes a test wait this long.
 DEADLINE_S = 60.0
 #: What a run does instead of its duty, and how often.
