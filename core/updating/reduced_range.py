@@ -118,20 +118,22 @@ def reduce_over(
     accuracy: float,
     tell: Callable[[int, float], None] = lambda solutions, error: None,
     keep: Callable[[Floats, Callable[[], SolvedModes]], SolvedModes] = lambda at, solve: solve(),
+    solver: ModeSolver | None = None,
 ) -> ReducedRange:
     """A reduced model whose frequencies are as good as `accuracy`, relative, at all these sets.
 
     thetas: (n_sets, n_parameters), as of `range_sets`; begin: a reduced model around one set, and
     its basis (n, r); n_modes: the lowest ones wanted, rigid ones included; observer: (n_rows, n);
     tell: hears of full solutions, how many so far and what frequencies were off by at the last;
-    keep: gives the full solution at a set, by solving or from before. Sets that leave parts loose
-    are passed over. Where the number of full solutions runs out the last of `errors` is above the
-    accuracy. Raises ModelError where the matrices allow no solution, ModesError where the model has
-    no such modes.
+    keep: gives the full solution at a set, by solving or from before; solver: one that need not
+    count, as others confirm the worst set, and may have ordered the model's unknowns already.
+    Sets that leave parts loose are passed over. Where the number of full solutions runs out the
+    last of `errors` is above the accuracy. Raises ModelError where the matrices allow no solution,
+    ModesError where the model has no such modes.
     """
     model, basis = begin
     base = affine.base
-    solver = ModeSolver(count=False)  # the solver's own modes confirm the worst set
+    solver = solver or ModeSolver(count=False)
     solver.factorise(base.upper_stiffness, base.upper_mass, model.shift)
     answers = _answers_to_loads(solver, base.upper_mass)
 

@@ -253,11 +253,21 @@ class JobEngine:
         entry = self.store.get(key)
         return entry.result if entry is not None and isinstance(entry.result, kind) else None
 
+    @property
+    def cores_beside(self) -> int:
+        """Cores that a job leaves free."""
+        return sum(limit.slots - limit.taken for limit in self.limits if limit.name == CORES)
+
     @contextmanager
-    def all_cores(self) -> Iterator[None]:
-        """Hold all of the machine's cores for work in this process, and count its cost."""
+    def all_cores(self, beside: int = 0) -> Iterator[None]:
+        """Hold all of the machine's cores for work in this process, and count its cost.
+
+        beside: so many of them alone, where a job has the others.
+        """
         limits = tuple(
-            replace(limit, taken=limit.slots) for limit in self.limits if limit.name == CORES
+            replace(limit, taken=beside or limit.slots)
+            for limit in self.limits
+            if limit.name == CORES
         )
         with self.counter.held(limits, self._wait_for_slot):
             started = time.monotonic()

@@ -7,14 +7,18 @@ errors come back as values, because the loop decides what follows from them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from modetune.core.errors import ModetuneError
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import ask, doing, told
+
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,14 @@ def solved(engine: JobEngine, jobs: Sequence[Job], name: str = "modal") -> tuple
         done = tuple(engine.solve(job) for job in jobs)
         outcomes += done
     return done
+
+
+def meanwhile(name: str, task: Callable[[], T]) -> Future[T]:
+    """What another thread carries out meanwhile. Who asks for it waits for its end."""
+    pool = ThreadPoolExecutor(1, thread_name_prefix=f"modetune-{name}")
+    future = pool.submit(copy_context().run, task)
+    pool.shutdown(wait=False)
+    return future
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import copy_context
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +23,7 @@ from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import Done, Work
+from modetune.flows.jobs.work import Done, Work, meanwhile
 from modetune.flows.updating.by_matrices import ByMatrices, reduced_columns
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, Point
 from modetune.flows.updating.evaluator import Evaluator
@@ -206,10 +205,7 @@ class ReducedRanges:
         if not isinstance(there, Evaluation):
             logger.info("the reduced model cannot be confirmed: %s", there)
             return False
-        pool = ThreadPoolExecutor(1, thread_name_prefix="modetune-confirm")
-        run = pool.submit(copy_context().run, self.evaluator.confirmed, 0, there)
-        pool.shutdown(wait=False)
-        self._confirming = there, run
+        self._confirming = there, meanwhile("confirm", lambda: self.evaluator.confirmed(0, there))
         return True
 
     def _agrees(self, there: Evaluation, confirmed: Evaluation | None) -> bool:

@@ -21,9 +21,10 @@ from scipy import sparse
 
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.pardiso import on_threads
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes
-from modetune.core.errors import ModesError
+from modetune.core.errors import ModesError, ModetuneError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.matrix_samples import differences
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -31,6 +32,7 @@ from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.work import meanwhile
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.observed_modes import observer_of, solved_energies
 
@@ -185,26 +187,47 @@ class Solutions:
         (n_modes,) and how many are rigid. count: whether it is proved that none is missing.
 
         Where the matrices differ from those of all values by the rounding of their text alone they
-        have the same modes, and the order of unknowns and the factors at hand serve. Raises
-        ModelError where they have other equations.
+        have the same modes, which are looked for while the solver is at it, on the cores that its
+        job leaves: the order of unknowns and the factors at hand serve. Raises ModelError where
+        they have other equations.
         """
-        start = self._beginning(item)
+        start, there = self._beginning(item), self.model.matrices.at(item.values)
+        job = meanwhile("assembling", assembled)
+        beside = self.engine.cores_beside
         if self.engine.policy.memory_bytes:  # what a campaign names is the job's alone
-            self._solver, self._factors = ModeSolver(count=False), None
-        here, there = assembled(), self.model.matrices.at(item.values)
-        if not any(upper.nnz for upper in differences(there, here)):
-            here = there
-        return self._solved(item, start, here, count)[1:]
+            self._solver, self._factors, beside = ModeSolver(count=False), None, 0
+        if not beside:
+            job.result()
+        try:
+            found = self._solved(item, start, there, count, beside)[1:]
+        except ModetuneError:
+            job.exception()
+            raise
+        here = job.result()
+        if any(upper.nnz for upper in differences(there, here)):
+            return self._solved(item, start, here, count)[1:]
+        return found
+
+    def lent(self) -> ModeSolver:
+        """What solves the model, to whoever leaves other factors in it."""
+        self._newest = self._factors = None
+        return self._solver
 
     def _solved(
-        self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool
+        self,
+        item: ModalSet,
+        start: SearchStart,
+        here: MatrixResult,
+        count: bool,
+        beside: int = 0,
     ) -> tuple[FactorsAt | None, SolvedModes, tuple[Floats, int]]:
         """The factors that were at hand, modes, and these modes' energies as `assembled`.
 
+        beside: cores to do it with, 0 for all.
         Of what is in memory the shapes are gone after it, and other factors are at hand.
         """
         self._newest = None
-        with self.engine.all_cores():
+        with self.engine.all_cores(beside), on_threads(beside):
             kept = self._at_hand(start.factors, item.n_modes)
             at_hand, self._factors = self._factors, None
             upper = here.upper_stiffness, here.upper_mass

@@ -207,6 +207,7 @@ class MatrixModes:
                     accuracy,
                     tell,
                     keep,
+                    self._solutions.lent(),
                 )
 
         found = self._derived(asked, compute, ReducedRange, "reduced model between the bounds")
