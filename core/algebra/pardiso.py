@@ -329,18 +329,6 @@ def is_available() -> bool:
     return _library() is not None
 
 
-@contextmanager
-def on_threads(count: int) -> Iterator[None]:
-    """Calls of this thread on so many cores; 0: on all. The same bits each time on as many."""
-    library = _library()
-    before = library.MKL_Set_Num_Threads_Local(count) if library else 0
-    try:
-        yield
-    finally:
-        if library:
-            library.MKL_Set_Num_Threads_Local(before)
-
-
 @cache
 def _library() -> Any | None:
     # Read when MKL is loaded: the same numbers to the last digit in each run on a machine.

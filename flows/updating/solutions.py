@@ -21,7 +21,6 @@ from scipy import sparse
 
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.algebra.pardiso import on_threads
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModesError, ModetuneError
@@ -187,9 +186,9 @@ class Solutions:
         (n_modes,) and how many are rigid. count: whether it is proved that none is missing.
 
         Where the matrices differ from those of all values by the rounding of their text alone they
-        have the same modes, which are looked for while the solver is at it, on the cores that its
-        job leaves: the order of unknowns and the factors at hand serve. Raises ModelError where
-        they have other equations.
+        have the same modes, which are looked for while the solver is at it, if its job leaves
+        cores: the order of unknowns and the factors at hand serve. Raises ModelError where they
+        have other equations.
         """
         start, there = self._beginning(item), self.model.matrices.at(item.values)
         job = meanwhile("assembling", assembled)
@@ -223,11 +222,12 @@ class Solutions:
     ) -> tuple[FactorsAt | None, SolvedModes, tuple[Floats, int]]:
         """The factors that were at hand, modes, and these modes' energies as `assembled`.
 
-        beside: cores to do it with, 0 for all.
+        beside: cores that are counted for it, 0 for all. PARDISO keeps to as many threads as it
+        has ordered the unknowns with: on others its factors in two levels are wrong.
         Of what is in memory the shapes are gone after it, and other factors are at hand.
         """
         self._newest = None
-        with self.engine.all_cores(beside), on_threads(beside):
+        with self.engine.all_cores(beside):
             kept = self._at_hand(start.factors, item.n_modes)
             at_hand, self._factors = self._factors, None
             upper = here.upper_stiffness, here.upper_mass

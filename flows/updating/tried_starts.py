@@ -5,6 +5,8 @@ model itself where it is small matrices, else on reduced models around the answe
 set. What they find elsewhere that fits as well, or better, is then updated with the campaign's own
 modes, and only what holds there is told. Of starts that were asked for so is whatever they find
 elsewhere, and where they fail: far from the answer a reduced model may err by more than the test.
+One that is made there is as good there as the other is at the answer: where the two lead back to
+that one after the other, this is the end.
 A better place becomes the answer, which the solver confirms as it does any other; where matrices
 stand in for its modes it was asked about them at the update's own end.
 """
@@ -109,7 +111,7 @@ def try_starts(
         best = min(members, key=lambda n: ends[n].rank)
         found = ends[best].updated
         assert found is not None
-        looked = _updated(campaign, evaluator, starts[best], found, "")
+        looked = _looked_at(campaign, evaluator, inner, starts[best], found, last, ends[0], allowed)
         for n in members:
             ends[n] = replace(looked, start=starts[n])
     chosen = min(range(len(ends)), key=lambda n: ends[n].rank)
@@ -130,10 +132,22 @@ def reduced_states(
     if evaluator.foresight is not None:
         if evaluator.foresight.states or not asked:
             return evaluator.foresight.states
-        (found,) = evaluator.points("starts", last.theta[None], [last])
-        if not isinstance(found, Evaluation):
-            raise found
-        last = found  # the solver's own, which confirmed it, have no more modes than are compared
+        # The solver's own, which confirmed it, have no more modes than are compared.
+        last = _in_full(evaluator, last.theta, last)
+    return _reduced_around(evaluator, last)
+
+
+def _in_full(evaluator: Evaluator, theta: Floats, known: Evaluation) -> Evaluation:
+    """A set by the campaign's own modes. Raises what keeps it from having any."""
+    (found,) = evaluator.points("starts", theta[None], [known])
+    if not isinstance(found, Evaluation):
+        raise found
+    return found
+
+
+def _reduced_around(evaluator: Evaluator, last: Evaluation) -> list[CaseState]:
+    """The evaluator's cases on models of few unknowns around an evaluation; none where a case has
+    no such model."""
     states = []
     for state, part in zip(evaluator.used, last.parts, strict=True):
         try:
@@ -164,6 +178,35 @@ def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
 def _shift(part: CaseEvaluation) -> float:
     """Below the spectrum by a tenth of the first elastic eigenvalue, (rad/s)^2."""
     return -0.1 * float(part.modal.eigenvalues[part.modal.n_rigid])
+
+
+def _looked_at(
+    campaign: Campaign,
+    evaluator: Evaluator,
+    inner: Evaluator,
+    start: Floats,
+    found: Floats,
+    known: Evaluation,
+    own: StartEnd,
+    allowed: Floats,
+) -> StartEnd:
+    """Where updating ends from what reduced models around the answer (inner) found elsewhere."""
+    if evaluator.foresight is not None:
+        try:
+            states = _reduced_around(evaluator, _in_full(evaluator, found, known))
+        except (SolverError, ModesError) as error:
+            if isinstance(error, CAMPAIGNS_OWN):
+                raise
+            states = []
+        beside = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
+        for each in (beside, inner) if states else ():
+            with one_thread():
+                end = _updated(campaign, each, start, found, REDUCED)
+            if each is inner and _places([own, end], allowed)[1] == 0:
+                return end
+            if each is beside and end.updated is not None:
+                found = end.updated
+    return _updated(campaign, evaluator, start, found, "")
 
 
 def _updated(
