@@ -17,7 +17,6 @@ from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import ask, doing, told
 
-
 T = TypeVar("T")
 
 

@@ -117,7 +117,7 @@ class Evaluator:
     """Evaluates parameter sets in all cases of a campaign, and counts what it cost.
 
     foresight, ranges: of reduced models, where modes come from stored matrices. tell: hears how
-    far these are, in words.
+    far these are, in words; idle: is done while the solver confirms an end.
     """
 
     def __init__(
@@ -136,6 +136,7 @@ class Evaluator:
         self.foresight: Foresight | None = None
         self.ranges: Ranges | None = None
         self.tell: Callable[[str], None] = logger.info
+        self.idle: Callable[[], None] = lambda: None
         self.pieces = Pieces(self.execution, ledger)
         self._deriving = Deriving(campaign, self.used, self.pieces)
 

@@ -12,6 +12,7 @@ the reduced models say that e1 holds there, the solver's own modes are looked at
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,8 +24,9 @@ from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step
 from modetune.core.updating.results import ModalResult
+from modetune.flows.jobs.engine import JobOutcome
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.work import Work
+from modetune.flows.jobs.work import Work, meanwhile
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.by_matrices import MATRICES, ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
@@ -187,7 +189,7 @@ class ReducedForesight:
         job = Job(state.campaign.parameters.values(part.theta), analysis)
         name = state.case.solver.program.name
         work = Work(f"modal confirmation by {name}", (job,), state.engine)
-        ((outcome,),) = self.evaluator.carry_out(title, [work], state)
+        outcome = self._begun(title, work, state)()
         modal = outcome.result(ModalResult)
         return state.compared(part.theta, outcome.key, modal, part, name)
 
@@ -203,14 +205,13 @@ class ReducedForesight:
         name = state.case.solver.program.name
         job = Job(state.campaign.parameters.values(part.theta), MatrixAnalysis())
 
-        def assembled() -> MatrixResult:
-            work = Work(f"matrices by {name}", (job,), state.engine)
-            ((outcome,),) = self.evaluator.carry_out(title, [work], state)
-            return outcome.result(MatrixResult)
+        def begun() -> Callable[[], MatrixResult]:
+            wait = self._begun(title, Work(f"matrices by {name}", (job,), state.engine), state)
+            return lambda: wait().result(MatrixResult)
 
         try:
             own = state.engine.key(job)
-            key, modal = finder.stored().assembled(part.theta, analysis, own, assembled)
+            key, modal = finder.stored().assembled(part.theta, analysis, own, begun)
         except (ModelError, UnlikeMatrices) as error:
             logger.warning("%s: its own modes are looked at", error)
             return None
@@ -226,6 +227,18 @@ class ReducedForesight:
             )
             return None
         return found
+
+    def _begun(self, title: str, work: Work, state: CaseState) -> Callable[[], JobOutcome]:
+        """What waits for the end of a job that begins, and does what there is to do meanwhile."""
+        job = meanwhile("confirm", lambda: self.evaluator.carry_out(title, [work], state))
+
+        def wait() -> JobOutcome:
+            if not job.done():
+                self.evaluator.idle()
+            ((outcome,),) = job.result()
+            return outcome
+
+        return wait
 
     def _foreseen_at(self, theta: Floats) -> Evaluation | None:
         """The end of the last step on reduced models, if it is this set."""

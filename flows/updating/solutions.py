@@ -31,7 +31,6 @@ from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.work import meanwhile
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.observed_modes import observer_of, solved_energies
 
@@ -180,10 +179,11 @@ class Solutions:
         return self._newest[1]
 
     def assembled(
-        self, item: ModalSet, assembled: Callable[[], MatrixResult], count: bool
+        self, item: ModalSet, begun: Callable[[], Callable[[], MatrixResult]], count: bool
     ) -> tuple[SolvedModes, tuple[Floats, int]]:
         """Modes of the matrices that the solver assembles at a set, and of these modes energies
-        (n_modes,) and how many are rigid. count: whether it is proved that none is missing.
+        (n_modes,) and how many are rigid. begun: has it begin, and gives what waits for its end;
+        count: whether it is proved that none is missing.
 
         Where the matrices differ from those of all values by the rounding of their text alone they
         have the same modes, which are looked for while the solver is at it, if its job leaves
@@ -191,18 +191,18 @@ class Solutions:
         have other equations.
         """
         start, there = self._beginning(item), self.model.matrices.at(item.values)
-        job = meanwhile("assembling", assembled)
+        wait = begun()
         beside = self.engine.cores_beside
         if self.engine.policy.memory_bytes:  # what a campaign names is the job's alone
             self._solver, self._factors, beside = ModeSolver(count=False), None, 0
         if not beside:
-            job.result()
+            wait()
         try:
             found = self._solved(item, start, there, count, beside)[1:]
         except ModetuneError:
-            job.exception()
+            wait()
             raise
-        here = job.result()
+        here = wait()
         if any(upper.nnz for upper in differences(there, here)):
             return self._solved(item, start, here, count)[1:]
         return found

@@ -99,13 +99,14 @@ class MatrixModes:
         theta: Floats,
         analysis: ModalAnalysis,
         job: str,
-        assembled: Callable[[], MatrixResult],
+        begun: Callable[[], Callable[[], MatrixResult]],
     ) -> tuple[str, ModalResult]:
         """As `modal`, of the matrices that the solver assembles at a set, and counted.
 
-        job: the key of its job, assembled: carries it out. The search begins with the modes by the
-        matrices of all values. Factors in single precision count nothing: where the campaign wants
-        these, modes are not. Raises ModelError where the count says that modes are missing.
+        job: the key of its job, begun: as of `Solutions.assembled`. The search begins with the
+        modes by the matrices of all values. Factors in single precision count nothing: where the
+        campaign wants these, modes are not. Raises ModelError where the count says that modes are
+        missing.
         """
         counted = self.engine.policy.single_factors is not True
         start = self._newest or next(iter(self._first.values()), None)
@@ -122,7 +123,7 @@ class MatrixModes:
         def compute() -> ModalResult:
             n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
             item = ModalSet(key, self.source.written(theta), n_modes, start)
-            solved, more = self._solutions.assembled(item, assembled, counted)
+            solved, more = self._solutions.assembled(item, begun, counted)
             self.engine.store.drop(job)  # as large as the model, and not asked for again
             found = solved.eigenvalues, solved.shapes, *more
             return modes_at(self._model.observer, *found, analysis)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -77,30 +77,45 @@ class TriedStarts:
         return start_spread(self.campaign, ends, self.chosen, tolerated(self.campaign, answer))
 
 
+@dataclass(slots=True)
+class Sought:
+    """Where reduced models led from other starts so far, by start; states: the cases on them."""
+
+    states: list[CaseState] = field(default_factory=list)
+    ends: dict[bytes, StartEnd] = field(default_factory=dict)
+
+
+def seek_starts(
+    campaign: Campaign, evaluator: Evaluator, record: CampaignRecord, sought: Sought
+) -> None:
+    """What `try_starts` will want of reduced models that are there, before the solver has confirmed
+    where the update ended."""
+    states = [] if evaluator.foresight is None else evaluator.foresight.states
+    if states and _wanted(campaign, record):
+        _ends_on(states, campaign, evaluator, record, sought)
+
+
 def try_starts(
-    campaign: Campaign, evaluator: Evaluator, record: CampaignRecord, last: Evaluation
+    campaign: Campaign,
+    evaluator: Evaluator,
+    record: CampaignRecord,
+    last: Evaluation,
+    sought: Sought,
 ) -> TriedStarts | None:
     """Seek the parameters from other starts after an update has ended.
 
-    record: of the update; last: the evaluation it ended on. None where sets cost too much, the
-    iterations are used up, or the campaign asks for one start alone.
+    record: of the update; last: the evaluation it ended on; sought: what is known already. None
+    where sets cost too much, the iterations are used up, or the campaign asks for one start alone.
     """
-    asked = campaign.update.starts
-    ended = record.status != "max_iterations" and campaign.update.max_iterations > 0
-    if asked == 1 or not (ended or asked):
+    if not _wanted(campaign, record):
         return None
+    asked = campaign.update.starts
     states = reduced_states(evaluator, last, asked) if evaluator.sets_cost_little else []
     if not states:
         return None
-    scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
-    starts = drawn_starts(campaign, asked or (MANY if scarce else TRIED))
-    ends, allowed = [end_of(starts[0], record)], tolerated(campaign, record)
     inner = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
-    with one_thread():
-        for start in starts[1:]:
-            ends.append(_updated(campaign, inner, start, start, REDUCED))
-            if not asked and len(ends) >= TRIED and _worth_a_look(ends, allowed):
-                break
+    ends, allowed = _ends_on(states, campaign, evaluator, record, sought)
+    starts = [end.start for end in ends]
     if asked:
         ends = [
             _updated(campaign, evaluator, end.start, end.start, "") if end.updated is None else end
@@ -118,6 +133,39 @@ def try_starts(
     if ends[0].fits_as_well(ends[chosen]):
         chosen = 0
     return TriedStarts(campaign, tuple(ends), chosen)
+
+
+def _wanted(campaign: Campaign, record: CampaignRecord) -> bool:
+    asked = campaign.update.starts
+    ended = record.status != "max_iterations" and campaign.update.max_iterations > 0
+    return asked != 1 and bool(ended or asked)
+
+
+def _ends_on(
+    states: list[CaseState],
+    campaign: Campaign,
+    evaluator: Evaluator,
+    record: CampaignRecord,
+    sought: Sought,
+) -> tuple[list[StartEnd], Floats]:
+    """The campaign's own end and where reduced models lead from others, and by how much values
+    may differ in one place, (n_parameters,)."""
+    if sought.states is not states:
+        sought.states, sought.ends = states, {}
+    asked = campaign.update.starts
+    scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
+    starts = drawn_starts(campaign, asked or (MANY if scarce else TRIED))
+    ends, allowed = [end_of(starts[0], record)], tolerated(campaign, record)
+    inner = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
+    with one_thread():
+        for start in starts[1:]:
+            mark = start.tobytes()
+            if mark not in sought.ends:
+                sought.ends[mark] = _updated(campaign, inner, start, start, REDUCED)
+            ends.append(sought.ends[mark])
+            if not asked and len(ends) >= TRIED and _worth_a_look(ends, allowed):
+                break
+    return ends, allowed
 
 
 def reduced_states(

@@ -18,7 +18,7 @@ from modetune.flows.updating.judging import checked
 from modetune.flows.updating.loop import End, Loop, Noted
 from modetune.flows.updating.recording import campaign_record
 from modetune.flows.updating.showing import shown_field
-from modetune.flows.updating.tried_starts import TriedStarts, try_starts
+from modetune.flows.updating.tried_starts import Sought, TriedStarts, seek_starts, try_starts
 
 
 class Progress(Protocol):
@@ -70,11 +70,17 @@ class Updating:
 
     def run(self) -> CampaignRecord:
         """Update until e1 holds, nothing more is gained, or the iterations are used up."""
-        end = Loop(self.campaign, self.evaluator, self, around=self.around).run()
-        self.matrix = end.matrix
-        tried = try_starts(
-            self.campaign, self.evaluator, self._record(end.status, end.reason), end.last
-        )
+        campaign, evaluator, sought = self.campaign, self.evaluator, Sought()
+
+        def seek() -> None:
+            if self.kept[-1].agrees(campaign.tolerances):
+                seek_starts(campaign, evaluator, self._record("converged", ""), sought)
+
+        evaluator.idle, idle = seek, evaluator.idle
+        end = Loop(campaign, evaluator, self, around=self.around).run()
+        evaluator.idle, self.matrix = idle, end.matrix
+        known = self._record(end.status, end.reason)
+        tried = try_starts(campaign, evaluator, known, end.last, sought)
         if tried is not None and tried.chosen:
             end = self._from(tried)
         held_out = self.evaluator.held_out(self.kept[0], self.kept[-1])
