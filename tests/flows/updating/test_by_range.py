@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,8 +22,9 @@ from modetune.flows.studies.sample.running import SamplingRequest, sample_campai
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
-from modetune.flows.updating import by_range
+from modetune.flows.updating import by_range, tried_starts
 from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched
@@ -192,6 +194,35 @@ def test_starts_that_were_asked_for_cost_no_runs_of_their_own(tmp_path: Path) ->
     assert len(record.trust.spread.starts) == 6
     assert set(record.trust.spread.minima.tolist()) == {0}  # all lead to the answer
     assert record.runs.modal == 1
+
+
+def test_a_reduced_model_that_errs_far_away_is_found_out_by_one_made_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = ["update.e1.frequency=1e-4", "model.eigensolver=pardiso", "update.starts=6"]
+    file, by = written(BAR, tmp_path / "bar"), list[str]()
+    ends_on, updated = tried_starts._ends_on, tried_starts._updated
+
+    def misled(*given: Any) -> Any:
+        ends, allowed = ends_on(*given)
+        stays = replace(ends[3], updated=ends[3].start)
+        return [*ends[:3], stays, *ends[4:]], allowed
+
+    def told(*given: Any) -> Any:
+        by.append(given[-1])
+        return updated(*given)
+
+    monkeypatch.setattr(tried_starts, "_ends_on", misled)
+    monkeypatch.setattr(tried_starts, "_updated", told)
+    record = update_from_starts(load_campaign(file, settings), tmp_path / "run", Unwatched()).record
+    assert record.trust is not None
+    spread = record.trust.spread
+    assert spread is not None
+    assert set(spread.minima.tolist()) == {0}
+    np.testing.assert_allclose(spread.updated[3], record.updated, rtol=1e-4)
+    # Five starts, each once (also where they were sought before the end was confirmed), and there
+    # and back: none was updated with all unknowns.
+    assert by == [REDUCED] * 7
 
 
 @pytest.mark.parametrize(
