@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 from tests.test_docs import DOCS, tool
 
@@ -47,6 +46,9 @@ def test_a_page_shows_what_is_printed(page: str) -> None:
 @pytest.mark.parametrize("path", sorted((DOCS / "notebooks").glob("*.ipynb")), ids=lambda p: p.stem)
 @pytest.mark.filterwarnings("default")  # of the notebook's packages
 def test_a_notebook_shows_what_is_printed(path: Path, tmp_path: Path) -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
     shown, run = (nbformat.reads(path.read_text(), 4) for _ in range(2))  # type: ignore[no-untyped-call]
     where = {"metadata": {"path": str(tmp_path)}}
     NotebookClient(run, timeout=250, kernel_name="python3", resources=where).execute()
@@ -57,7 +59,7 @@ def test_a_notebook_shows_what_is_printed(path: Path, tmp_path: Path) -> None:
     assert not wrong
 
 
-def _printed(cell: nbformat.NotebookNode) -> list[str]:
+def _printed(cell: Any) -> list[str]:
     """The lines under a cell, without what goes to standard error."""
     return [
         line

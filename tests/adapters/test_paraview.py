@@ -9,7 +9,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import pyvista
 
 from modetune.adapters.calculix.frd import convert_frd, count_frd
 from modetune.adapters.calculix.solver import CalculixProgram, calculix_solver
@@ -193,6 +192,8 @@ def test_shapes_are_turned_to_global_axes_and_zero_where_there_is_no_result() ->
 def test_a_series_is_read_back_by_vtk_as_it_was_written(tmp_path: Path) -> None:
     modes = mode_set([0.0, 0.0, 7.5], np.eye(3), nodes=[3, 3, 9], components=[1, 2, 3])
     file = write_series(tmp_path / "out", "initial", mode_grids(bar(), modes), modes.frequencies_hz)
+    import pyvista  # a second and a half
+
     reader = pyvista.PVDReader(file)
     # Frequencies repeat; the number of the mode is the time.
     assert reader.time_values == [1.0, 2.0, 3.0]

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import pyvista
 import typer
 from typer.testing import CliRunner
 
@@ -72,6 +71,8 @@ def runs(campaign: Any) -> int:
 
 def shapes_of(series: Path) -> tuple[list[float], list[Floats]]:
     """Frequencies and shapes of all modes in a .pvd file."""
+    import pyvista  # a second and a half
+
     reader = pyvista.PVDReader(series)
     frequencies, shapes = [], []
     for time in reader.time_values:
@@ -239,6 +240,8 @@ def test_stored_shapes_are_written_without_a_run_and_without_the_campaign(
         ("initial", 3, 0),
         ("updated", 3, 0),
     ]
+    import pyvista  # a second and a half
+
     grid = pyvista.read(folder / "paraview" / "updated" / "mode_2.vtu")
     assert grid.field_data["frequency_hz"][0] == pytest.approx(22.022)  # 22 Hz and 0.1 %
     kept = record.best.field.mode_shapes[:, 1].reshape(-1, 3)
