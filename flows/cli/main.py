@@ -7,6 +7,7 @@ that need them.
 
 from __future__ import annotations
 
+import atexit
 import gc
 import json
 import logging
@@ -108,6 +109,7 @@ def main() -> None:
     """Run the command line and end the process with its exit code."""
     _quiet()
     gc.set_threshold(10_000, 10, 10)  # imports make objects that stay: looked at less often
+    atexit.register(gc.freeze)  # ... and not at all when the process ends
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
     try:
         command_line(*sys.argv[1:2])(standalone_mode=True)
