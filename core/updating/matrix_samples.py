@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.matrices import ROWS_AT_ONCE, MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 
@@ -95,8 +95,13 @@ def _without_rounding(found: sparse.csr_array, sizes: Floats) -> sparse.csr_arra
     """
     found = sparse.csr_array(found)
     root = np.sqrt(sizes)
-    rows = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
-    found.data[np.abs(found.data) <= ROUNDING * root[rows] * root[found.indices]] = 0.0
+    for first in range(0, root.size, ROWS_AT_ONCE):
+        starts = found.indptr[first : first + ROWS_AT_ONCE + 1]
+        piece = slice(starts[0], starts[-1])
+        allowed = np.repeat(ROUNDING * root[first : first + ROWS_AT_ONCE], np.diff(starts))
+        allowed *= root[found.indices[piece]]
+        data = found.data[piece]
+        data[np.abs(data) <= allowed] = 0.0
     found.eliminate_zeros()
     found.sort_indices()
     return found
