@@ -152,15 +152,16 @@ class ModeSolver:
             self._shift = factorise_below(pencil, shift)
             inverted, shapes = solve_condensed(pencil, n_modes)
             return completed(pencil, inverted, shapes, "condensed", pencil.n_with_mass, True)
-        given = start is not None and start.shape[0] == size and start.shape[1] >= n_modes
-        if start is not None and given and kept_blocks and pencil.kept_shift is not None:
+        if start is not None and (start.shape[0] != size or start.shape[1] < n_modes):
+            start = None
+        if start is not None and kept_blocks and pencil.kept_shift is not None:
             solved, start = self._from_kept(pencil, n_modes, start, kept_blocks, count)
             if solved is not None:
                 return solved
         if not pencil.exact:
             self._shift = factorise_below(pencil, shift)
-            return modes_in_single_precision(pencil, n_modes, self._shift, start if given else None)
-        if start is not None and given:
+            return modes_in_single_precision(pencil, n_modes, self._shift, start)
+        if start is not None:
             near = self._from_start(pencil, n_modes, shift, np.asfortranarray(start), count)
             if near is not None:
                 return near

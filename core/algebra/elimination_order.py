@@ -1,13 +1,14 @@
 """The order in which the unknowns of a sparse symmetric matrix are eliminated.
 
 Nested dissection of its graph by METIS: a set of points that cuts the graph in two goes last, each
-half is cut again, and so on (George 1973; Karypis and Kumar 1998). The factor then has entries
-within halves and cuts alone. What is cut is not the graph of the unknowns but a third or a sixth
-of it, that of the points they belong to: unknowns of a point are numbered one after the other and
-are coupled to the same other points, though not to the same unknowns of these (a plate in a plane
-of the axes has zeros between its own plane and the direction across). So an unknown belongs to the
-point of the one before it if the rows of both reach nearly the same blocks of three unknowns.
-Points weigh as many unknowns as they have.
+half is cut again, and so on; the factor then has entries within halves and cuts alone (George 1973;
+Karypis and Kumar 1998). What is cut is not the graph of the unknowns but one of a third or a fifth
+as many points. Unknowns of a node, and of nodes on both sides of a thin wall, are numbered one
+after the other and are coupled to the same other nodes, though not to the same unknowns of these
+(in a wall in a plane of the axes, motion across is not coupled to motion along). So an unknown
+belongs to the point of the one before it if the rows of both reach the same blocks of three
+unknowns. Where there are no such zeros the rows themselves are compared, for by blocks neighbours
+in a grid with one unknown a node would be alike. A point weighs as many unknowns as it has.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from modetune.core.modes import Integers
 
 #: Unknowns of a block: displacements of a point, half of what it has with rotations.
 _BLOCK = 3
-#: Share of what the rows of two unknowns of one point reach that both do, at least: neighbours on a
-#: line of bricks have two thirds in common, unknowns of a point all but a few zeros.
+#: Least share that both rows reach of what two unknowns of a point reach beyond the first of them:
+#: neighbours on a line of bricks have two thirds in common, unknowns of a node all but a few zeros.
 _ALIKE = 0.8
 #: Unknowns up to which PARDISO's own order takes less than a tenth of a second, whatever the model.
 SMALL = 10_000
@@ -59,23 +60,19 @@ def elimination_order(upper: sparse.csr_array) -> Integers | None:
 def _first_of_points(upper: sparse.csr_array) -> Integers:
     """The first unknown of each point, (n_points,), ascending."""
     n = upper.shape[0]
-    second = np.minimum(upper.indptr[:-2] + 1, upper.nnz - 1)
-    coupled = upper.indices[second] == np.arange(1, n)
-    alike = np.where(
-        coupled,
-        _rows_alike(_reached(upper.indices, upper.indptr, n), coupled),
-        _rows_alike(_reached(upper.indices // _BLOCK, upper.indptr, n)),
-    )
+    alike = _rows_alike(_reached(upper.indices // _BLOCK, upper.indptr, n))
+    if (
+        np.count_nonzero(alike & (upper.diagonal(1) == 0.0)) < n // 10
+    ):  # no zeros between unknowns of a point
+        alike = _rows_alike(_reached(upper.indices, upper.indptr, n))
     return np.flatnonzero(np.append(True, ~alike))
 
 
-def _rows_alike(
-    reached: sparse.csr_array, own: NDArray[np.bool_] | bool = False
-) -> NDArray[np.bool_]:
-    """Whether a row reaches nearly what the next one does, (n_rows - 1,); own: and itself too."""
+def _rows_alike(reached: sparse.csr_array) -> NDArray[np.bool_]:
+    """Whether a row reaches, beyond its own place, nearly what the next one does, (n_rows - 1,)."""
     common = np.diff(sparse.csr_array(reached[:-1].multiply(reached[1:])).indptr)
     reach = np.diff(reached.indptr)
-    return np.asarray(common >= _ALIKE * np.maximum(reach[:-1] - own, reach[1:]))
+    return np.asarray(common >= _ALIKE * np.maximum(reach[:-1] - 1, reach[1:]))
 
 
 def _reached(columns: NDArray[Any], starts: NDArray[Any], width: int) -> sparse.csr_array:

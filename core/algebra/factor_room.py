@@ -3,11 +3,11 @@
 PARDISO tells after its symbolic phase what the factors will take. With that, what this process
 holds already and what its vectors will take, memory suffices or does not. Where it does not, and
 whoever asks can do with the factors of a similar matrix, half as much is taken in single precision.
-Where that does not fit either the unknowns are ordered once more for factors in files (what PARDISO
-does in two levels of parallel work goes in memory alone). Files are written once a factorisation
-and read twice a solution, and all the memory that is left buffers them: with a third of what the
-factors take a solution was seen to take two times, and a factorisation two to six times, as long as
-in memory.
+Where that does not fit either they go to files (what PARDISO does in two levels of parallel work
+goes in memory alone). The order of the unknowns is the same in all cases, and found once. Files are
+written once a factorisation and read twice a solution, and all the memory that is left buffers
+them: with a third of what the factors take a solution was seen to take two times, and a
+factorisation two to six times, as long as in memory.
 """
 
 from __future__ import annotations

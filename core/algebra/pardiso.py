@@ -3,7 +3,7 @@
 PARDISO works in phases: 11 orders the unknowns and finds the pattern of the factors, 22 fills
 them with numbers, 33 solves. The first depends on the pattern alone; models of an updating
 campaign differ in their values, so it is gone through once and 22 for each model. The order is
-that of parallel nested dissection (METIS).
+one that is given (core/algebra/elimination_order), or PARDISO's own parallel nested dissection.
 
 The matrix is A = L D L^T with 1x1 and 2x2 pivots (type -2), whose signs are the signs of A's
 eigenvalues (Sylvester).
@@ -29,7 +29,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -231,13 +231,14 @@ class Pardiso:
 
     def _open(self, starts: Any, columns: Any, long_integers: bool) -> None:
         kind: Any = np.int64 if long_integers else np.int32
+        order = np.zeros(1) if self._order is None else self._order + 1
         self._handle = _Handle(
             self.n,
             np.ascontiguousarray(starts, dtype=kind),
             np.ascontiguousarray(columns, dtype=kind),
             self._settings.astype(kind),
+            order.astype(kind),
             self.files,
-            self._order,
         )
         self._release = weakref.finalize(self, self._handle.close)
         self._release.atexit = False
@@ -257,26 +258,22 @@ class Pardiso:
             raise _error_of(error, self._handle)
 
 
+@dataclass(slots=True, eq=False)
 class _Handle:
-    """PARDISO's own data of one matrix."""
+    """PARDISO's own data of one matrix, its integers all of one kind; order: counted from 1."""
 
-    def __init__(
-        self,
-        n: int,
-        starts: Any,
-        columns: Any,
-        iparm: NDArray[Any],
-        files: FactorFiles | None = None,
-        order: Integers | None = None,
-    ) -> None:
-        self.files = files
-        self.n, self.starts, self.columns = n, starts, columns
-        self.iparm = iparm
-        self.long_integers = bool(iparm.dtype == np.int64)
-        self._addresses = np.zeros(64, dtype=np.int64)
-        given = np.zeros(1) if order is None else order + 1
-        self._permutation = given.astype(iparm.dtype)
-        self._closed = False
+    n: int
+    starts: NDArray[Any]
+    columns: NDArray[Any]
+    iparm: NDArray[Any]
+    order: NDArray[Any]
+    files: FactorFiles | None = None
+    addresses: NDArray[np.int64] = field(default_factory=lambda: np.zeros(64, dtype=np.int64))
+    closed: bool = False
+
+    @property
+    def long_integers(self) -> bool:
+        return bool(self.iparm.dtype == np.int64)
 
     def call(
         self,
@@ -296,7 +293,7 @@ class _Handle:
 
         with _ONE_CALL, self.files.told() if self.files else nullcontext():
             program(
-                _pointer(self._addresses),
+                _pointer(self.addresses),
                 number(1),
                 number(1),
                 number(_SYMMETRIC),
@@ -305,7 +302,7 @@ class _Handle:
                 _pointer(values),
                 _pointer(self.starts),
                 _pointer(self.columns),
-                _pointer(self._permutation),
+                _pointer(self.order),
                 number(count),
                 _pointer(self.iparm),
                 number(0),
@@ -317,8 +314,8 @@ class _Handle:
 
     def close(self, files: bool = True) -> None:
         """Give PARDISO's memory back, and the folder of its files."""
-        if not self._closed:
-            self._closed = True
+        if not self.closed:
+            self.closed = True
             self.call(_FREE, np.zeros(0), None, None)
             if files and self.files:
                 self.files.remove()

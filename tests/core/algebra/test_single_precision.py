@@ -6,6 +6,7 @@ import functools
 import gc
 import shutil
 import tempfile
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from modetune.core.algebra import factor_room as rooms
 from modetune.core.algebra import pardiso, similar_factors
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.factor_room import FactorRoom, factor_room
+from modetune.core.algebra.krylov import GUARD, block_davidson
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pardiso import FactorFiles, Pardiso
 from modetune.core.algebra.similar_factors import similar_vectors
@@ -222,3 +224,26 @@ def test_modes_that_it_does_not_find_are_told_with_the_remedy(
     with factor_room(room(tmp_path, 1e12, single=True)):
         with pytest.raises(SolverExhausted, match=r"residual is .*double precision"):
             ModeSolver(count=False).solve(*bracket(), n_modes=MODES)
+
+
+def test_vectors_in_memory_are_as_many_as_the_forecast_counts() -> None:
+    n, n_pairs, n_random = 20_000, 8, GUARD
+    stiffness = np.linspace(1.0, 1e3, n) ** 2
+
+    def nearly(block: Floats, out: Floats) -> None:
+        np.divide(block, 1.01 * stiffness[:, None] + 0.2, out=out)
+
+    def shifted(block: Floats, out: Floats) -> None:
+        np.multiply(block, stiffness[:, None], out=out)
+
+    start = np.random.default_rng(0).standard_normal((n, n_pairs))
+    tracemalloc.start()
+    try:
+        pairs = block_davidson(nearly, shifted, np.copy, start, n_pairs, 1e-6, 200, n_random)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert pairs is not None
+    assert pairs.solutions > 5 * (n_pairs + n_random)  # the basis was full, and began anew
+    # Beside the vectors: small matrices of 36 by 36, and pieces of 4,096 rows of a block.
+    assert peak <= 8 * (n * similar_vectors(n_pairs) + 4 * 4096 * 36 + 50 * 36**2)
