@@ -165,13 +165,18 @@ class Peaks:
         return np.asarray(squares.argmin(axis=0))
 
 
-def find_peaks(posterior: Posterior, rng: np.random.Generator, also: Floats | None = None) -> Peaks:
+def find_peaks(
+    posterior: Posterior,
+    rng: np.random.Generator,
+    also: Floats | None = None,
+    drawn: int = DRAWN,
+) -> Peaks:
     """The peaks of a density. also: (n, n_parameters), starts beside those that are drawn.
 
     Raises CampaignError where limits leave no set of the range.
     """
     n_parameters = posterior.lower.size
-    unit = latin_hypercube(DRAWN, n_parameters, rng)
+    unit = latin_hypercube(drawn, n_parameters, rng)
     starts = posterior.lower + unit * (posterior.upper - posterior.lower)
     order = np.argsort(-posterior.log_density(starts))
     # The best draws crowd on one peak, so half of the starts are taken as they come.

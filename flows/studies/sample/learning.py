@@ -43,6 +43,10 @@ GOOD, EXACT, REFUSED = 0.3, 0.1, 1.0
 WIDER = 1.5
 #: Steps of walkers that look for the posterior between two rounds; points to choose new sets from.
 SEARCH_STEPS, CANDIDATES = 300, 400
+#: Sets from which peaks of the reduced model itself are looked for, beside what was learned.
+CLIMBS = 5
+#: Sets over the range that are learned from at most, those that fit best: to learn takes the cube.
+MOST_LEARNED = 1000
 #: Where sets cost little: as many batches of new sets at once, sets in all, sets of the posterior
 #: that the surrogate has to foresee.
 BATCHES, MOST_SETS, FORESEEN = 8, 1600, 64
@@ -55,7 +59,8 @@ CHECKS, FEW = 8, 2
 class Learned:
     """What was learned. near: (n_points,), which sets lie near the posterior; begun: sets before
     any was added there; errors: (n_responses,), leave-one-out errors in its 95 % region, and
-    density_error, of the log density there; NaN where a reduced model itself gives the samples."""
+    density_error, of the log density there; NaN where a reduced model itself gives the samples.
+    foreseen: what was learned then."""
 
     training: Training
     keys: tuple[str, ...]
@@ -66,6 +71,7 @@ class Learned:
     begun: int
     errors: Floats
     density_error: float
+    foreseen: Posterior | None = None
 
     def missed(self, truth: Training) -> Floats:
         """Of the residual at sets that it was not learned from, (n, n_residuals)."""
@@ -77,13 +83,16 @@ class Learned:
         return np.asarray(rng.permutation(found)[:count])
 
     def by_model(self, reduced: ReducedFeatures, rng: np.random.Generator) -> Learned:
-        """A reduced model itself in the place of what was learned from it."""
+        """A reduced model itself in the place of what was learned from it, which foresees it."""
         posterior = replace(self.posterior, surrogate=reduced)
+        best = np.argsort((self.training.values**2).sum(axis=1))[:CLIMBS]
+        starts = np.vstack([self.peaks.points, self.training.points[best]])
         return replace(
             self,
             surrogate=reduced,
             posterior=posterior,
-            peaks=find_peaks(posterior, rng, self.peaks.points),
+            foreseen=self.posterior,
+            peaks=find_peaks(posterior, rng, starts, drawn=0),
             errors=np.full(self.errors.size, np.nan),
             density_error=np.nan,
         )
@@ -120,7 +129,10 @@ def learn(
     """
     tell(f"{points.shape[0]} sets over the range")
     solved = solver.solve("training", points)
-    training, keys, begun = solved.training, solved.keys, len(solved.keys)
+    best = np.argsort((solved.training.values**2).sum(axis=1))[:MOST_LEARNED]
+    training = solved.training.some(np.sort(best))
+    keys = tuple(solved.keys[place] for place in np.sort(best).tolist())
+    begun = len(keys)
     each = 2 * points.shape[1] + 2
     left, batch = (MOST_SETS, BATCHES * each) if reduced else (more, each)
     while True:

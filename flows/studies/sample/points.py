@@ -43,11 +43,10 @@ MOST_FAILED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class SolvedPoints:
-    """Sets that could be solved: their residuals, their jobs, and which of those asked for."""
+    """Sets that could be solved: their residuals and their jobs."""
 
     training: Training
     keys: tuple[str, ...]
-    places: Integers
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +128,7 @@ class PointSolver:
         responses, names = response_names(self.known[0])
         rows = np.array(values).reshape(-1, responses.size)
         training = Training(points[places], rows, responses, names)
-        return SolvedPoints(training, tuple(keys), np.array(places, dtype=np.int64))
+        return SolvedPoints(training, tuple(keys))
 
     def fitting(
         self, least: int, more: Sequence[Evaluation] = ()

@@ -97,6 +97,7 @@ def sample_campaign(
                 request.steps,
                 known.at_chains,
                 longest,
+                learned.foreseen,
             )
         working("sets of the posterior")
         checks = check(solver, learned, chains, request.checks, known.at_checks)

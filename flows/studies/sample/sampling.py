@@ -9,6 +9,11 @@ Neighbouring samples of a walker resemble each other. Over the integrated autoco
 chains are long enough where each walker made 50 tau steps, and where the variance between half
 chains is that within them: split R-hat (Gelman et al. 2013, 11.4) below 1.05. Where they are not,
 sampling goes on: up to ten times the steps asked for, a hundred times where they cost little.
+
+Where a density p costs much and another one g foresees it about, most moves are STRIDE steps of a
+chain for g, of which p judges the last one. As these steps are reversible for g, going from x to y
+is accepted with min(1, p(y) g(x) / (p(x) g(y))) (Liu 2001, 9.4.3; Christen and Fox 2005): samples
+are those of p whatever g is, and forget in a few steps where g is about right.
 """
 
 from __future__ import annotations
@@ -28,6 +33,8 @@ ENOUGH_TIMES, LARGEST_R_HAT = 50.0, 1.05
 BURN_TIMES = 5.0
 #: Shares of the way from a peak that a walker beyond a limit begins at, one after the other.
 TURNED = (-1.0, 0.5, -1.0, 0.3, -1.0, 0.1)
+#: Steps by what foresees a density before it is asked itself; share of such moves.
+STRIDE, FORESEEN_SHARE = 25, 0.7
 #: Times the steps asked for that are made at most, and where they cost little.
 LONGEST, LONGER = 10, 100
 
@@ -74,14 +81,16 @@ def sample(
     steps: int,
     rng: np.random.Generator,
     longest: int = LONGEST,
+    foreseen: Posterior | None = None,
 ) -> Chains:
     """Sample a density. Reproducible for a generator's state.
 
-    longest: how many times the steps asked for are made at most.
+    longest: how many times the steps asked for are made at most; foreseen: about the same density
+    in the same range, at less cost.
     Raises CampaignError where there are too few walkers for so many parameters.
     """
     check_walkers(walkers, posterior.lower.size)
-    sampler = _sampler(posterior, walkers, rng)
+    sampler = _sampler(posterior, walkers, rng, foreseen)
     state = _start(posterior, peaks, walkers, rng)
     made = 0
     while True:
@@ -112,13 +121,48 @@ def walk(
     return np.asarray(sampler.get_chain(discard=steps // 2, flat=True))
 
 
-def _sampler(posterior: Posterior, walkers: int, rng: np.random.Generator) -> emcee.EnsembleSampler:
+class Foreseen(emcee.moves.RedBlueMove):  # type: ignore[misc]  # emcee has no types
+    """Steps of a chain for another density lead to what is proposed (see the module's head)."""
+
+    def __init__(self, density: Posterior) -> None:
+        super().__init__()
+        self._density = density
+
+    def get_proposal(
+        self, sample: Floats, complement: list[Floats], random: np.random.RandomState
+    ) -> tuple[Floats, Floats]:
+        """Sets (n_walkers, n_parameters) and log g(x) / g(y), (n_walkers,)."""
+        others, (n, n_parameters) = np.concatenate(complement), sample.shape
+        at, begun = sample, self._density.log_density(sample)
+        height = begun
+        for _ in range(STRIDE):
+            # Differences of two others, which stay where they are: as likely forth as back.
+            first, second = random.randint(len(others), size=(2, n))
+            scale = 2.38 / np.sqrt(2.0 * n_parameters) * np.exp(random.randn(n, 1))
+            new = at + np.where(random.rand(n, 1) < 0.1, 1.0, scale) * (
+                others[first] - others[second]
+            )
+            there = self._density.log_density(new)
+            moves = np.log(random.rand(n)) < there - height
+            at, height = np.where(moves[:, None], new, at), np.where(moves, there, height)
+        return at, begun - height
+
+
+def _sampler(
+    posterior: Posterior,
+    walkers: int,
+    rng: np.random.Generator,
+    foreseen: Posterior | None = None,
+) -> emcee.EnsembleSampler:
     # No snooker moves: in emcee 3.1 they accept with a wrong probability and narrow the samples.
     moves = [
         (emcee.moves.DEMove(), 0.6),
         (emcee.moves.DEMove(gamma0=1.0), 0.1),
         (emcee.moves.StretchMove(), 0.3),
     ]
+    if foreseen is not None:
+        moves = [(move, (1.0 - FORESEEN_SHARE) * share) for move, share in moves]
+        moves.append((Foreseen(foreseen), FORESEEN_SHARE))
     sampler = emcee.EnsembleSampler(
         walkers, posterior.lower.size, posterior.log_density, vectorize=True, moves=moves
     )

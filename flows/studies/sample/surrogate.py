@@ -21,7 +21,7 @@ directions V (singular value decomposition over the points); w V is enough, as |
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations_with_replacement
 
@@ -54,12 +54,15 @@ class Training:
 
     def plus(self, other: Training) -> Training:
         """With the points of another one."""
-        return Training(
-            np.vstack([self.points, other.points]),
-            np.vstack([self.values, other.values]),
-            self.responses,
-            self.names,
+        return replace(
+            self,
+            points=np.vstack([self.points, other.points]),
+            values=np.vstack([self.values, other.values]),
         )
+
+    def some(self, places: Integers) -> Training:
+        """With some of the points only."""
+        return replace(self, points=self.points[places], values=self.values[places])
 
     def sizes(self, errors: Floats) -> Floats:
         """Root mean squares (n_responses,) over rows of errors (n, n_residuals): of a shape, of the

@@ -9,7 +9,7 @@ import pytest
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.sample import density, learning, running
+from modetune.flows.studies.sample import learning, running
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.sample.telling import ITSELF, findings
@@ -139,8 +139,6 @@ def test_where_no_surrogate_is_good_enough_the_reduced_model_itself_gives_the_sa
 ) -> None:
     monkeypatch.setattr(learning, "MOST_SETS", 0)  # none to learn from
     monkeypatch.setattr(running, "LONGEST", 1)
-    monkeypatch.setattr(density, "DRAWN", 24)
-    monkeypatch.setattr(density, "STARTS", 2)
     record = sampled(written(JOINT, tmp_path / "part"), walkers=8, steps=100)
     assert record.by_reduced_model
     assert record.check_errors.max() < 0.1

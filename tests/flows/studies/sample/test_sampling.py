@@ -35,6 +35,27 @@ def test_samples_of_a_linear_problem_have_the_moments_of_the_closed_form(linear:
     assert np.abs(correlation - wanted).max() < 4.0 / np.sqrt(size.min())
 
 
+def test_samples_are_those_of_the_density_whatever_foresees_it(linear: Any) -> None:
+    posterior, mean, covariance = linear
+    surrogate, deviation = posterior.surrogate, np.sqrt(np.diag(covariance))
+    # Foreseen a fifth of a deviation beside in each principal direction and a tenth too wide.
+    beside = np.linalg.cholesky(covariance) @ np.full(3, 0.2)
+    off = replace(
+        surrogate,
+        slopes=surrogate.slopes / 1.1,
+        offset=(surrogate.offset - surrogate.slopes @ beside) / 1.1,
+    )
+    foreseen, rng = replace(posterior, surrogate=off), np.random.default_rng(3)
+    chains = sample(posterior, find_peaks(posterior, rng), 32, 1000, rng, foreseen=foreseen)
+    usual = chains_of(posterior).autocorrelation_times
+    assert chains.autocorrelation_times.max() < 0.6 * usual.max()
+    # As in the test above: four Monte Carlo errors.
+    size = chains.effective_sizes
+    assert np.all(np.abs(chains.flat.mean(axis=0) - mean) < 4.0 * deviation / np.sqrt(size))
+    variance = chains.flat.var(axis=0)
+    np.testing.assert_array_less(np.abs(variance / deviation**2 - 1.0), 4.0 * np.sqrt(2.0 / size))
+
+
 def test_the_peak_of_a_linear_problem_has_the_closed_form_exactly(linear: Any) -> None:
     posterior, mean, covariance = linear
     peaks = find_peaks(posterior, np.random.default_rng(0))
