@@ -1,8 +1,10 @@
 """Which of several poses of a test the measured shapes speak for, where places cannot tell.
 
-Each pose reads the same computed modes at nodes of its own. Measured and computed modes are paired
-so that the sum of their MAC is largest; the mean of these is the pose's. A structure that is
-symmetric itself has the same modes at all of its poses, which shapes cannot tell apart either.
+Each pose reads the same computed modes at nodes of its own, and pairs them with the measured ones
+as updating does; the mean MAC of the pairs is the pose's, of close modes that of their space:
+repeated modes stand anywhere within theirs, in the test as in the model, and a single MAC would
+choose a pose by that chance. A structure that is symmetric itself has the same spaces at all of its
+poses, which shapes cannot tell apart either.
 """
 
 from __future__ import annotations
@@ -12,13 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from modetune.core.assignment import least_cost
-from modetune.core.correlation.pairing import mac_or_zero
+from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.errors import CampaignError, NotStored, SolverError
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
-from modetune.flows.campaign.mapping import Mapping, pose_of
+from modetune.flows.campaign.mapping import TOLD, Mapping, pose_of
 from modetune.flows.campaign.measured import pairing_nodes
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import JobWatcher
@@ -41,16 +42,14 @@ def settled(campaign: Campaign, watcher: JobWatcher | None = None) -> Campaign:
     """
     cases, problems = [], []
     for case in campaign.cases:
-        found = case
+        found, said = case, ""
         if may_choose(case):
             own = campaign.alone(case)
             (outcome,) = solved(job_engine(own, watcher), [modal_job(own)])
             found, said = by_shapes(case, outcome.result(ModalResult))
             logger.info("%s", said)
-            if found.mapping.uncertain:
-                problems.append(f"{case.of('the test')}: {said}")
         problems += [
-            f"{case.of('the alignment of the test')} is not certain: {what}. {remedy}"
+            f"{case.of('the alignment of the test')} is not certain: {said or what}. {remedy}"
             for what, remedy in found.mapping.uncertain
         ]
         cases.append(found)
@@ -83,7 +82,8 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
     mappings = (case.mapping, *case.mapping.others)
     macs = np.array([_mean_mac(case, item, result) for item in mappings])
     order = np.argsort(-macs, kind="stable")
-    told = "; ".join(f"{pose_of(mappings[row])}: mean MAC {macs[row]:.3f}" for row in order)
+    poses = [f"{pose_of(mappings[row])}: mean MAC {macs[row]:.3f}" for row in order]
+    told = "; ".join(poses[:TOLD]) + (f" and {len(poses) - TOLD} more" if poses[TOLD:] else "")
     best, next_best = macs[order[:2]]
     if best - next_best < LEAD or 1.0 - best > LEFT * (1.0 - next_best):
         return case, f"measured shapes cannot tell its poses apart: {told}"
@@ -103,6 +103,5 @@ def modal_job(campaign: Campaign) -> Job:
 
 def _mean_mac(case: Case, mapping: Mapping, result: ModalResult) -> float:
     seen = mapping.sensors.observe(result.elastic)
-    table = mac_or_zero(case.test.modes.mode_shapes, seen.mode_shapes)
-    rows, columns = least_cost(-table)
-    return float(table[rows, columns].mean())
+    pairing = pair_by_shape(case.test.modes, seen, lost_mac=-1.0, drop=True)
+    return float(pairing.judged_mac.mean())

@@ -11,11 +11,13 @@ import pytest
 
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.alignment import Alignment
+from modetune.core.modes import MeasuredModes, mode_set
+from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
 from modetune.flows.studies.validate.leave_out import leave_one_out
-from modetune.flows.updating.poses import settled
+from modetune.flows.updating.poses import by_shapes, settled
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched
 from tests.flows.conftest import recased
@@ -89,3 +91,28 @@ def test_a_certain_alignment_costs_nothing(bench: Any) -> None:
     campaign = bench.campaign(TRUTH, shapes=True)
     assert settled(campaign).cases == campaign.cases
     assert bench.runs() == 0
+
+
+def test_a_ring_of_alike_masses_has_no_pose_of_its_own_wherever_its_repeated_modes_stand(
+    bench: Any,
+) -> None:
+    """Turned by one mass a ring is itself; its modes of one nodal diameter span the same space.
+
+    The computed ones stand as the measured ones do in one pose, at 60 degrees to them in the other:
+    single MAC of 1 and cos^2 60 = 0.25, which says nothing of the test.
+    """
+    angles = np.pi / 3.0 * np.arange(6)
+    shapes = np.column_stack([np.cos(angles), np.sin(angles), (-1.0) ** np.arange(6)])
+    measured = shapes[:, [0, 2]]
+    hz, nodes = np.array([10.0, 10.0, 25.0]), np.arange(1, 7)
+    test = MeasuredModes((1, 2), mode_set(hz[[0, 2]], measured, nodes, np.ones(6)))
+    campaign: Campaign = bench.campaign(TRUTH, modes=(1, 2), shapes=True)
+    straight = replace(campaign.case.mapping, alignment=HERE)
+    rolled = replace(straight.sensors, model_nodes=np.roll(straight.sensors.model_nodes, 1))
+    turned = replace(straight, sensors=rolled, alignment=TURNED)
+    case = recased(campaign, test=test, mapping=replace(straight, others=(turned,))).case
+    ring = ModalResult.of_shapes((2.0 * np.pi * hz) ** 2, shapes, nodes, np.ones(6), hz, 0)
+    found, said = by_shapes(case, ring)
+    assert found.mapping.uncertain
+    assert said.startswith("measured shapes cannot tell its poses apart")
+    assert said.count("mean MAC 1.000") == 2
