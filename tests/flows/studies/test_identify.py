@@ -48,6 +48,8 @@ def measured(
     noise: float = 0.02,
     seed: int = 0,
     lines: Floats | None = None,
+    hz: Floats = FREQUENCIES,
+    ratios: Floats = DAMPING,
 ) -> MeasuredFrfs:
     """Functions in z at sensors 1..14 from forces at 1..references.
 
@@ -55,7 +57,7 @@ def measured(
     Superposed by core.frf, which shares no code with the identification.
     """
     at = np.linspace(0.0, 150.0, 1201) if lines is None else lines
-    modes = NormalModes((2.0 * np.pi * FREQUENCIES) ** 2, true_shapes(), DAMPING)
+    modes = NormalModes((2.0 * np.pi * hz) ** 2, true_shapes(), ratios)
     values = modal_frf(at, modes, np.arange(N_SENSORS), np.arange(references), kind)
     values = values.reshape(at.size, -1)
     rng = np.random.default_rng(seed)
@@ -120,6 +122,17 @@ def test_shapes_of_a_driving_point_are_of_unit_modal_mass() -> None:
     shapes = true_shapes()
     signed = found * np.sign(np.sum(found * shapes, axis=0))
     assert np.abs(signed - shapes).max() < 0.02 * np.abs(shapes).max()
+
+
+def test_two_modes_of_one_frequency_that_references_see_unlike_are_told() -> None:
+    """One pole fits them, as each function has a residue of its own; one shape does not."""
+    together = np.where(FREQUENCIES == 60.6, 60.0, FREQUENCIES)
+    ratios = np.where(FREQUENCIES == 60.6, 0.005, DAMPING)
+    found = identify(measured(references=2, noise=0.01, hz=together, ratios=ratios), BAND)
+    (told,) = [note for note in found.notes if "two modes of one frequency" in note]
+    assert told.startswith("mode 4 (60 Hz)")
+    apart = identify(measured(references=2, noise=0.03), BAND)
+    assert not [note for note in apart.notes if "two modes of one frequency" in note]
 
 
 def test_a_sensor_that_looks_the_other_way_is_turned_back() -> None:
