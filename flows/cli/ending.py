@@ -74,6 +74,8 @@ class StudyEnd:
         if pages is not None:
             status = "unreliable" if self.doubts else "completed"
             said = "; ".join(self.doubts) or self.said
+            for line in self.lines:
+                pages.log(line)
             pages.done(said, self.tables, written, status, good=not self.doubts)
         return written
 

@@ -48,16 +48,22 @@ if TYPE_CHECKING:
 class Opened:
     """What a study works on, and whom it tells.
 
-    working: is told what is being computed; values: of parameters, by `--at`; folder: of the
-    campaign's run; charted: whether charts are asked for.
+    tell: a line for people; values: of parameters, by `--at`; folder: of the campaign's run;
+    charted: whether charts are asked for.
     """
 
     campaign: Campaign
     pages: Pages | None
-    working: Callable[[str], None]
+    tell: Callable[[str], None]
     values: Mapping[str, float] = field(default_factory=dict)
     folder: Path = Path()
     charted: bool = False
+
+    def working(self, text: str) -> None:
+        """Say what is being computed, on the terminal and in the log of the pages."""
+        self.tell(text)
+        if self.pages is not None:
+            self.pages.log(text)
 
 
 @dataclass(frozen=True)
@@ -103,7 +109,6 @@ class ModelOptions(StudyOptions):
             changed = with_model(self.settings, self.solver, self.units)
             campaign = looked_at(self.model, changed, tests)
             values = parse_values(campaign, self.at or [])
-            tell(f"{name}: {campaign.name} by {campaign.solver_name}")
             with paged(name, campaign.name, self.no_prefect) as pages:
                 yield Opened(campaign, pages, tell, values)
 
@@ -125,7 +130,6 @@ class CampaignOptions(StudyOptions):
             check_page(page)
             campaign = load_campaign(self.campaign_file, self.settings or [])
             folder = self.folder_of(campaign)
-            tell(f"{name}: {campaign.name}")
             with paged(name, campaign.name, self.no_prefect) as pages:
                 charted = bool(page or figures)
                 yield Opened(campaign, pages, tell, folder=folder, charted=charted)
@@ -166,6 +170,7 @@ def study(options: type[StudyOptions]) -> Callable[[Callable[..., StudyEnd]], Ca
         def command(**given: Any) -> None:
             asked = options(**{item.name: given.pop(item.name) for item in shared})
             with stoppable(), asked.opened(function.__name__) as on:
+                on.working(f"{function.__name__}: {on.campaign.name} by {on.campaign.solver_name}")
                 end = function(on, **given)
                 files = end.reported((function.__name__, on.campaign.name), on.pages, *asked.places)
             end.tell(files, asked.as_json)

@@ -47,7 +47,8 @@ Stopped = Literal["stopped", "none", "in use"]
 #: Seconds without a user after which the shared server ends.
 IDLE_VARIABLE = "MODETUNE_SERVER_IDLE_S"
 IDLE_S = 900.0
-START_PATIENCE_S = 120.0
+#: A machine whose cores are all taken ten times over needs two minutes and more.
+START_PATIENCE_S = 300.0
 #: A server that the user named is up already or it is not.
 NAMED_PATIENCE_S = 10.0
 

@@ -91,7 +91,7 @@ def _draw(axes: Any, panel: Panel) -> None:
     bars = [item for item in panel.items if isinstance(item, Bars)]
     for item in panel.items:
         if isinstance(item, Curve):
-            _draw_curve(axes, item)
+            _draw_curve(axes, item, panel.y.span)
         elif isinstance(item, Bars):
             _draw_bars(axes, panel, item, bars.index(item), len(bars))
         elif isinstance(item, HeatMap):
@@ -119,7 +119,7 @@ def _draw(axes: Any, panel: Panel) -> None:
         axes.grid(alpha=0.3)
 
 
-def _draw_curve(axes: Axes, item: Curve) -> None:
+def _draw_curve(axes: Axes, item: Curve, span: tuple[float, float] | None) -> None:
     ring = item.mark == "ring"
     axes.plot(
         item.x,
@@ -133,7 +133,10 @@ def _draw_curve(axes: Axes, item: Curve) -> None:
         markeredgewidth=2.0 if item.mark in ("x", "ring") else None,
         label=plain(item.name) or None,
     )
-    _write(axes, item.written, (item.x, item.y), -12.0, "center")
+    # Names stand below their points, and above where those are at the foot of the panel.
+    foot = -np.inf if span is None else 0.9 * span[0] + 0.1 * span[1]
+    up = np.where(np.asarray(item.y) > foot, -12.0, 10.0)
+    _write(axes, item.written, (item.x, item.y), up, "center")
 
 
 def _draw_bars(axes: Axes, panel: Panel, item: Bars, place: int, count: int) -> None:
@@ -143,17 +146,17 @@ def _draw_bars(axes: Axes, panel: Panel, item: Bars, place: int, count: int) -> 
     draw, errors = (axes.barh, "xerr") if panel.sideways else (axes.bar, "yerr")
     more: dict[str, Any] = {errors: item.errors, "label": plain(item.name) or None}
     draw(at, item.values, width, color=colours, error_kw={"linewidth": 0.8}, **more)
-    _write(axes, item.written, (at, item.values), 2.0, "baseline")
+    _write(axes, item.written, (at, item.values), np.full(len(at), 2.0), "baseline")
 
 
 def _write(
-    axes: Axes, texts: tuple[str, ...], places: tuple[Floats, Floats], up: float, on: str
+    axes: Axes, texts: tuple[str, ...], places: tuple[Floats, Floats], up: Floats, on: str
 ) -> None:
     """Texts beside their places, so many points up, on this line of theirs; none where no texts."""
-    for text, x, y in zip(texts, *places, strict=bool(texts)):
+    for text, x, y, points in zip(texts, *places, up, strict=bool(texts)):
         at = float(x), float(y)
         style: dict[str, Any] = {"ha": "center", "va": on, "fontsize": 8}
-        axes.annotate(plain(text), at, (0.0, up), textcoords="offset points", **style)
+        axes.annotate(plain(text), at, (0.0, points), textcoords="offset points", **style)
 
 
 def _draw_heat(axes: Axes, item: HeatMap) -> None:

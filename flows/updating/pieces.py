@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.jobs.engine import JobOutcome, Ledger
 from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import Done, Execution
+from modetune.flows.jobs.work import Done, Execution, Work
 from modetune.flows.updating.asked import Ahead, CaseState, Piece
 from modetune.flows.updating.finders import UNFIT
 
@@ -40,7 +41,7 @@ class Pieces:
         listed = {_identity(piece): piece for piece in (*works, *beside)}
         missing = {mark: piece for mark, piece in listed.items() if mark not in ahead}
         if missing:
-            named = [state.named(work) for state, work in missing.values()]
+            named = _numbered([state.named(work) for state, work in missing.values()])
             for mark, work, done in zip(
                 missing, named, self.execution.run(title, named), strict=True
             ):
@@ -61,6 +62,17 @@ class Pieces:
                     return state.finder.modes(theta, analysis, done)
             except UNFIT as error:
                 state.finder = state.finder.instead(error)
+
+
+def _numbered(works: Sequence[Work]) -> list[Work]:
+    """Pieces with a name each: those of one name, as of many sets, are numbered."""
+    many, place = Counter(work.name for work in works), Counter[str]()
+    told = []
+    for work in works:
+        place[work.name] += 1
+        which = f" {place[work.name]} of {many[work.name]}" if many[work.name] > 1 else ""
+        told.append(replace(work, name=work.name + which))
+    return told
 
 
 def _identity(piece: Piece) -> tuple[object, ...]:

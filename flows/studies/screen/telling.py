@@ -186,7 +186,13 @@ def _local_table(screening: Screening, what: str, rows: Floats) -> Table:
         (screening.names[place], *rows[: len(modes), place].tolist(), methods[place])
         for place in screening.choice.ranking
     )
-    return Table(f"At the deck's values: {what} of test modes", columns, lines)
+    return Table(f"At the deck's values: {what} of {_of_modes(screening)}", columns, lines)
+
+
+def _of_modes(screening: Screening) -> str:
+    """Whose columns a table has."""
+    n = len(screening.modes)
+    return "test modes" if n <= SHOWN else f"the first {SHOWN} of {n} test modes"
 
 
 def _other_table(screening: Screening) -> Table:
@@ -242,7 +248,8 @@ def _index_table(screening: Screening) -> Table:
     explained = found.explained[: len(modes)]
     foot = [("explained", *explained)] if np.isfinite(explained).any() else []
     columns = (Column("parameter", words=True), *(Column(name, form=".3f") for name in modes))
-    return Table(HEADINGS[method], columns, tuple(rows), tuple(foot))
+    heading = HEADINGS[method] + (f", {_of_modes(screening)}" if screening.modes[SHOWN:] else "")
+    return Table(heading, columns, tuple(rows), tuple(foot))
 
 
 def lines(screening: Screening) -> list[str]:
@@ -252,7 +259,9 @@ def lines(screening: Screening) -> list[str]:
         said.append(f"collinear: {', '.join(names[place] for place in group)}")
     failed, design = screening.responses.n_failed, screening.design
     if failed and screening.indices is not None:
-        first = next(text for text in screening.responses.failures if text).splitlines()[0]
+        first = (
+            next(text for text in screening.responses.failures if text).splitlines()[0].rstrip(":")
+        )
         blocks = np.unique(design.blocks[[bool(text) for text in screening.responses.failures]])
         how = (
             ", fitted effects stand in for them"

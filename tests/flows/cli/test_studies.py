@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from modetune.core.errors import CampaignError
+from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.studies import Study, read_study
+from modetune.flows.cli.study import Opened
 
 CAMPAIGN = Path("wing.yaml")
 
@@ -45,3 +48,26 @@ def test_a_line_becomes_a_study_with_paths_that_hold_elsewhere(
 def test_a_line_that_is_no_study_is_one_sentence(line: str, said: str) -> None:
     with pytest.raises(CampaignError, match=said):
         read_study(line, CAMPAIGN)
+
+
+class Logged:
+    """Pages that keep their log."""
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+
+    def log(self, text: str) -> None:
+        self.heard.append(text)
+
+    def done(self, said: str, *more: object, good: bool) -> None:
+        self.heard.append(f"{said}: {good}")
+
+
+def test_what_a_study_says_is_the_log_of_its_pages() -> None:
+    said: list[str] = []
+    pages: Any = Logged()
+    nothing: Any = None
+    Opened(nothing, pages, said.append).working("points of the design")
+    StudyEnd("two chosen", {}, [], ["1 of 12 points failed"]).reported(("screen", "x"), pages)
+    assert said == ["points of the design"]
+    assert pages.heard == ["points of the design", "1 of 12 points failed", "two chosen: True"]

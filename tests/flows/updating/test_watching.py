@@ -133,6 +133,11 @@ def test_many_points_that_the_store_answers_are_one_piece(bench: Bench) -> None:
         found = screen_campaign(campaign, request, Unwatched().working, heard)
         assert found.responses.n_failed == 0
     assert first.states("points of the design / modal") == {"Completed": TOLD_EACH + 20}
+    named = {name for name, _ in first.ended if "/ modal " in name}
+    assert named == {
+        f"points of the design / modal {place} of {TOLD_EACH + 20}"
+        for place in range(1, TOLD_EACH + 21)
+    }
     assert bench.runs("modal") == TOLD_EACH + 21
     assert again.states(f"points of the design / {TOLD_EACH + 20} results of the store") == {
         "Cached": 1

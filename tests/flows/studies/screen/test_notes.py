@@ -13,10 +13,11 @@ from modetune.adapters.solver import Analysis, ModalAnalysis, Solver
 from modetune.core.errors import ModesError
 from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult, Result
+from modetune.flows.studies.screen import telling
 from modetune.flows.studies.screen.notes import notes
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
-from modetune.flows.studies.screen.telling import lines, told
+from modetune.flows.studies.screen.telling import lines, tables, told
 from modetune.flows.updating.updating import Unwatched
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, recased
 
@@ -115,3 +116,15 @@ def test_a_model_that_has_no_more_modes_is_not_asked_for_more(
         )
     assert bench.runs() == 1 + 4  # the deck's values and the corners, none of them twice
     assert "widening" not in caplog.text
+
+
+def test_tables_that_have_not_all_modes_say_so(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = screened(bench, ScreeningRequest("morris", points=12, seed=2))
+    n = len(found.modes)
+    assert not any("the first" in table.title for table in tables(found))
+    monkeypatch.setattr(telling, "SHOWN", n - 1)
+    titles = [table.title for table in tables(found) if "the first" in table.title]
+    assert len(titles) >= 2
+    assert all(title.endswith(f"the first {n - 1} of {n} test modes") for title in titles)
