@@ -33,7 +33,7 @@ SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 WORKER, RUN, POSTER = b"modetune\0worker", b"cli.deployed", b"updating.poster"
 SERVER = (b"jobs.prefect_server", b"prefect\0server")
 #: Seconds that a busy machine may need to start something.
-PATIENCE_S = 150.0
+PATIENCE_S = 300.0
 ENDED = {"COMPLETED", "FAILED", "CRASHED", "CANCELLED"}
 
 
