@@ -147,7 +147,8 @@ def losses_of(
                 continue
             simple = affected is not None and not affected.related
             if simple and affected is not None and affected.elements <= whole.elements:
-                (scaled if _all_of(affected, whole) else within).append(column)
+                every = affected.proportional and affected.elements == whole.elements
+                (scaled if every else within).append(column)
             elif (simple and affected is not None and affected.elements >= whole.elements
                   and affected.proportional and item.values == "relative"):  # fmt: skip
                 scaled.append(column)
@@ -158,7 +159,3 @@ def losses_of(
                 )
         found.append(Loss(factor, number, tuple(scaled), tuple(within)))
     return tuple(found)
-
-
-def _all_of(affected: AffectedElements, whole: AffectedElements) -> bool:
-    return affected.proportional and affected.elements == whole.elements

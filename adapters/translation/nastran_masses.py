@@ -39,7 +39,8 @@ def nastran_mass_properties(
     parts = [_point(body, freedoms, wtmass) for body in masses]
     for element in model.bulk.elements.values():
         if element.type in SOLIDS and element.pid not in model.lumped_properties:
-            corners = _places(element, freedoms)
+            at = freedoms.builder.coordinates
+            corners = np.array([at[node] for node in element.node_ids if node])
             density = element.pid_ref.mid_ref.rho * wtmass
             kind = f"{element.type}{len(corners)}"
             if element.type == "CPYRAM":
@@ -68,10 +69,6 @@ def _points(kind: str, corners: list[Floats]) -> Points:
 
 def _column(rows: list[Any], place: int) -> Floats:
     return np.array([row[place] for row in rows], dtype=np.float64)
-
-
-def _places(element: Any, freedoms: Freedoms) -> Floats:
-    return np.array([freedoms.builder.coordinates[node] for node in element.node_ids if node])
 
 
 def _point(body: PointMass, freedoms: Freedoms, wtmass: float) -> Moments:

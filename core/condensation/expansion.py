@@ -32,11 +32,10 @@ from scipy.spatial.distance import cdist
 
 from modetune.core.algebra.factorisation import (
     SINGULAR_CONDITION,
-    Factorisation,
     Matrix,
     symmetric_matrix,
 )
-from modetune.core.condensation.reduction import Partition, basis_inverse, checked_rows, partition
+from modetune.core.condensation.reduction import basis_inverse, checked_rows, partition
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers
@@ -109,7 +108,8 @@ def kidder_expansion(
             modes = np.flatnonzero(frequencies == frequency)
             shift = float(2.0 * np.pi * frequency) ** 2
             factors = model.factorise_slaves(shift)
-            whole[np.ix_(model.slaves, modes)] = _balanced(model, factors, shift, shapes[:, modes])
+            filled = -factors.solve(model.coupling(shift) @ shapes[:, modes])
+            whole[np.ix_(model.slaves, modes)] = filled
             condition[modes] = factors.condition
     return Expansion(whole, condition)
 
@@ -201,10 +201,6 @@ def _kept(n: int, shapes: Shapes, rows: Integers) -> Any:
     whole = np.zeros((n, shapes.shape[1]), dtype=shapes.dtype)
     whole[rows] = shapes
     return whole
-
-
-def _balanced(model: Partition, factors: Factorisation, shift: float, shapes: Shapes) -> Shapes:
-    return np.asarray(-factors.solve(model.coupling(shift) @ shapes))
 
 
 def _spline(points: Floats, values: Shapes, targets: Floats) -> tuple[Shapes, float]:

@@ -240,12 +240,9 @@ def _slopes(frequencies_hz: Floats, poles: Complexes, kind: Response) -> Floats:
     return np.stack([_stacked(s ** POWER[kind] * part) for part in both])
 
 
-def _orthonormal(basis: Floats) -> Floats:
-    return np.asarray(np.linalg.qr(basis / np.linalg.norm(basis, axis=0))[0])
-
-
 def _misfit(frequencies_hz: Floats, data: Floats, poles: Complexes, kind: Response) -> float:
-    q = _orthonormal(_basis(frequencies_hz, poles, kind))
+    basis = _basis(frequencies_hz, poles, kind)
+    q = np.linalg.qr(basis / np.linalg.norm(basis, axis=0))[0]
     return float(np.sum((data - q @ (q.T @ data)) ** 2))
 
 

@@ -78,7 +78,8 @@ def register(
     mirrored = False
     # Points in a plane are their own mirror image; a fit that leaves nothing cannot be bettered.
     if thinness[2] > 1e-3 * thinness[0] and search.evidence(0.0, costs[0]) > EVIDENCE:
-        mirrored = search.evidence(_mirror(search).fits(None)[1][0], costs[0]) > EVIDENCE
+        image = replace(search, points=search.points * np.array([1.0, 1.0, -1.0]))
+        mirrored = search.evidence(image.fits(None)[1][0], costs[0]) > EVIDENCE
     slides = 0.0 if exact else search.slides(fits.take([0]))
     found = [search.told(fits.take([row]), points) for row in range(len(fits))]
     return Registration(found[0], tuple(found[1:]), slides, exact, mirrored)
@@ -280,10 +281,6 @@ def _shaken(poses: Poses, points: Floats) -> Poses:
     delta = np.pad(rng.normal(0.0, 0.025, (len(best), 6)), ((0, 0), (0, 1)))
     lengths = best.scales * diagonal(points)
     return joined(poses, nudged(best, best.apply(points), delta, lengths))
-
-
-def _mirror(search: _Search) -> _Search:
-    return replace(search, points=search.points * np.array([1.0, 1.0, -1.0]))
 
 
 def _poses(one: Alignment) -> Poses:

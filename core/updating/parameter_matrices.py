@@ -255,11 +255,8 @@ def _placed(
         data = np.zeros(pattern.nnz)
         data[places_in(pattern, upper)] = upper.data
         upper = sparse.csr_array((data, pattern.indices, pattern.indptr), shape=upper.shape)
-    return upper, tuple(_part(upper, part) for part in parts if _weighs(part))
-
-
-def _weighs(part: Powers) -> bool:
-    return any(item.nnz for item in part.uppers)
+    kept = (part for part in parts if any(item.nnz for item in part.uppers))
+    return upper, tuple(_part(upper, part) for part in kept)
 
 
 def _part(upper: sparse.csr_array, part: Powers) -> ParameterMatrix:

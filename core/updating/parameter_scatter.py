@@ -125,7 +125,7 @@ def match_scatter(
     """
     mu, free = start.copy(), before.free
     sigma = np.zeros((free.size, free.size))
-    weights = _inverse(tests.covariance)
+    weights = np.asarray(cho_solve(cho_factor(tests.covariance), np.eye(len(tests.covariance))))
     prior = np.diag(before.deviation**-2)
     rounds, cut, last = 0, 0.0, np.zeros(free.size)
     for count in range(1, ROUNDS + 1):
@@ -187,10 +187,6 @@ def _not_negative(sigma: Floats) -> tuple[Floats, float]:
     kept = np.maximum(values, 0.0)
     cut = float(np.sum(kept - values) / max(np.sum(np.abs(values)), np.finfo(float).tiny))
     return np.asarray((vectors * kept) @ vectors.T), cut
-
-
-def _inverse(covariance: Floats) -> Floats:
-    return np.asarray(cho_solve(cho_factor(covariance), np.eye(len(covariance))))
 
 
 def noise_outside(tests: TestScatter, found: ParameterScatter, free: Integers) -> float:

@@ -12,7 +12,7 @@ from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import ModelOptions, Opened, study
-from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.report.tables import Column, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.flows.studies.condensation.reduce import ModelReduction
@@ -56,7 +56,9 @@ def reduce(
     written = write_matrices(out, found.matrices) if out is not None else ()
     held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
     lines = [*([held] if found.held else []), found.sentence]
-    return StudyEnd(found.sentence, told(found), [_table(found)], lines, written)
+    title = f"Reduced to {len(found.masters)} masters"
+    tables = [table_of(title, _rows(found), ReducedMode)]
+    return StudyEnd(found.sentence, told(found), tables, lines, written)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,3 @@ def told(found: ModelReduction) -> dict[str, Json]:
         converged=found.reduction.converged,
         modes=_rows(found),
     )
-
-
-def _table(found: ModelReduction) -> Table:
-    return table_of(f"Reduced to {len(found.masters)} masters", _rows(found), ReducedMode)

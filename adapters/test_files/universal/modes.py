@@ -60,7 +60,8 @@ def modes(files: Sequence[UniversalFile], notes: list[str]) -> FoundModes | None
     _check_moving(groups, table[kept])
     numbers = _numbers(groups, notes)
     rows, components = np.nonzero(kept)
-    found = table[kept] if any(map(np.iscomplexobj, _values(groups))) else table[kept].real
+    with_phase = any(np.iscomplexobj(shape.values) for group in groups for shape in group)
+    found = table[kept] if with_phase else table[kept].real
     collinearity = modal_phase_collinearity(found) if np.iscomplexobj(found) else np.zeros(0)
     _note_complex(found, collinearity, numbers, notes)
     leaders = [_strongest(group) for group in groups]
@@ -261,10 +262,6 @@ def _damping_ratios(
 
 def _strongest(shapes: Sequence[DatasetShape]) -> DatasetShape:
     return max(shapes, key=lambda shape: float(np.abs(shape.values).max()))
-
-
-def _values(groups: Sequence[Sequence[DatasetShape]]) -> list[Floats | Complexes]:
-    return [shape.values for group in groups for shape in group]
 
 
 def _unit_mass(shapes: Sequence[DatasetShape]) -> bool:

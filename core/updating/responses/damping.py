@@ -1,9 +1,7 @@
 """Modal damping ratios: z = zeta_m - zeta_c of each pair, zeta_c by the quadratic problem.
 
 Values and exact derivatives are those of `core/algebra/damped_modes`, from the real modes of K and
-M; a mode is the damped one that its real mode becomes (`core/updating/damped_pairs`).
-
-DampedPairs are the damped modes that the real modes of the pairs become, with what changes them.
+M; a mode is the damped one that its real mode becomes (`DampedPairs`, with what changes them).
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ def _sensors(test: MeasuredModes) -> Iterator[Finding]:
     still = np.flatnonzero(units.max(axis=1) < STILL)
     if still.size:
         yield TEST.doubtful(
-            f"no mode moves {_count(still.size)}",
+            f"no mode moves {still.size} sensor{'' if still.size == 1 else 's'}",
             listed(sensor_name(test.modes, row) for row in still.tolist()),
             "a dead channel, or a direction that the structure does not take; leave the "
             "row out if it was not measured",
@@ -189,7 +189,3 @@ def _outliers(test: MeasuredModes, units: Floats) -> Iterator[Finding]:
             f"{listed(test.numbers[place] for place in modes)}",
             "look at its calibration and mounting, or leave its row out",
         )
-
-
-def _count(sensors: int) -> str:
-    return f"{sensors} sensor{'' if sensors == 1 else 's'}"

@@ -112,7 +112,9 @@ class SolverTests:
         except SolverCancelled:
             raise
         except ModetuneError as error:
-            found = Verdict("failed", str(error), _remedy(error))
+            denied = isinstance(error, LicenceDenied)
+            remedy = "try again when a licence is free" if denied else ""
+            found = Verdict("failed", str(error), remedy)
         except ModuleNotFoundError as error:  # a package of an extra
             said = f"this requires the package {error.name}, which is not installed"
             found = Verdict("not available", said, "install the extra that brings it, told above")
@@ -319,7 +321,3 @@ def _first_line(error: Exception) -> str:
     said = [line.strip(" |*") for line in lines if line.startswith("  |")]
     told = [line for line in said if "ERROR" in line.upper() or "FATAL" in line]
     return (told[:1] or lines[:1] or [""])[0][:200]
-
-
-def _remedy(error: ModetuneError) -> str:
-    return "try again when a licence is free" if isinstance(error, LicenceDenied) else ""

@@ -119,7 +119,8 @@ class Identification:
 def identify(frfs: MeasuredFrfs, settings: IdentificationSettings) -> Identification:
     """Identify modes. Raises CampaignError where the functions or what is asked do not allow it."""
     used, notes = functions_in_band(frfs, settings.band_hz)
-    lines, scaled = used.frequencies_hz, _scaled(used.values)
+    lines = used.frequencies_hz
+    scaled = np.asarray(used.values / np.sqrt(np.mean(np.abs(used.values) ** 2, axis=0)))
     orders = _orders(lines, scaled, used.kind, settings)
     tracks = follow_poles(orders, settings.criteria)
     choice = _choose(lines, scaled, used.kind, tracks, settings, notes)
@@ -157,10 +158,6 @@ def identify(frfs: MeasuredFrfs, settings: IdentificationSettings) -> Identifica
         notes=(),
     )
     return replace(result, notes=(*notes, *_doubts(result)))
-
-
-def _scaled(values: Complexes) -> Complexes:
-    return np.asarray(values / np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
 
 
 def _orders(

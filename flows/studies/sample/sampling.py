@@ -60,7 +60,8 @@ class Chains:
     @property
     def are_enough(self) -> bool:
         """Whether the chains are long enough to be believed."""
-        return _are_enough(self.samples.shape[0], self.autocorrelation_times, self.r_hat)
+        steps, times = self.samples.shape[0], self.autocorrelation_times
+        return bool(steps >= ENOUGH_TIMES * times.max() and self.r_hat.max() <= LARGEST_R_HAT)
 
     @property
     def flat(self) -> Floats:
@@ -242,7 +243,3 @@ def split_r_hat(chain: Floats) -> Floats:
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.sqrt(whole / within)
     return np.asarray(np.where(within > 0.0, ratio, np.inf))
-
-
-def _are_enough(n_steps: int, times: Floats, r_hat: Floats) -> bool:
-    return bool(n_steps >= ENOUGH_TIMES * times.max() and r_hat.max() <= LARGEST_R_HAT)

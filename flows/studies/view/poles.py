@@ -10,7 +10,7 @@ import numpy as np
 
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.measurement.measurement import Measurement
 from modetune.core.storage.keys import Json
 from modetune.flows.report.chart import told_chart
 from modetune.flows.studies.identify.figures import stabilisation_chart
@@ -31,7 +31,7 @@ def told_poles(part: Part, band: Band, order: int) -> dict[str, Json]:
 
     Raises CampaignError.
     """
-    measurement = _measurement(part)
+    measurement = read_measurement([path for path, _ in _stamped(part)])
     found = _identified(_stamped(part), band, order, ())
     lines = found.frfs.frequencies_hz
     enough = found.settings.criteria.least_picked
@@ -73,7 +73,7 @@ def poles_change(part: Part, band: Band, order: int, pick: Sequence[float]) -> C
     stem = "-".join(filter(None, (part.source.path.stem, part.name, "picked")))
     name = f"{stem}{'.csv' if geometry is None else '.unv'}"
     functions = ", ".join(kept)
-    write = partial(_write, part.source.path.parent / name, found, geometry, functions)
+    write = partial(write_modes, part.source.path.parent / name, found, geometry, functions)
     listed = ", ".join(f"{hz:.4g}" for hz in found.modes.modes.frequencies_hz)
     notes = [f"{name} is written with {len(found.modes.numbers)} modes: {listed} Hz", *found.notes]
     test = part.at("test")
@@ -86,10 +86,6 @@ def poles_change(part: Part, band: Band, order: int, pick: Sequence[float]) -> C
     return part.change({("test", "modes"): files}, tuple(notes), write)
 
 
-def _write(path: Path, found: Identification, geometry: TestGeometry | None, source: str) -> None:
-    write_modes(path, found, geometry, source)
-
-
 def _named(part: Part) -> list[str]:
     """The files of `test.modes`, as they are written there."""
     named = part.at("test", "modes")
@@ -100,10 +96,6 @@ def _stamped(part: Part) -> tuple[tuple[Path, int], ...]:
     """The test's files with the times they were written."""
     paths = [part.source.path.parent / name for name in _named(part)]
     return tuple((path, path.stat().st_mtime_ns if path.is_file() else 0) for path in paths)
-
-
-def _measurement(part: Part) -> Measurement:
-    return read_measurement([path for path, _ in _stamped(part)])
 
 
 def _kept(part: Part) -> tuple[list[str], dict[str, Measurement]]:
