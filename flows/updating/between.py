@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.core.modes import Floats
-from modetune.core.updating.estimation import Step
+from modetune.core.updating.estimation import BELIEVED, Step
 from modetune.core.updating.sensitivity import broyden_update
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix
@@ -73,15 +73,31 @@ class Between:
         # The objective is a square: its share left is that of the errors, squared.
         return 2.0 * math.log(max(far, LEAST_WAY)) <= -rounds * math.log(max(left, 1e-300))
 
-    def older(
-        self, matrix: Matrix, current: Evaluation, step: Step, evaluation: Evaluation
-    ) -> Matrix:
-        """The matrix of a step from the current set for use once more, as it is or corrected."""
+    def tries_again(self, slope: float) -> bool:
+        """Whether a step by an old matrix that made things worse is gone on from: Broyden's, where
+        the residual changed by no more than e2 a parameter."""
+        campaign = self.campaign
+        return campaign.sensitivity.between == "broyden" and 0.0 < slope <= campaign.update.e2
+
+    def goes_on(self, matrix: Matrix | None, evaluation: Evaluation) -> bool:
+        """Whether the end of an old matrix is followed to the least misfit, as new ones would end.
+
+        e1 then asks for less than what the deviations of frequencies leave: there is no noise.
+        """
+        if matrix is None or matrix.age == 0 or self.campaign.sensitivity.between == "keep":
+            return False
+        noise = evaluation.residual.noise[evaluation.residual.rows("frequencies")]
+        asked = 2.0 * self.campaign.tolerances.frequency  # of an eigenvalue
+        return noise.size > 0 and asked <= BELIEVED * math.sqrt(float(noise.min()))
+
+    def older(self, matrix: Matrix, begun: Evaluation, evaluation: Evaluation) -> Matrix:
+        """The matrix of a step from where it began for use once more, as it is or corrected."""
         if self.campaign.sensitivity.between == "keep":
             return replace(matrix, age=matrix.age + 1)
-        change = current.residual.values - evaluation.residual.values
-        rows = current.residual.rows("frequencies")
-        values = broyden_update(matrix.values, step.change, change, rows.stop)
+        change = begun.residual.values - evaluation.residual.values
+        rows = begun.residual.rows("frequencies")
+        step = evaluation.theta - begun.theta
+        values = broyden_update(matrix.values, step, change, rows.stop)
         exact = self.evaluator.by_energies(evaluation)
         known = np.isfinite(exact)
         values[rows][known] = exact[known]

@@ -41,6 +41,8 @@ STATIONARY = 1e-4
 NO_STEP = 1e-8
 #: Largest parameter change that the least misfit is not worth, where e1 holds.
 POLISHED = 1e-4
+#: ... where an old matrix led there, and new ones are to end at the same values.
+SAME_END = 1e-3
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
 #: Frequencies by stored matrices and by the solver itself that differ more are not one model's.
@@ -111,7 +113,8 @@ class State:
 class Trial:
     """A set tried: the step to it, what it gave, its fresh matrix if there is one, its slope.
 
-    region: that the step was taken in.
+    region: that the step was taken in. used, begun: the matrix of its last part, and the set where
+    that began: the current one but after a step by an old matrix that made things worse.
     """
 
     step: Step
@@ -119,6 +122,8 @@ class Trial:
     matrix: Matrix | None
     slope: float
     region: TrustRegion
+    used: Matrix
+    begun: Evaluation
 
 
 class Loop:
@@ -192,7 +197,7 @@ class Loop:
             self.last_matrix = matrix
             trial = self._try(state, matrix)
             if trial is not None:
-                state, gained = self._accept(state, matrix, trial)
+                state, gained = self._accept(state, trial)
                 if gained or matrix.age > 0 or state.current.agrees(self.campaign.tolerances):
                     continue
                 if self.stepping.adapts and not state.region.boldest:
@@ -209,25 +214,36 @@ class Loop:
         """The least misfit beside a state that meets e1, without leaving e1.
 
         Where sets cost little, and as far as the test tells: what it does not see stays as it is.
+        An old matrix that led to the end goes on as long as it moves a value, if new ones would
+        end at the same.
         """
         gained = True
-        while gained and self.evaluator.polishes(state.current):
-            matrix = state.matrix or self._fresh(state.current)
+        while gained:
+            little, current = self.evaluator.polishes(state.current), state.current
+            if not little and not self.between.goes_on(state.matrix, current):
+                return state
+            matrix = state.matrix or self._fresh(current)
             self.last_matrix, state = matrix, replace(state, matrix=matrix)
-            step, trial = self.stepping.to_least_misfit(state.current, matrix), None
+            if little:
+                step = self.stepping.to_least_misfit(current, matrix)
+            else:
+                step = self.stepping.step(current, matrix, state.region)
+            least, trial = POLISHED if little else SAME_END, None
             while trial is None:
-                if np.max(np.abs(step.change)) < POLISHED or self._used_up():
+                if np.max(np.abs(step.change)) < least or self._used_up():
                     return state
                 self.number += 1
                 trial = self._polishing(state, matrix, step)
-                step = self.stepping.halved(state.current, matrix, step)
-            state, gained = self._accept(state, matrix, trial)
+                if trial is None and not little:
+                    return state
+                step = self.stepping.halved(current, matrix, step)
+            state, gained = self._accept(state, trial)
         return state
 
     def _polishing(self, state: State, matrix: Matrix, step: Step) -> Trial | None:
         """The set of a step, None where it is not better, or e1 does not hold there."""
         try:
-            trial = self._evaluate(state, step, state.region, 0)
+            trial = self._evaluate(state, matrix, step, state.region, 0)
         except (SolverError, ModesError) as error:
             if isinstance(error, SolverMissing | SolverCancelled):
                 raise
@@ -270,43 +286,59 @@ class Loop:
     def _try(self, state: State, matrix: Matrix) -> Trial | None:
         """The first set that is better than the current one, or None.
 
-        An old matrix gets one chance; with a fresh one the step is made shorter until it helps.
+        With a fresh matrix the step is made shorter until it helps. An old one gets one chance, and
+        Broyden's a second: along a narrow valley a long step is worse by its curvature alone, and
+        corrected by what it showed the next one from there ends at the bottom, at the price of a
+        round where a new matrix takes all of its own.
         """
-        current, region = state.current, state.region
+        current, region, begun = state.current, state.region, state.current
         step = self.stepping.step(current, matrix, region)
-        chances, failures = 1 if matrix.age > 0 else SHORTENINGS + 1, 0
+        chances, failures = 2 if matrix.age > 0 else SHORTENINGS + 1, 0
         for chance in range(chances):
             if np.max(np.abs(step.change)) < NO_STEP or self._used_up():
                 return None
             self.number += 1
             self.watcher.working(f"iteration {self.number}")
-            ending = "taken back, new sensitivity" if matrix.age > 0 else "shorter step"
+            old = matrix.age > 0
+            ending = "taken back, new sensitivity" if old else "shorter step"
             try:
-                trial = self._evaluate(state, step, region, chance)
+                trial = self._evaluate(state, matrix, step, region, chance, begun)
             except (SolverError, ModesError) as error:
-                never_solved = matrix.age == 0 and failures == chance == chances - 1
+                never_solved = not old and failures == chance == chances - 1
                 if isinstance(error, SolverMissing | SolverCancelled) or never_solved:
                     raise
                 failures += 1
                 level = logging.WARNING if self.evaluator.steps_run else logging.INFO
                 logger.log(level, "%s; %s", error, ending)
+                if old:
+                    return None
             else:
                 better = self.stepping.better(current, trial.evaluation, step)
                 if better or trial.evaluation.agrees(self.campaign.tolerances):
                     return trial
-                self._note(
-                    trial.evaluation,
-                    trial.step,
-                    matrix,
-                    trial.slope,
-                    False,
-                    f"worse: {ending}",
-                    False,
-                )
+                again = old and chance == 0 and self.between.tries_again(trial.slope)
+                decision = "worse: corrected and gone on from" if again else f"worse: {ending}"
+                self._note(trial.evaluation, step, matrix, trial.slope, False, decision, False)
+                if again:
+                    matrix = self.between.older(matrix, begun, trial.evaluation)
+                    begun = trial.evaluation
+                    step = self.stepping.step(begun, matrix, region)
+                    step = replace(step, change=begun.theta + step.change - current.theta)
+                    continue
+                if old:
+                    return None
             step, region = self.stepping.shorter(current, matrix, step, region)
         return None
 
-    def _evaluate(self, state: State, step: Step, region: TrustRegion, chance: int) -> Trial:
+    def _evaluate(
+        self,
+        state: State,
+        matrix: Matrix,
+        step: Step,
+        region: TrustRegion,
+        chance: int,
+        begun: Evaluation | None = None,
+    ) -> Trial:
         current = state.current
         # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
         alone = (
@@ -319,15 +351,15 @@ class Loop:
         theta = current.theta + step.change
         evaluation, fresh = self.evaluator.evaluate(self.number, theta, current, alone)
         change = slope(evaluation.residual, current.residual, theta.size)
-        return Trial(step, evaluation, fresh, change, region)
+        return Trial(step, evaluation, fresh, change, region, matrix, begun or current)
 
-    def _accept(self, state: State, matrix: Matrix, trial: Trial) -> tuple[State, bool]:
+    def _accept(self, state: State, trial: Trial) -> tuple[State, bool]:
         """The state after a better set, and whether more than nothing was gained by it.
 
         e2 spares this set its sensitivity where Broyden's formula can stand in, and the next set
         where the old matrix is kept as it is (thesis, 4.2), as long as steps keep their promise.
         """
-        current, step, stepping = state.current, trial.step, self.stepping
+        current, step, matrix, stepping = state.current, trial.step, trial.used, self.stepping
         before = stepping.objective(current, current.residual.values, step)
         gain = stepping.gain(current, trial.evaluation, step)
         promised = before - stepping.objective(current, step.predicted, step, 1.0)
@@ -347,7 +379,7 @@ class Loop:
             spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix
         if spared is not None:
-            following = self.between.older(matrix, current, step, trial.evaluation)
+            following = self.between.older(matrix, trial.begun, trial.evaluation)
             if not ends:
                 self.evaluator.skip(self.number, spared)
         self.last_matrix = following or matrix

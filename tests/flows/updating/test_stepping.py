@@ -24,9 +24,14 @@ def storeys(
     n_modes: int,
     bounds: tuple[float, float] = (0.4, 2.5),
     shape_weight: float = 1.0,
+    differences: bool = False,
     **update: Any,
 ) -> CampaignRecord:
-    """An update of equal storeys towards true springs, at default settings but for `update`."""
+    """An update of equal storeys towards true springs, at default settings but for `update`.
+
+    differences: sensitivities are those of modal runs, one after the other.
+    """
+    more: dict[str, Any] = {"sensitivity": {"method": "finite_difference"}} if differences else {}
     n = truth.size
     parts = {}
     for place in range(n):
@@ -58,6 +63,8 @@ def storeys(
             ],
             "residuals": {"shape_weight": shape_weight},
             "update": {"e1": EXACT, **update},
+            "run": {"parallel": 1},
+            **more,
             "report": {"page": False},
             "store": str(folder / "store"),
         },
@@ -141,3 +148,34 @@ def test_e2_spares_sensitivities_of_the_default_step(bench: Any, watcher: Any) -
         np.testing.assert_allclose(record.updated, list(truth.values()), rtol=1e-3)
         skipped.append(sum(item.sensitivity_skipped for item in record.iterations))
     assert skipped[0] == 0 < skipped[1]
+
+
+@pytest.mark.parametrize("seed", [51, 56])
+def test_a_corrected_step_that_a_narrow_valley_makes_worse_is_gone_on_from(
+    tmp_path: Path, seed: int
+) -> None:
+    # Two modes of six storeys: springs that they hardly tell take long steps.
+    truth = np.random.default_rng(seed).uniform(0.5, 2.0, 6)
+    always, skipping = (
+        storeys(
+            tmp_path / str(e2),
+            truth,
+            2,
+            differences=True,
+            e1={"frequency": 1e-5, "mac": 0.9},
+            e2=e2,
+        )
+        for e2 in (0.0, 0.2)
+    )
+    assert always.status == skipping.status == "converged"
+    # e1 is 1e-5; a hundred times less are they sure of what two modes hardly tell.
+    np.testing.assert_allclose(skipping.updated, always.updated, rtol=1e-3)
+    assert skipping.runs.sensitivity < always.runs.sensitivity
+    said = [item.decision for item in skipping.iterations]
+    place = said.index("worse: corrected and gone on from")
+    worse, after = skipping.iterations[place : place + 2]
+    before = [item for item in skipping.iterations[:place] if item.accepted][-1]
+    assert (worse.accepted, after.accepted) == (False, True)
+    assert after.residual.misfit < before.residual.misfit < worse.residual.misfit
+    # The step of the record is the whole way from the set that was kept.
+    np.testing.assert_allclose(after.step, after.parameters - before.parameters, atol=1e-12)
