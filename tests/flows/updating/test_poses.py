@@ -105,13 +105,13 @@ def test_a_ring_of_alike_masses_has_no_pose_of_its_own_wherever_its_repeated_mod
     shapes = np.column_stack([np.cos(angles), np.sin(angles), (-1.0) ** np.arange(6)])
     measured = shapes[:, [0, 2]]
     hz, nodes = np.array([10.0, 10.0, 25.0]), np.arange(1, 7)
-    test = MeasuredModes((1, 2), mode_set(hz[[0, 2]], measured, nodes, np.ones(6)))
+    test = MeasuredModes((1, 2), mode_set(hz[[0, 2]], measured, nodes, np.ones(6, int)))
     campaign: Campaign = bench.campaign(TRUTH, modes=(1, 2), shapes=True)
     straight = replace(campaign.case.mapping, alignment=HERE)
     rolled = replace(straight.sensors, model_nodes=np.roll(straight.sensors.model_nodes, 1))
     turned = replace(straight, sensors=rolled, alignment=TURNED)
     case = recased(campaign, test=test, mapping=replace(straight, others=(turned,))).case
-    ring = ModalResult.of_shapes((2.0 * np.pi * hz) ** 2, shapes, nodes, np.ones(6), hz, 0)
+    ring = ModalResult.of_shapes((2.0 * np.pi * hz) ** 2, shapes, nodes, np.ones(6, int), hz, 0)
     found, said = by_shapes(case, ring)
     assert found.mapping.uncertain
     assert said.startswith("measured shapes cannot tell its poses apart")
