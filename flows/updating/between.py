@@ -84,7 +84,9 @@ class Between:
 
         e1 then asks for less than what the deviations of frequencies leave: there is no noise.
         """
-        if matrix is None or matrix.age == 0 or self.campaign.sensitivity.between == "keep":
+        if matrix is None or matrix.age == 0 or self.campaign.fields:
+            return False
+        if self.campaign.sensitivity.between == "keep":
             return False
         noise = evaluation.residual.noise[evaluation.residual.rows("frequencies")]
         asked = 2.0 * self.campaign.tolerances.frequency  # of an eigenvalue

@@ -219,8 +219,10 @@ class Loop:
         """
         gained = True
         while gained:
-            little, current = self.evaluator.polishes(state.current), state.current
-            if not little and not self.between.goes_on(state.matrix, current):
+            current = state.current
+            old = self.between.goes_on(state.matrix, current)
+            little = not old and self.evaluator.polishes(current)
+            if not old and not little:
                 return state
             matrix = state.matrix or self._fresh(current)
             self.last_matrix, state = matrix, replace(state, matrix=matrix)

@@ -150,7 +150,7 @@ def test_e2_spares_sensitivities_of_the_default_step(bench: Any, watcher: Any) -
     assert skipped[0] == 0 < skipped[1]
 
 
-@pytest.mark.parametrize("seed", [51, 56])
+@pytest.mark.parametrize("seed", [51, 52])
 def test_a_corrected_step_that_a_narrow_valley_makes_worse_is_gone_on_from(
     tmp_path: Path, seed: int
 ) -> None:
