@@ -98,6 +98,7 @@ class Worker:
             self.server.close()
             self.server = use_server()
             self.server.wait()
+            self._watch = SilentRuns()  # a server that was gone heard nobody meanwhile
         with self.server.api() as api:
             yield api
 

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,9 @@ from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.heartbeats import LABEL, LICENCES, SilentRuns
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.prefect_api import PrefectApi, ServerRefused
+from modetune.flows.server import worker as worker_module
 from modetune.flows.server.deployment import make_pool
-from modetune.flows.server.worker import check_login
+from modetune.flows.server.worker import Worker, check_login
 from tests.flows.conftest import api_of
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
@@ -331,3 +332,37 @@ def test_only_a_run_that_gives_no_signs_is_taken_for_dead(monkeypatch: pytest.Mo
         now[0], server.signs["a"] = 10.0 * turn, str(turn)
         watch.look(server)  # type: ignore[arg-type]  # it asks for three paths
     assert (server.crashed, server.freed) == (["b"], ["b1", "b2"])
+
+
+class Gone:
+    """A shared server that ended by itself."""
+
+    shared = True
+
+    def answer(self) -> str:
+        return "does not answer"
+
+    def close(self) -> None:
+        pass
+
+    def wait(self) -> None:
+        pass
+
+    def api(self) -> Any:
+        return nullcontext(Server())
+
+
+def test_a_worker_that_started_the_server_again_counts_silence_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Else runs of others, which told nothing to a server that was gone, would be dead at once."""
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(worker_module, "use_server", Gone)
+    worker: Any = Worker(Gone(), "pool", None)  # type: ignore[arg-type]  # it asks for four things
+    server = Server()
+    worker._watch.look(server)
+    now[0] = 40.0
+    with worker._api():
+        worker._watch.look(server)
+    assert server.crashed == []
