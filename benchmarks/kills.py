@@ -30,8 +30,6 @@ from tests.flows.server.test_worker import (
     killed_server_round,
 )
 
-from modetune.flows.jobs.prefect_server import stop_server
-
 #: What is killed at one blow, in turn.
 BLOWS = {
     "worker and run": (WORKER, RUN),
@@ -94,8 +92,7 @@ def rounds(count: int, folder: Path) -> None:
                 known_s = time.monotonic() - began
             _tell(f"{number + 1:3d}  {name:26}  known after {known_s:5.1f} s")
     finally:
-        site.kill(WORKER, RUN, POSTER)
-        stop_server(site.home)
+        site.kill(WORKER, RUN, POSTER, *SERVER)
 
 
 def _tell(line: str) -> None:
