@@ -1,7 +1,7 @@
 """The record of a campaign under way, for who looks on, and for who comes after a kill.
 
-What a second or more went by for is written at once. What comes sooner, as from the store, waits
-for the next for so long: to write each would take a campaign that the store answers longer than its
+What comes within a second of what was written last waits for the rest of that second, and the
+newest is written: to write each would take a campaign that the store answers longer than its
 iterations do. A kill loses no more than the sight of that second's work; its results are stored.
 """
 
@@ -27,31 +27,36 @@ def unfinished_record(path: Path) -> Iterator[Callable[[CampaignRecord], None]]:
 
     Raises StorageUnavailable, of a record that waited with the next one.
     """
-    waiting: list[tuple[threading.Timer, CampaignRecord]] = []
-    last = time.monotonic()
+    lock, newest = threading.Lock(), list[CampaignRecord]()
+    written = time.monotonic()
+    timer: threading.Timer | None = None
 
-    def write(record: CampaignRecord) -> None:
+    def write() -> None:
+        nonlocal written, timer
+        with lock:
+            if timer is not None:
+                timer.cancel()
+            timer = None
+            if newest:
+                write_record(path, newest.pop())
+                written = time.monotonic()
+
+    def write_late() -> None:
         with suppress(StorageUnavailable):
-            write_record(path, record)
+            write()
 
     def keep(record: CampaignRecord) -> None:
-        nonlocal last
-        for timer, _ in waiting:
-            timer.cancel()
-            timer.join()  # it may be writing
-        waiting.clear()
-        if record.status != "running" or time.monotonic() - last >= LATE_S:
-            write_record(path, record)
-        else:
-            timer = threading.Timer(LATE_S, write, [record])
-            waiting.append((timer, record))
+        nonlocal timer
+        with lock:
+            newest[:] = [record]
+        left = written + LATE_S - time.monotonic()
+        if record.status != "running" or left <= 0.0:
+            write()
+        elif timer is None:
+            timer = threading.Timer(left, write_late)
             timer.start()
-        last = time.monotonic()
 
     try:
         yield keep
     finally:
-        for timer, record in waiting:
-            timer.cancel()
-            timer.join()
-            write(record)
+        write_late()

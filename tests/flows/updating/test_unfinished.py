@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,7 +44,24 @@ def test_what_waits_is_written_by_itself(tmp_path: Path, monkeypatch: pytest.Mon
     with unfinished_record(tmp_path / "record.h5") as keep:
         keep(RUNNING)
         assert written.wait(60.0)
+    for thread in threading.enumerate():
+        if isinstance(thread, threading.Timer):
+            thread.join(60.0)
     assert threading.active_count() == before
+
+
+def test_quick_iterations_do_not_put_the_record_off_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unfinished, "LATE_S", 0.2)
+    written = threading.Event()
+    monkeypatch.setattr(unfinished, "write_record", lambda path, record: written.set())
+    until = time.monotonic() + 60.0
+    with unfinished_record(tmp_path / "record.h5") as keep:
+        while not written.is_set() and time.monotonic() < until:
+            keep(RUNNING)
+            time.sleep(0.02)
+        assert written.is_set()
 
 
 def test_a_campaign_that_fails_leaves_its_newest_record(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ import pytest
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import STORE_VARIABLE
+from modetune.flows.updating import unfinished
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.running import update_campaign
 from tests.adapters.solved import needs_ccx
@@ -146,7 +147,10 @@ def test_it_listens_on_the_loopback_device_alone(viewed: Viewed) -> None:
     assert [place for place in places if int(place[-4:], 16) == port] == [f"0100007F:{port:04X}"]
 
 
-def test_an_iteration_appears_while_the_page_is_open(page: Any, viewed: Viewed) -> None:
+def test_an_iteration_appears_while_the_page_is_open(
+    page: Any, viewed: Viewed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unfinished, "LATE_S", 0.0)  # as of iterations of a second or more
     page.wait_for_selector("#status:has-text('not run yet')")
     campaign = load_campaign(viewed.hook.campaign)
     folder = viewed.hook.campaign.parent / "runs" / "hook"
