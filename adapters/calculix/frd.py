@@ -22,17 +22,13 @@ import numpy as np
 
 from modetune.adapters.paraview import ELEMENT, NODE, SHAPE
 from modetune.adapters.process import read_log, run_process
-from modetune.adapters.regular_file import open_regular
+from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.adapters.solver import Command
 from modetune.core.errors import NoResult
-from modetune.core.modes import Integers
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 
 if TYPE_CHECKING:
     import pyvista
-
-
-from modetune.adapters.regular_file import read_errors
-from modetune.core.modes import Floats, ModeSet, mode_set
 
 END = "*END STEP\n"
 #: Runs ccx2paraview.
