@@ -85,6 +85,7 @@ class Opened:
         )
 
     def to_shapes(self) -> None:
+        self.value("modetune.drawAll()")  # or charts that come into sight move what is below
         self.page.locator("#shape-view").scroll_into_view_if_needed()
         self.wait(READY)
 
@@ -178,7 +179,9 @@ def test_the_shape_turns_with_the_mouse_while_it_moves(opened: Opened) -> None:
     opened.to_shapes()
     opened.page.get_by_text("Play", exact=True).click()
     before = opened.value(EYE)
-    box = opened.page.locator("#shape-view canvas").bounding_box()
+    canvas = opened.page.locator("#shape-view canvas")
+    canvas.hover()  # scrolled to and standing still, or its middle may lie below the window
+    box = canvas.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     mouse = opened.page.mouse
     mouse.move(x, y)
@@ -352,8 +355,9 @@ def test_a_surface_round_test_points_is_seen_through(
 
 
 def test_the_pointer_tells_a_point_and_an_axis_is_drawn_out(opened: Opened) -> None:
-    opened.page.locator("#chart-convergence").scroll_into_view_if_needed()
+    opened.value("modetune.drawAll()")
     chart = opened.page.locator("#chart-convergence svg[role=img]").first
+    chart.hover()
     box = chart.bounding_box()
     mark = chart.locator("circle").first.bounding_box()
     opened.page.mouse.move(mark["x"] + mark["width"] / 2, mark["y"] + mark["height"] / 2)

@@ -253,7 +253,7 @@ def test_a_test_that_was_dragged_away_is_fitted_from_there(page: Any, viewed: Vi
     page.locator("#landmarks th").nth(2).wait_for(state="attached")
     page.click("[data-tool=move]")
     canvas = page.locator("#model-space")
-    canvas.scroll_into_view_if_needed()
+    canvas.hover()
     box = canvas.bounding_box()
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
