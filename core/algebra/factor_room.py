@@ -4,10 +4,10 @@ PARDISO tells after its symbolic phase what the factors will take. With that, wh
 holds already and what its vectors will take, memory suffices or does not. Where it does not, and
 whoever asks can do with the factors of a similar matrix, half as much is taken in single precision.
 Where that does not fit either they go to files (what PARDISO does in two levels of parallel work
-goes in memory alone). The order of the unknowns is the same in all cases, and found once. Files are
-written once a factorisation and read twice a solution, and all the memory that is left buffers
-them: with a third of what the factors take a solution was seen to take two times, and a
-factorisation two to six times, as long as in memory.
+goes in memory alone), and the vectors with them. The order of the unknowns is the same in all
+cases, and found once. Files of factors are written once a factorisation and read twice a solution,
+and all the memory that is left buffers them: with a third of what the factors take a solution was
+seen to take two times, and a factorisation two to six times, as long as in memory.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from modetune.core.errors import SolverExhausted
 
 logger = logging.getLogger(__name__)
 
+#: Of so many vectors one is worked on in memory while the others are in files.
+WORKED_ON = 4
 #: Share of a machine's or container's memory that is planned with: the rest is the system's, and
 #: of processes that nobody counted.
 PLANNED = 0.9
@@ -117,34 +119,40 @@ def _roomy(
     held, single = _resident(), similar is not None and room.single is True
     factors = ordered(single=single)
     told, vector = factors.memory, 8 * factors.n
-    beside, peak = held + vector * (similar or 0 if single else columns), told.peak
+    vectors, peak = vector * (similar or 0 if single else columns), told.peak
     text = (
         f"the factors of {factors.n} equations{factors.held} take {_gb(peak)}, beside "
-        f"{_gb(beside)} of what else is in memory, and {_gb(room.memory_bytes)} may be taken "
-        f"({room.memory_key}, or else what machine or container have)"
+        f"{_gb(held + vectors)} of what else is in memory, and {_gb(room.memory_bytes)} may be "
+        f"taken ({room.memory_key}, or else what machine or container have)"
     )
-    if beside + peak <= room.memory_bytes:
+    if held + vectors + peak <= room.memory_bytes:
         return factors, f"{text}: they stay in memory"
     factors.close()
     if similar is not None and room.single is None:
-        single, beside, peak = True, held + vector * similar, told.single_peak
-        text = f"{text}; in single precision {_gb(peak)}, beside {_gb(beside)}"
-        if beside + peak <= room.memory_bytes:
+        single, vectors, peak = True, vector * similar, told.single_peak
+        text = f"{text}; in single precision {_gb(peak)}, beside {_gb(held + vectors)}"
+        if held + vectors + peak <= room.memory_bytes:
             said = "so they are made, and lead by products in double precision to the same modes"
             return ordered(single=True), f"{text}: {said}"
     files = room.files()
     try:
-        return _in_files(partial(ordered, files=files, single=single), room, files, beside, text)
+        in_files = partial(ordered, files=files, single=single)
+        return _in_files(in_files, room, files, held, vectors, text)
     except BaseException:
         files.remove()
         raise
 
 
 def _in_files(
-    ordered: partial[Pardiso], room: FactorRoom, files: FactorFiles, beside: int, text: str
+    ordered: partial[Pardiso],
+    room: FactorRoom,
+    files: FactorFiles,
+    held: int,
+    vectors: int,
+    text: str,
 ) -> tuple[Pardiso, str]:
-    factors = ordered()
-    least, disk = beside + factors.memory_on_disk, factors.memory.factors
+    factors, beside = ordered(), held + vectors // WORKED_ON
+    least, disk = beside + factors.memory_on_disk, factors.memory.factors + vectors
     free = disk_usage(files.folder).free
     if least > room.memory_bytes:
         raise SolverExhausted(
@@ -203,12 +211,12 @@ def _number(path: Path) -> int | None:
 
 
 def _resident() -> int:
-    """Memory that this process holds, bytes."""
+    """Memory that this process holds, bytes, without the files that it has mapped."""
     try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        resident, mapped = map(int, Path("/proc/self/statm").read_text().split()[1:3])
     except OSError:
         return 0
-    return pages * os.sysconf("SC_PAGE_SIZE")
+    return (resident - mapped) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _gb(size: int) -> str:

@@ -30,6 +30,7 @@ from scipy.sparse import linalg
 
 from modetune.core.algebra import matrices
 from modetune.core.algebra.factor_room import roomy_factors
+from modetune.core.algebra.krylov import in_memory
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.errors import ModelError
 from modetune.core.near_names import listed
@@ -68,6 +69,9 @@ class SymmetricFactors(Protocol):
         self, block: NDArray[np.float64], out: NDArray[np.float64] | None = None
     ) -> NDArray[np.float64]:
         """The solution of A x = block, (n,) or (n, n_rhs), in Fortran order; out: its place."""
+
+    def room_for(self, n_rows: int, n_columns: int) -> NDArray[np.float64]:
+        """Room for vectors (n_rows, n_columns) where the factors are, in Fortran order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,3 +297,6 @@ class _SymmetricSuperLu:
             return np.asfortranarray(x)
         out[...] = x
         return out
+
+    def room_for(self, n_rows: int, n_columns: int) -> NDArray[np.float64]:
+        return in_memory(n_rows, n_columns)

@@ -34,6 +34,9 @@ from modetune.core.modes import Floats
 #: A product with a block (n_rows, n_columns), in Fortran order, and where to put it.
 Product = Callable[[Floats, Floats], object]
 
+#: Makes room for so many vectors: (n_rows, n_columns), in Fortran order, with any numbers.
+Room = Callable[[int, int], Floats]
+
 #: Random vectors beside shapes that are known: they hold a little of every mode.
 GUARD = 4
 
@@ -66,6 +69,11 @@ class RitzPairs:
     converged: bool
 
 
+def in_memory(n_rows: int, n_columns: int) -> Floats:
+    """Room for so many vectors in memory."""
+    return np.empty((n_rows, n_columns), order="F")
+
+
 def block_krylov(
     solve: Product,
     mass: Product,
@@ -75,6 +83,7 @@ def block_krylov(
     n_blocks: int,
     *,
     least_inverted: float = 0.0,
+    room_for: Room = in_memory,
 ) -> RitzPairs:
     """The n_pairs largest eigenvalues of A; fewer where the start vectors span less.
 
@@ -82,12 +91,11 @@ def block_krylov(
     order, written over; tolerance: largest relative
     residual; n_blocks: after how many blocks to give up. It goes on, though residuals are small,
     until the last theta is above least_inverted: a pair that start vectors lack needs a few blocks
-    to show.
+    to show. room_for: where the basis is.
     """
     room = start.shape[1] * n_blocks
     # Large blocks are made once: first touches of memory cost as much as the products.
-    q = np.empty((start.shape[0], room), order="F")
-    mq = np.empty_like(q, order="F")
+    q, mq = (room_for(start.shape[0], room) for _ in range(2))
     y, my = start, np.empty_like(start, order="F")
     mass(y, my)
     t = np.zeros((room, room))
@@ -136,6 +144,7 @@ def block_davidson(
     tolerance: float,
     n_blocks: int,
     n_random: int,
+    room_for: Room = in_memory,
 ) -> RitzPairs | None:
     """The n_pairs largest eigenvalues of A by the inverse of a similar matrix.
 
@@ -144,14 +153,13 @@ def block_davidson(
     to give up, or as soon as residuals fall so slowly that these will not do. It goes on until the
     pair next to those wanted is known well enough to be none of them. As many pairs as start and
     random have columns are given back, without images, for whoever goes on; None where K - s M is
-    not positive. In memory are DAVIDSON vectors (n,) a pair: blocks are made in their place in the
-    basis.
+    not positive. room_for: where the basis and its images are. There and in memory are DAVIDSON
+    vectors (n,) a pair, one of them in memory: blocks are made in their place in the basis.
     """
     known = start.shape[1]
     new = width = known + n_random
     room = width * min(n_blocks + 1, _BASIS_BLOCKS)
-    v = np.empty((start.shape[0], room), order="F")
-    sv = np.empty_like(v, order="F")
+    v, sv = (room_for(start.shape[0], room) for _ in range(2))
     v[:, :new] = with_random(start, n_random)
     nearly(mass(v[:, known:new]), v[:, known:new])
     t = np.zeros((room, room))
@@ -186,8 +194,10 @@ def block_davidson(
         w, r = (vectors[:, used : used + theta.size] for vectors in (v, sv))
         r[...] = 0.0
         _subtract(r, sv[:, :used], -ritz)
+        x = dgemm(1.0, v[:, :used], ritz / theta)
         for pair in range(theta.size):  # one by one: their block would be as large as any here
-            r[:, pair] -= mass(v[:, :used] @ (ritz[:, pair] / theta[pair]))
+            r[:, pair] -= mass(x[:, pair])
+        del x
         nearly(r, w)
         solutions += theta.size
         squares = np.array([x @ mass(x) for x in w.T]) / theta

@@ -25,6 +25,7 @@ import ctypes
 import math
 import os
 import sys
+import tempfile
 import threading
 import weakref
 from collections.abc import Callable, Iterator
@@ -38,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from modetune.core.algebra.krylov import in_memory
 from modetune.core.errors import ModelError, ModetuneError, SolverExhausted
 from modetune.core.modes import Floats, Integers
 
@@ -98,6 +100,23 @@ class FactorFiles:
     folder: Path
     remove: Callable[[], None]
     memory_mb: int = _LARGEST_MB
+
+    def vectors(self, n_rows: int, n_columns: int) -> Floats:
+        """Room for vectors (n_rows, n_columns) in a file here, in Fortran order, zeros at first.
+
+        The file has no name and goes with the array. Raises SolverExhausted where the disk is full.
+        """
+        size = 8 * n_rows * n_columns
+        with tempfile.TemporaryFile(dir=self.folder) as file:
+            try:
+                os.posix_fallocate(file.fileno(), 0, size)
+            except OSError as error:
+                raise SolverExhausted(
+                    f"{self.folder}: {n_columns} vectors of {n_rows} equations have no room there, "
+                    f"{size / 1e9:.3g} GB: {error.strerror}"
+                ) from error
+            room = np.memmap(file, np.float64, "r+", shape=(n_rows, n_columns), order="F")
+        return room.view(np.ndarray)
 
     @contextmanager
     def told(self) -> Iterator[None]:
@@ -187,6 +206,10 @@ class Pardiso:
             np.multiply(answer, self._unit / units, out=x)
         return x
 
+    def room_for(self, n_rows: int, n_columns: int) -> Floats:
+        """Room for vectors where the factors are: in memory, or in a file; as `in_memory`."""
+        return (self.files.vectors if self.files else in_memory)(n_rows, n_columns)
+
     def close(self) -> None:
         """Give memory and files back now, not with the object: there is no solution after it."""
         self._release()
@@ -214,8 +237,9 @@ class Pardiso:
 
     @property
     def factor_entries(self) -> int:
-        """How many entries the factor L has."""
-        return int(self._handle.iparm[17])
+        """How many entries the factor L has; about, where PARDISO's own count overflows."""
+        told = int(self._handle.iparm[17])
+        return told if told > 0 else self.memory.factors // (8 if self.exact else 4)
 
     @property
     def memory(self) -> FactorMemory:

@@ -16,7 +16,9 @@ A negative shift s makes K - s M positive definite even where K is singular, as 
 structure's is. It should be of the size of the first elastic eigenvalue: much closer to zero it
 drowns the elastic modes of a free structure in the rigid ones, much farther away the modes crowd
 together seen from it. Where the caller does not know that eigenvalue it is estimated: with a
-shift just far enough below zero to be told from rounding, by two steps from random vectors.
+shift just far enough below zero to be told from rounding, by two steps from random vectors. Where
+these find no rigid motion nothing can be drowned, and that shift does for all modes, its factors
+with it.
 """
 
 from __future__ import annotations
@@ -92,6 +94,7 @@ class Pencil:
         self.shift: float | None = None
         self.kept_shift: float | None = None
         self.below = -1
+        self._invertible: bool | None = None
         pattern = shifted_pattern(stiffness, mass)
         self._n_entries = int(pattern.nnz)
         self._stiffness_places = _places(pattern, stiffness)
@@ -122,7 +125,7 @@ class Pencil:
         values = np.zeros(self._n_entries)
         values[self._stiffness_places] = self.stiffness.data
         values[self._mass_places] -= shift * self.mass.data
-        self.shift = self.kept_shift = None
+        self.shift = self.kept_shift = self._invertible = None
         self._factors.refactor(values)
         self.shift = self.kept_shift = shift
         self.below = -1 if self._factors.lifted_pivots else self._factors.negative_pivots
@@ -130,6 +133,10 @@ class Pencil:
     def inverse(self, block: Floats, out: Floats | None = None) -> Floats:
         """(K - s M)^-1 block, (n,) or (n, n_columns), at the last shift; out: where to put it."""
         return self._factors.solve(block, out)
+
+    def room_for(self, n_rows: int, n_columns: int) -> Floats:
+        """Room for vectors where the factors are, (n_rows, n_columns), in Fortran order."""
+        return self._factors.room_for(n_rows, n_columns)
 
     @property
     def factorisation_columns(self) -> float:
@@ -186,6 +193,11 @@ class Pencil:
 
         In single precision: whether nothing that forces at random move most is without energy.
         """
+        if self._invertible is None:
+            self._invertible = self._gives_back()
+        return self._invertible
+
+    def _gives_back(self) -> bool:
         known = np.random.default_rng(1).standard_normal(self.n)
         shift = 0.0 if self.shift is None else self.shift
         diagonal = np.abs(self.stiffness.diagonal()) + abs(shift) * self.mass.diagonal()
@@ -221,10 +233,11 @@ def shift_below(eigenvalue: float) -> float:
 
 
 def estimate_shift(pencil: Pencil) -> float:
-    """A shift below the spectrum, a tenth of about the first elastic eigenvalue, (rad/s)^2.
+    """A shift below the spectrum, (rad/s)^2: a tenth of about the first elastic eigenvalue.
 
-    Raises ModelError where the matrices are singular together. Source: Bathe 2014, 11.6
-    (subspace iteration), 11.2.3 (shifts for free structures).
+    Where nothing moves rigidly it is next to zero, and the pencil is factorised there already.
+    Raises ModelError where the matrices are singular together. Source: Bathe 2014, 11.6 (subspace
+    iteration), 11.2.3 (shifts for free structures).
     """
     least = -LEAST_SHIFT * pencil.largest_eigenvalue()
     least = factorise_below(pencil, least)
@@ -234,6 +247,8 @@ def estimate_shift(pencil: Pencil) -> float:
     pairs = largest_pairs(pencil, start, BLOCK, 0.0, 2)
     eigenvalues = 1.0 / np.maximum(pairs.inverted, 1e-300) + least
     elastic = eigenvalues[eigenvalues > -STRAINED * least]  # parts may move rigidly by themselves
+    if elastic.size == eigenvalues.size:
+        return least
     first = float(elastic[0] if elastic.size else abs(eigenvalues[-1]))
     return min(SHIFT * first, least)
 
@@ -256,6 +271,7 @@ def largest_pairs(
         tolerance,
         n_blocks,
         least_inverted=least_inverted,
+        room_for=pencil.room_for,
     )
 
 
@@ -266,7 +282,8 @@ def factorise_below(pencil: Pencil, shift: float) -> float:
     mass are singular together, or there are eigenvalues below any shift.
     """
     lowest = -1e3 * pencil.largest_eigenvalue()
-    pencil.factorise(shift)
+    if pencil.shift != shift:
+        pencil.factorise(shift)
     while pencil.below > 0:
         if shift < lowest:
             raise ModelError(

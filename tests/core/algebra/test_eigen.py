@@ -47,10 +47,26 @@ def test_held_and_free_chains_have_their_closed_forms(n: int) -> None:
 
 
 def test_the_estimated_shift_is_of_the_size_of_the_first_elastic_eigenvalue() -> None:
-    for held, first in ((True, held_eigenvalue(1, 400)), (False, free_eigenvalue(1, 400))):
+    stiffness, mass = chain(400, held=False)
+    both = upper_triangle(stiffness), upper_triangle(mass)
+    assert 1e-3 < -estimate_shift(Pencil(*both)) / free_eigenvalue(1, 400) < 1.0
+
+
+def test_a_held_structure_is_factorised_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    shifts = []
+    factorise = Pencil.factorise
+
+    def counted(self: Pencil, shift: float) -> None:
+        shifts.append(shift)
+        factorise(self, shift)
+
+    monkeypatch.setattr(Pencil, "factorise", counted)
+    for held, times in ((True, 1), (False, 2)):
         stiffness, mass = chain(400, held=held)
-        both = upper_triangle(stiffness), upper_triangle(mass)
-        assert 1e-3 < -estimate_shift(Pencil(*both)) / first < 1.0
+        shifts.clear()
+        eigen.ModeSolver(count=False).solve(upper_triangle(stiffness), upper_triangle(mass), 6)
+        assert len(shifts) == times
+        assert -1e-4 * held_eigenvalue(1, 400) < shifts[0] < 0.0
 
 
 def test_two_free_chains_have_two_rigid_modes_and_pairs() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import gc
+import os
 import resource
 import shutil
 import subprocess
@@ -23,6 +25,7 @@ from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pardiso import FactorFiles
 from modetune.core.errors import SolverExhausted
+from modetune.core.modes import Floats
 
 pytestmark = pytest.mark.skipif(
     not pardiso.is_available(), reason="PARDISO is installed on x86_64 only"
@@ -95,10 +98,21 @@ def test_modes_with_factors_in_files_are_those_with_factors_in_memory(
     inside = ModeSolver().solve(stiffness, mass, 8)
     least = taken_in_memory((stiffness, mass), monkeypatch)
     vectors = 8 * stiffness.shape[0] * (8 * 8 + 80)
-    with factor_room(room(tmp_path, vectors + least * 9 // 10)):
+    mapped = []
+    room_in_file = FactorFiles.vectors
+
+    def spied(self: FactorFiles, n_rows: int, n_columns: int) -> Floats:
+        found = room_in_file(self, n_rows, n_columns)
+        mapped.append(found.nbytes)
+        return found
+
+    monkeypatch.setattr(FactorFiles, "vectors", spied)
+    # A quarter of the vectors is worked on in memory; the factors themselves leave it.
+    with factor_room(room(tmp_path, vectors // 4 + least * 9 // 10)):
         solver = ModeSolver()
         outside = solver.solve(stiffness, mass, 8)
         assert solver.held == " on disk"
+        assert sum(mapped) > vectors // 2
         assert any(tmp_path.rglob("mkl_pardiso_lnz.bin"))
     largest = float(np.max(stiffness.diagonal()))  # rounding is of the largest eigenvalue
     np.testing.assert_allclose(
@@ -106,6 +120,26 @@ def test_modes_with_factors_in_files_are_those_with_factors_in_memory(
     )
     del solver
     gc.collect()
+    assert not list(tmp_path.iterdir())
+
+
+def test_vectors_in_a_file_are_in_one_without_a_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = FactorFiles(tmp_path, lambda: None)
+    vectors = files.vectors(1000, 7)
+    assert vectors.shape == (1000, 7)
+    assert vectors.flags.f_contiguous
+    vectors[:, 3] = 5.0
+    assert vectors.sum() == 5000.0
+    assert not list(tmp_path.iterdir())
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(SolverExhausted, match=r"7 vectors of 1000 .*GB: No space left"):
+        files.vectors(1000, 7)
     assert not list(tmp_path.iterdir())
 
 
@@ -153,6 +187,7 @@ from pathlib import Path
 from tests.core.algebra import test_factor_room as t
 from modetune.core.algebra import factor_room as rooms
 from modetune.core.errors import SolverExhausted
+from modetune.core.modes import Floats
 rooms._resident = lambda: 0
 stiffness = t.block()[0]
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
