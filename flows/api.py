@@ -30,8 +30,6 @@ from modetune.flows.studies.condensation.direct import (
 from modetune.flows.studies.condensation.expand import Expansions, expand_shapes
 from modetune.flows.studies.condensation.reduce import (
     ModelReduction,
-    ReductionMethod,
-    ReductionRequest,
     reduce_model,
 )
 from modetune.flows.studies.correlate.correlate import Correlation
@@ -44,14 +42,22 @@ from modetune.flows.studies.init.draft import Draft
 from modetune.flows.studies.init.text import init_campaign
 from modetune.flows.studies.localise.localise import Localisation, place_of
 from modetune.flows.studies.localise.localise import localise as localise_error
-from modetune.flows.studies.pretest.choice import PretestSettings
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
+from modetune.flows.studies.requests import (
+    PretestSettings,
+    ReductionMethod,
+    ReductionRequest,
+    SamplingRequest,
+    ScatterRequest,
+    ScreeningMethod,
+    ScreeningRequest,
+)
 from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+from modetune.flows.studies.sample.running import sample_campaign
 from modetune.flows.studies.scatter.record import ScatterRecord
-from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
+from modetune.flows.studies.scatter.running import scatter_campaign
 from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.screen.running import screen_campaign
 from modetune.flows.studies.validate.leave_out import Validation
 from modetune.flows.studies.validate.leave_out import leave_one_out as judge_left_out
 from modetune.flows.studies.validate.leave_out import validate as judge_held_out
@@ -157,7 +163,7 @@ def check(
 
 def screen(
     campaign: CampaignLike,
-    method: Literal["local", "morris", "sobol", "lhs", "factorial"] = "local",
+    method: ScreeningMethod = "local",
     *,
     points: int | None = None,
     choose: int | None = None,

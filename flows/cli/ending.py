@@ -38,7 +38,7 @@ class StudyEnd:
 
     said: in a sentence; told: its `--json` object; lines: below the tables; charts: by name of
     their files; written: its own files; doubts: why it cannot be relied on, sentences among lines;
-    json_file: where the JSON object goes beside standard output.
+    json_file: where the JSON object goes beside standard output; status: on Prefect's pages.
     """
 
     said: str
@@ -49,6 +49,7 @@ class StudyEnd:
     charts: Mapping[str, Chart | Figure | None] = field(default_factory=dict)
     doubts: Sequence[str] = ()
     json_file: Path | None = None
+    status: str = ""
 
     def reported(
         self,
@@ -72,7 +73,7 @@ class StudyEnd:
 
             written.append(write_study(page, title, self, charts))
         if pages is not None:
-            status = "unreliable" if self.doubts else "completed"
+            status = self.status or ("unreliable" if self.doubts else "completed")
             said = "; ".join(self.doubts) or self.said
             for line in self.lines:
                 pages.log(line)

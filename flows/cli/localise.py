@@ -11,6 +11,7 @@ import typer
 
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
+from modetune.flows.cli.options import Figures
 from modetune.flows.cli.study import CampaignOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 
@@ -30,7 +31,14 @@ TELLING = 0.2
 NODES = 200
 
 
-@study(CampaignOptions)
+@dataclass(frozen=True)
+class LocaliseOptions(CampaignOptions):
+    """Of the localisation alone: figures."""
+
+    figures: Figures = None
+
+
+@study(LocaliseOptions)
 def localise(
     on: Opened,
     record: Annotated[

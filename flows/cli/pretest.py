@@ -5,119 +5,72 @@ Heavy packages are imported where they are needed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
-from modetune.flows.cli.options import AsJson, NoPrefect, Settings, begun, paged, stoppable
+from modetune.flows.cli.ending import StudyEnd
+from modetune.flows.cli.study import CampaignOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.requests import PretestSettings
 
 if TYPE_CHECKING:
     from modetune.core.planning.placement import Quality
+    from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.studies.pretest.running import Pretest
 
 
-def pretest(
+@dataclass(frozen=True)
+class PretestOptions(CampaignOptions):
+    """Of a campaign that may lack test and parameters."""
+
     campaign_file: Annotated[
         Path, typer.Argument(help="Campaign file (YAML); test and parameters may be missing.")
-    ],
-    modes: Annotated[
-        str, typer.Option(help="Elastic modes, as 1-8 or 1,3,5-7; default: the first eight.")
-    ] = "",
-    sensors: Annotated[
-        int | None, typer.Option(help="How many; default: twice as many as modes.")
-    ] = None,
-    method: Annotated[
-        str, typer.Option(help="effective_independence, auto_mac, kinetic_energy or information.")
-    ] = "effective_independence",
-    candidates: Annotated[
-        str, typer.Option(help="surface, all, or a file with a node number in front of each line.")
-    ] = "surface",
-    directions: Annotated[str, typer.Option(help="xyz, or normal: out of the surface.")] = "xyz",
-    triaxial: Annotated[
-        bool, typer.Option("--triaxial", help="Three directions at a place are one sensor.")
-    ] = False,
-    distance: Annotated[
-        float | None,
-        typer.Option(
-            help="Least distance of sensors, the deck's length; default: 5 % of the structure."
-        ),
-    ] = None,
-    mass: Annotated[
-        bool, typer.Option("--mass", help="Weight shapes by the mass at each candidate.")
-    ] = False,
-    exciters: Annotated[int, typer.Option(help="How many exciters.")] = 1,
+    ]
+
+    def loaded(self) -> Campaign:
+        from modetune.flows.campaign.campaign import load_model
+
+        return load_model(self.campaign_file, self.settings or [])
+
+
+@study(PretestOptions)
+def pretest(
+    on: Opened,
+    asked: PretestSettings,
     out: Annotated[
         Path | None, typer.Option(help="Write the sensors as points of a test (CSV).")
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Write a PNG of all places.")] = None,
-    settings: Settings = None,
-    no_prefect: NoPrefect = False,
-    as_json: AsJson = False,
-) -> None:
+) -> StudyEnd:
     """Choose places for sensors and exciters from the model alone, before there is a test."""
-    with begun(f"reading {campaign_file}") as tell:
-        from modetune.flows.studies.pretest.candidates import Directions
-        from modetune.flows.studies.pretest.choice import Method, PretestSettings, parse_modes
-
-        asked = PretestSettings(
-            parse_modes(modes),
-            sensors,
-            named("--method", method, get_args(Method)),
-            candidates,
-            named("--directions", directions, get_args(Directions)),
-            triaxial,
-            distance,
-            exciters,
-            mass,
-        )
-        found = _run(campaign_file, settings or [], asked, out, picture, no_prefect, tell)
-    files = {"sensor file": out, "picture": picture}
-    written = [f"{name}: {path}" for name, path in files.items() if path is not None]
-    tell_end(told_pretest(found, out, picture), [*_parts(found), *written], as_json)
-
-
-def _run(
-    campaign_file: Path,
-    settings: list[str],
-    asked: Any,
-    out: Path | None,
-    picture: Path | None,
-    no_prefect: bool,
-    tell: Callable[[str], None],
-) -> Pretest:
-    """Run the pretest and write its files; their names are looked at first."""
-    from modetune.flows.campaign.campaign import load_model
     from modetune.flows.studies.pretest.file import check_out, write_sensor_file
     from modetune.flows.studies.pretest.running import run_pretest
 
-    campaign = load_model(campaign_file, settings)
-    mesh = campaign.case.solver.deck.mesh()
+    mesh = on.campaign.case.solver.deck.mesh()
     if out is not None:
         check_out(out, mesh)
     if picture is not None:
         from modetune.flows.report.mesh_picture import check_picture
+        from modetune.flows.studies.pretest.figures import save_pretest_picture
 
         check_picture(picture, mesh)
-    with stoppable(), paged("pretest", campaign.name, no_prefect) as pages:
-        tell("modes of the model")
-        found = run_pretest(campaign, asked, pages)
-        if out is not None:
-            write_sensor_file(out, found, campaign.case.units)
-        if picture is not None:
-            from modetune.flows.studies.pretest.figures import save_pretest_picture
-
-            save_pretest_picture(picture, found, mesh)
-        if pages is not None:
-            written = [path for path in (out, picture) if path is not None]
-            status = "doubtful" if found.doubtful else "completed"
-            pages.done("; ".join(quality_lines(found)), _tables(found), written, status)
-    return found
+    found = run_pretest(on.campaign, asked, on.pages)
+    if out is not None:
+        write_sensor_file(out, found, on.campaign.case.units)
+    if picture is not None:
+        save_pretest_picture(picture, found, mesh)
+    return StudyEnd(
+        "; ".join(quality_lines(found)),
+        told_pretest(found, out, picture),
+        _tables(found),
+        _lines(found),
+        [path for path in (out, picture) if path is not None],
+        status="doubtful" if found.doubtful else "",
+    )
 
 
 def told_pretest(
@@ -168,12 +121,10 @@ def _told_quality(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]
     )
 
 
-def _parts(found: Pretest) -> list[Table | str]:
-    sensors, *others = _tables(found)
+def _lines(found: Pretest) -> list[str]:
     held = ", ".join(f"{item.node} ({100 * item.share:.0f} %)" for item in found.suspension)
     suspension = [f"moves least, for a suspension: nodes {held}"] if held else []
-    notes = [f"note: {note}" for note in found.notes]
-    return [sensors, *quality_lines(found), *others, *suspension, *notes]
+    return [*quality_lines(found), *suspension, *(f"note: {note}" for note in found.notes)]
 
 
 def _tables(found: Pretest) -> list[Table]:

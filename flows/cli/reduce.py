@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import Column, json_object, table_of
+from modetune.flows.studies.requests import ReductionRequest
 
 if TYPE_CHECKING:
     from modetune.flows.studies.condensation.reduce import ModelReduction
@@ -21,22 +21,7 @@ if TYPE_CHECKING:
 @study(ModelOptions)
 def reduce(
     on: Opened,
-    method: Annotated[
-        str, typer.Option(help="guyan, irs, iterated_irs, serep or craig_bampton.")
-    ] = "guyan",
-    masters: Annotated[
-        str,
-        typer.Option(
-            help="Unknowns that are kept: 12.z,13,20-25.xyz, or a file with them; default: the "
-            "test's sensors."
-        ),
-    ] = "",
-    modes: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Modes that are compared, and that SEREP keeps or Craig-Bampton adds."
-        ),
-    ] = None,
+    asked: ReductionRequest,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -47,12 +32,11 @@ def reduce(
     """Reduce a model to a few unknowns, its frequencies beside the full model's."""
     from modetune.adapters.matrices.exchange import check_form, write_matrices
     from modetune.core.modes import dof_name
-    from modetune.flows.studies.condensation.reduce import METHODS, ReductionRequest, reduce_model
+    from modetune.flows.studies.condensation.reduce import reduce_model
 
     if out is not None:
         check_form(out)
-    request = ReductionRequest(named("--method", method, METHODS), masters, modes)
-    found = reduce_model(on.campaign, on.values, request, on.pages)
+    found = reduce_model(on.campaign, on.values, asked, on.pages)
     written = write_matrices(out, found.matrices) if out is not None else ()
     held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
     lines = [*([held] if found.held else []), found.sentence]

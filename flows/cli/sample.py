@@ -9,33 +9,16 @@ import typer
 
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import Opened, RunOptions, study
+from modetune.flows.studies.requests import SamplingRequest
 
 Record = Annotated[
     Path | None,
     typer.Option(help="Run folder (or campaign.h5) of an update, from whose end it starts."),
 ]
-Points = Annotated[
-    int | None, typer.Option(help="Sets over the range; as many may follow near the posterior.")
-]
-Walkers = Annotated[int | None, typer.Option(help="Walkers of the sampler.")]
-Steps = Annotated[int, typer.Option(help="Steps of a walker; more follow if needed.")]
-Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
-Checks = Annotated[
-    int | None,
-    typer.Option(help="Sets of the posterior that are solved for: 8, 2 with a reduced model."),
-]
 
 
 @study(RunOptions)
-def sample(
-    on: Opened,
-    record: Record = None,
-    points: Points = None,
-    walkers: Walkers = None,
-    steps: Steps = 2000,
-    seed: Seed = 1,
-    checks: Checks = None,
-) -> StudyEnd:
+def sample(on: Opened, asked: SamplingRequest, record: Record = None) -> StudyEnd:
     """Sample the parameters' posterior: how sure they are, bounds, bends and second answers seen.
 
     Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.
@@ -44,12 +27,11 @@ def sample(
     from modetune.core.storage.record_file import read_record
     from modetune.flows.studies.sample.figures import posterior_figures
     from modetune.flows.studies.sample.record import POSTERIOR
-    from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+    from modetune.flows.studies.sample.running import sample_campaign
     from modetune.flows.studies.sample.telling import findings, posterior_table, summary, told
 
     earlier = read_record(record) if record is not None else None
-    request = SamplingRequest(points, walkers, steps, seed, checks)
-    found = sample_campaign(on.campaign, request, on.working, earlier, on.pages)
+    found = sample_campaign(on.campaign, asked, on.working, earlier, on.pages)
     POSTERIOR.write(on.folder / POSTERIOR.file, found)
     judged = findings(found)
     return StudyEnd(

@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
 from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.sample import Points, Record, Seed
+from modetune.flows.cli.sample import Record
 from modetune.flows.cli.study import Opened, RunOptions, study
-
-Of = Annotated[
-    list[str] | None,
-    typer.Option(help="A parameter that differs from test to test; others are the same in all."),
-]
-Deviation = Annotated[
-    float | None,
-    typer.Option(
-        help="Scatter of a frequency by the measurement alone, relative; else the tests tell it "
-        "where there are more frequencies than parameters, or it is taken as none."
-    ),
-]
+from modetune.flows.studies.requests import ScatterRequest
 
 
 @study(RunOptions)
-def scatter(
-    on: Opened,
-    of: Of = None,
-    measurement_deviation: Deviation = None,
-    record: Record = None,
-    points: Points = None,
-    seed: Seed = 1,
-) -> StudyEnd:
+def scatter(on: Opened, asked: ScatterRequest, record: Record = None) -> StudyEnd:
     """What makes repeated tests differ: mean and covariance of the parameters behind them.
 
     Leaves scatter.h5 in the campaign's run folder. Ends with exit code 3 where the answer cannot be
@@ -40,12 +18,11 @@ def scatter(
     from modetune.core.storage.record_file import read_record
     from modetune.flows.studies.scatter.figures import scatter_charts
     from modetune.flows.studies.scatter.record import SCATTER
-    from modetune.flows.studies.scatter.running import ScatterRequest, scatter_campaign
+    from modetune.flows.studies.scatter.running import scatter_campaign
     from modetune.flows.studies.scatter.telling import findings, scatter_tables, summary, told
 
     earlier = read_record(record) if record is not None else None
-    request = ScatterRequest(tuple(of or ()), measurement_deviation, points, seed)
-    found = scatter_campaign(on.campaign, request, on.working, earlier, on.pages)
+    found = scatter_campaign(on.campaign, asked, on.working, earlier, on.pages)
     SCATTER.write(on.folder / SCATTER.file, found)
     runs = f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}"
     model = [found.reduced_model.sentence] if found.reduced_model else []

@@ -7,51 +7,31 @@ from typing import Annotated
 
 import typer
 
-from modetune.core.near_names import named
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.study import Opened, RunOptions, study
+from modetune.flows.studies.requests import ScreeningRequest
 
-MethodName = Annotated[str, typer.Option(help="local, morris, sobol, lhs or factorial.")]
-Points = Annotated[
-    int | None, typer.Option(help="Points of the design at most; about ten a parameter.")
-]
-Seed = Annotated[int, typer.Option(min=0, help="Of the design's random numbers.")]
-Levels = Annotated[
-    int | None, typer.Option(help="Of each parameter: morris (even, 4), factorial (2).")
-]
-Choose = Annotated[int | None, typer.Option(min=1, help="How many parameters to propose.")]
 Out = Annotated[
     Path | None, typer.Option(help="Campaign file with the proposed parameters alone (YAML).")
 ]
 
 
 @study(RunOptions)
-def screen(
-    on: Opened,
-    method: MethodName = "local",
-    points: Points = None,
-    seed: Seed = 1,
-    levels: Levels = None,
-    choose: Choose = None,
-    out: Out = None,
-) -> StudyEnd:
+def screen(on: Opened, asked: ScreeningRequest, out: Out = None) -> StudyEnd:
     """Screen candidate parameters, and propose which of them to update, with a reason for each.
 
     Leaves screening.h5 in the campaign's run folder, and with --json screening.json. The same
     screening again starts no solver.
     """
-    from modetune.flows.studies.screen.design import METHODS
     from modetune.flows.studies.screen.figures import screening_charts
     from modetune.flows.studies.screen.proposal import check_out, write_proposal
     from modetune.flows.studies.screen.record import SCREENING
-    from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+    from modetune.flows.studies.screen.running import screen_campaign
     from modetune.flows.studies.screen.telling import lines, proposed, tables, told
 
-    known = named("--method", method, METHODS)
     if out is not None:
         check_out(on.campaign.file, out)
-    request = ScreeningRequest(known, points, seed, levels, choose)
-    found = screen_campaign(on.campaign, request, on.working, on.pages)
+    found = screen_campaign(on.campaign, asked, on.working, on.pages)
     written = [on.folder / SCREENING.file]
     SCREENING.write(written[0], found)
     if out is not None:

@@ -3,7 +3,9 @@
 A study is a function of what was opened for it and of its own options, and gives its end:
 
     @study(ModelOptions)
-    def reduce(on: Opened, method: Annotated[str, typer.Option(help="...")] = "guyan") -> StudyEnd:
+    def reduce(on: Opened, asked: ReductionRequest, out: Out = None) -> StudyEnd:
+
+Each field of a request is an option.
 """
 
 from __future__ import annotations
@@ -11,13 +13,23 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from typer.models import ArgumentInfo
 
+from modetune.core.near_names import named
 from modetune.core.storage.files import check_writable
 from modetune.flows.cli.ending import StudyEnd
 from modetune.flows.cli.options import (
@@ -42,6 +54,8 @@ from modetune.flows.cli.options import (
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.updating.prefect import Pages
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -118,21 +132,25 @@ class CampaignOptions(StudyOptions):
     """Of studies of a campaign."""
 
     campaign_file: CampaignPath
-    figures: Figures = None
 
     @contextmanager
     def opened(self, name: str) -> Iterator[Opened]:
         page, figures = self.places
         with begun(f"reading {self.campaign_file}") as tell:
-            from modetune.flows.campaign.campaign import load_campaign
             from modetune.flows.report.page import check_page
 
             check_page(page)
-            campaign = load_campaign(self.campaign_file, self.settings or [])
+            campaign = self.loaded()
             folder = self.folder_of(campaign)
             with paged(name, campaign.name, self.no_prefect) as pages:
                 charted = bool(page or figures)
                 yield Opened(campaign, pages, tell, folder=folder, charted=charted)
+
+    def loaded(self) -> Campaign:
+        """The campaign. Raises CampaignError."""
+        from modetune.flows.campaign.campaign import load_campaign
+
+        return load_campaign(self.campaign_file, self.settings or [])
 
     def folder_of(self, campaign: Campaign) -> Path:
         """The folder that the study writes into. Raises StorageUnavailable where it cannot be."""
@@ -143,6 +161,7 @@ class CampaignOptions(StudyOptions):
 class RunOptions(CampaignOptions):
     """Of studies that leave a record in the campaign's run folder."""
 
+    figures: Figures = None
     page: Page = None
     runs: Runs = Path("runs")
 
@@ -156,27 +175,63 @@ def study(options: type[StudyOptions]) -> Callable[[Callable[..., StudyEnd]], Ca
     """A study as a command that takes these options beside its own."""
 
     def command_of(function: Callable[..., StudyEnd]) -> Callable[..., None]:
-        _, *own = inspect.signature(function, eval_str=True).parameters.values()
-        hints = get_type_hints(options, include_extras=True)
-        shared = [
-            item.replace(annotation=hints[item.name], kind=item.KEYWORD_ONLY)
-            for item in inspect.signature(options).parameters.values()
-        ]
+        _, *asked = inspect.signature(function, eval_str=True).parameters.values()
+        hints = {item.name: item.annotation for item in asked}
+        requests = {
+            name: hint
+            for name, hint in hints.items()
+            if isinstance(hint, type) and is_dataclass(hint)
+        }
+        shared = _fields(options)
         arguments = [p for p in shared if isinstance(get_args(p.annotation)[-1], ArgumentInfo)]
-        own = [item.replace(kind=item.KEYWORD_ONLY) for item in own]
+        own = [
+            option.replace(kind=option.KEYWORD_ONLY)
+            for item in asked
+            for option in (_fields(item.annotation) if item.name in requests else [item])
+        ]
         parameters = [*arguments, *own, *(item for item in shared if item not in arguments)]
 
         @wraps(function)
         def command(**given: Any) -> None:
-            asked = options(**{item.name: given.pop(item.name) for item in shared})
-            with stoppable(), asked.opened(function.__name__) as on:
+            of = _filled(options, given)
+            made = {name: _filled(kind, given) for name, kind in requests.items()}
+            with stoppable(), of.opened(function.__name__) as on:
                 on.working(f"{function.__name__}: {on.campaign.name} by {on.campaign.solver_name}")
-                end = function(on, **given)
-                files = end.reported((function.__name__, on.campaign.name), on.pages, *asked.places)
-            end.tell(files, asked.as_json)
+                end = function(on, **made, **given)
+                files = end.reported((function.__name__, on.campaign.name), on.pages, *of.places)
+            end.tell(files, of.as_json)
 
         command.__annotations__ = {item.name: item.annotation for item in parameters}
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         return command
 
     return command_of
+
+
+def _fields(kind: type) -> list[inspect.Parameter]:
+    """The fields of options or a request as options: one of a few words is a text, several values
+    are a list, or a text where the option has a parser."""
+    made: list[inspect.Parameter] = []
+    hints = get_type_hints(kind, include_extras=True)
+    for item in inspect.signature(kind).parameters.values():
+        of, note = get_args(hints[item.name])
+        default = item.default
+        if get_origin(of) is Literal:
+            of = str
+        elif get_origin(of) is tuple:
+            of, default = (str if note.parser else list[str]) | None, None
+        made.append(
+            item.replace(annotation=Annotated[of, note], default=default, kind=item.KEYWORD_ONLY)
+        )
+    return made
+
+
+def _filled(kind: type[T], given: dict[str, Any]) -> T:
+    """Options or a request of what was typed. Raises CampaignError for an unknown word."""
+    values = {}
+    for name, hint in get_type_hints(kind).items():
+        value = given.pop(name)
+        if get_origin(hint) is Literal:
+            value = named(f"--{name.replace('_', '-')}", value, get_args(hint))
+        values[name] = tuple(value or ()) if get_origin(hint) is tuple else value
+    return kind(**values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,24 +35,13 @@ from modetune.flows.studies.condensation.model import (
     masters_of,
     sensor_names,
 )
+from modetune.flows.studies.requests import ReductionMethod, ReductionRequest
 
-ReductionMethod = Literal["guyan", "irs", "iterated_irs", "serep", "craig_bampton"]
-METHODS: tuple[ReductionMethod, ...] = get_args(ReductionMethod)
 #: Modes that are compared, rigid ones counted, where nobody says how many.
 COMPARED = 16
 #: Below this part of the highest eigenvalue that is compared both models count as at rest: a
 #: relative difference of two roundings would say nothing.
 REST = 1e-8
-
-
-@dataclass(frozen=True, slots=True)
-class ReductionRequest:
-    """masters: `12.z,13`, or a file; the test's sensors where empty. modes: compared, and kept by
-    SEREP or added by Craig and Bampton; as many as fit where None."""
-
-    method: ReductionMethod = "guyan"
-    masters: str = ""
-    modes: int | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)

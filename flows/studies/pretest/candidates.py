@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from modetune.core.mesh import Mesh, global_shapes
 from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
 from modetune.core.planning.spacing import Bools, Spacing
 from modetune.core.surface import display_surface
-
-Directions = Literal["xyz", "normal"]
+from modetune.flows.studies.requests import Directions
 
 #: Candidates on the surface at most; a finer mesh is thinned evenly.
 SURFACE_NODES = 4000

@@ -1,10 +1,8 @@
-"""What is asked of a pretest; choosing sensors by the asked method, and saying what each is for."""
+"""Choosing sensors by the asked method, and saying what each is for."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -26,31 +24,9 @@ from modetune.core.planning.placement import (
 )
 from modetune.core.planning.spacing import Spacing
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.pretest.candidates import CandidateSensors, Directions
+from modetune.flows.studies.pretest.candidates import CandidateSensors
 from modetune.flows.studies.pretest.information import Information
-
-Method = Literal["effective_independence", "auto_mac", "kinetic_energy", "information"]
-
-
-@dataclass(frozen=True, slots=True)
-class PretestSettings:
-    """What is asked of a pretest.
-
-    modes: numbers of elastic modes, from 1; empty: the first eight. sensors: how many; None: twice
-    as many as modes. candidates: surface, all, or a file of node numbers. distance: between
-    sensors at different nodes, the deck's length; None: 5 % of the model's box diagonal.
-    by_mass: whether shapes are weighted by the root of the mass at each candidate.
-    """
-
-    modes: tuple[int, ...] = ()
-    sensors: int | None = None
-    method: Method = "effective_independence"
-    candidates: str = "surface"
-    directions: Directions = "xyz"
-    triaxial: bool = False
-    distance: float | None = None
-    exciters: int = 1
-    by_mass: bool = False
+from modetune.flows.studies.requests import PlacementMethod, PretestSettings
 
 
 def check_settings(settings: PretestSettings) -> None:
@@ -75,19 +51,6 @@ def check_count(sensors: int, n_modes: int, n_directions: int) -> None:
             f"--sensors {sensors}: fewer than the {n_modes} modes, which so few cannot tell apart "
             "whatever their places; ask for at least as many sensors as modes"
         )
-
-
-def parse_modes(text: str) -> tuple[int, ...]:
-    """Numbers of `1-8` or `1,3,5-7`, ascending; of an empty text none. Raises CampaignError."""
-    numbers: set[int] = set()
-    for part in text.split(",") if text.strip() else []:
-        found = re.fullmatch(r"\s*([1-9][0-9]{0,3})(?:\s*-\s*([1-9][0-9]{0,3}))?\s*", part)
-        if found is None or int(found[2] or found[1]) < int(found[1]):
-            raise CampaignError(
-                f"--modes {text!r}: expected numbers of elastic modes from 1, as in 1-8 or 1,3,5-7"
-            )
-        numbers.update(range(int(found[1]), int(found[2] or found[1]) + 1))
-    return tuple(sorted(numbers))
 
 
 #: Distance between sensors where none is given, of the model's box diagonal.
@@ -148,7 +111,7 @@ def choose_sensors(
     return _by_method(model, settings.method, count, spacing), spacing, []
 
 
-def _by_method(model: Ground, method: Method, count: int, spacing: Spacing) -> Integers:
+def _by_method(model: Ground, method: PlacementMethod, count: int, spacing: Spacing) -> Integers:
     if method == "auto_mac":
         return by_auto_mac(model.rows, count, spacing)
     if method == "kinetic_energy":
@@ -210,7 +173,11 @@ def placed_sensors(
 
 
 def _why(
-    campaign: Campaign, method: Method, model: Ground, chosen: Integers, numbers: tuple[int, ...]
+    campaign: Campaign,
+    method: PlacementMethod,
+    model: Ground,
+    chosen: Integers,
+    numbers: tuple[int, ...],
 ) -> tuple[Floats, list[str]]:
     """What each chosen sensor is worth by the method, and in words."""
     if model.information is not None:

@@ -32,7 +32,6 @@ from modetune.flows.studies.pretest.candidates import (
 from modetune.flows.studies.pretest.choice import (
     Ground,
     PlacedSensor,
-    PretestSettings,
     check_count,
     check_settings,
     choose_sensors,
@@ -48,6 +47,7 @@ from modetune.flows.studies.pretest.excitation import (
     suspension_points,
 )
 from modetune.flows.studies.pretest.information import Knowledge, information_of, with_shapes
+from modetune.flows.studies.requests import PretestSettings
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import campaign_analysis

@@ -19,6 +19,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample.learning import Checks, Learned, check, learn
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
@@ -36,38 +37,6 @@ POINTS_EACH, LEAST_POINTS, WALKERS_EACH, LEAST_WALKERS = 10, 16, 4, 32
 SETS_EACH, NEAR_EACH = 4, 2
 #: Around the end of an update the range reaches so many standard deviations of the prior.
 RANGE = 3.0
-#: More of anything than this is a slip of the hand.
-MOST = 100_000
-
-
-@dataclass(frozen=True, slots=True)
-class SamplingRequest:
-    """What is asked for.
-
-    points: sets over the range; as many again may follow near the posterior, twice as many where
-    nobody says how many. steps: of each walker at first.
-    checks: sets of the posterior that are solved for. None: by the number of
-    parameters, checks by what gives the samples.
-    """
-
-    points: int | None = None
-    walkers: int | None = None
-    steps: int = 2000
-    seed: int = 1
-    checks: int | None = None
-
-    def problems(self, n_parameters: int) -> list[str]:
-        """What is unavailable, a sentence each."""
-        least = n_parameters + 3
-        asked = (
-            ("--points", self.points, least), ("--steps", self.steps, 100),
-            ("--checks", self.checks, 0), ("--seed", self.seed, 0),
-        )  # fmt: skip
-        return [
-            f"{name} {value}: expected {low} to {MOST}"
-            for name, value, low in asked
-            if value is not None and not low <= value <= MOST
-        ]
 
 
 def sample_campaign(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from modetune import __version__
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.scatter import scatter_of
 from modetune.core.modes import Floats
-from modetune.core.near_names import suggestion
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.parameter_scatter import (
     EXACT,
@@ -37,7 +36,8 @@ from modetune.core.updating.parameter_scatter import (
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.studies.sample.running import Known, SamplingRequest, learned_posterior
+from modetune.flows.studies.requests import SamplingRequest, ScatterRequest
+from modetune.flows.studies.sample.running import Known, learned_posterior
 from modetune.flows.studies.sample.surrogate import fit_surrogate
 from modetune.flows.studies.scatter.measured_values import (
     MeasuredValues,
@@ -57,35 +57,6 @@ DRAWS, SWEEPS, CHECKS = 128, 2000, 2
 REACH = 0.5
 #: Draws that are kept to look at; least relative deviation of one test that is learned by.
 KEPT, LEAST = 500, 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class ScatterRequest:
-    """What is asked for.
-
-    of: names of the parameters that differ from test to test, all where empty; deviation: of a
-    frequency by the measurement alone, relative, None where the tests shall tell it; points, seed:
-    as of a sampling.
-    """
-
-    of: tuple[str, ...] = ()
-    deviation: float | None = None
-    points: int | None = None
-    seed: int = 1
-
-    def problems(self, names: tuple[str, ...]) -> list[str]:
-        """What is unavailable, a sentence each."""
-        found = [
-            f"--of {name}: the campaign has no such parameter{suggestion(name, names)}"
-            for name in self.of
-            if name not in names
-        ]
-        if self.deviation is not None and not 0.0 <= self.deviation < 1.0:
-            found.append(
-                f"--measurement-deviation {self.deviation:g}: expected 0 or more and less than 1, "
-                "relative to the frequency"
-            )
-        return found
 
 
 def scatter_campaign(
@@ -109,7 +80,7 @@ def scatter_campaign(
         values = values_of(known.campaign, known.solver.residual)
         if known.reduced is None:
             known = _nearer(known, np.random.default_rng(request.seed))
-        tests = _tests(known, values, request.deviation)
+        tests = _tests(known, values, request.measurement_deviation)
         columns = np.array([names.index(name) for name in free], dtype=np.int64)
         parameters = known.campaign.parameters
         before = Beforehand(parameters.initial, parameters.standard_deviations, columns)
@@ -205,7 +176,7 @@ def _nearer(known: Known, rng: np.random.Generator) -> Known:
 
 
 def _noise_told(request: ScatterRequest, n_modes: int, n_free: int) -> bool:
-    return request.deviation is not None or n_modes == n_free
+    return request.measurement_deviation is not None or n_modes == n_free
 
 
 def _tests(known: Known, values: MeasuredValues, deviation: float | None) -> TestScatter:

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, get_args
 
 import numpy as np
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
+from modetune.flows.studies.requests import ScreeningMethod
 
-Method = Literal["local", "morris", "sobol", "lhs", "factorial"]
-METHODS: tuple[Method, ...] = get_args(Method)
 #: Without a number of points: trajectories, base samples, and points a parameter.
 TRAJECTORIES, BASE_SAMPLES, POINTS_EACH = 10, 64, 10
 #: Levels of a parameter where none are asked for.
-LEVELS: dict[Method, int] = {"morris": 4, "factorial": 2}
+LEVELS: dict[ScreeningMethod, int] = {"morris": 4, "factorial": 2}
 #: More points than this are a slip of the hand.
 MOST_POINTS = 100_000
 
@@ -35,7 +33,7 @@ class Design:
     lower, upper: (n_parameters,), bounds; levels: of each parameter, 0 where it has none.
     """
 
-    method: Method
+    method: ScreeningMethod
     points: Floats
     blocks: Integers
     lower: Floats
@@ -54,7 +52,7 @@ class Design:
 
 
 def make_design(
-    method: Method,
+    method: ScreeningMethod,
     lower: Floats,
     upper: Floats,
     rng: np.random.Generator,
@@ -86,7 +84,7 @@ def make_design(
     return _sobol(empty, points, rng)
 
 
-def _levels(method: Method, levels: int | None) -> int:
+def _levels(method: ScreeningMethod, levels: int | None) -> int:
     usual = LEVELS.get(method, 0)
     if levels is None:
         return usual

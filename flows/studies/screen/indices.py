@@ -28,7 +28,8 @@ import scipy
 
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
-from modetune.flows.studies.screen.design import Design, Method
+from modetune.flows.studies.requests import ScreeningMethod
+from modetune.flows.studies.screen.design import Design
 
 #: Range of a uniform spread over its standard deviation.
 UNIFORM_RANGE = float(np.sqrt(12.0))
@@ -37,7 +38,7 @@ NORMAL = 1.96
 #: A response that varies less than this, relative to its size, is constant but for rounding.
 CONSTANT = 1e-12
 #: Measures of each method, in the order of `Indices.values`.
-MEASURES: dict[Method, tuple[str, ...]] = {
+MEASURES: dict[ScreeningMethod, tuple[str, ...]] = {
     "local": (),
     "morris": ("mu", "mu_star", "sigma", "mu_star_confidence"),
     "sobol": ("first", "first_confidence", "total", "total_confidence"),
@@ -45,7 +46,7 @@ MEASURES: dict[Method, tuple[str, ...]] = {
     "factorial": ("main_effect", "main_share"),
 }
 #: How many whole blocks each method needs to say anything.
-LEAST_BLOCKS: dict[Method, int] = {"morris": 2, "sobol": 8, "lhs": 3, "factorial": 2}
+LEAST_BLOCKS: dict[ScreeningMethod, int] = {"morris": 2, "sobol": 8, "lhs": 3, "factorial": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +101,7 @@ def design_indices(design: Design, responses: Floats, rng: np.random.Generator) 
 
 
 #: What a block is called, where a sentence speaks of several.
-UNITS: dict[Method, str] = {
+UNITS: dict[ScreeningMethod, str] = {
     "morris": "trajectories",
     "sobol": "base samples",
     "lhs": "points",

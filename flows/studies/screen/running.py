@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,8 +21,9 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
-from modetune.flows.studies.screen.design import Design, Method, make_design
+from modetune.flows.studies.screen.design import Design, make_design
 from modetune.flows.studies.screen.importance import importance, loudest
 from modetune.flows.studies.screen.indices import Indices, design_indices
 from modetune.flows.studies.screen.local import local_sensitivity, other_rows
@@ -36,21 +36,6 @@ from modetune.flows.updating.running import solving_engine
 
 #: What is being run, for people.
 POINTS = "points of the design"
-
-
-@dataclass(frozen=True, slots=True)
-class ScreeningRequest:
-    """What is asked for.
-
-    points: sets of the design at most, about ten a parameter where None; levels: of a
-    parameter in morris and factorial; choose: how many parameters are proposed.
-    """
-
-    method: Method = "local"
-    points: int | None = None
-    seed: int = 1
-    levels: int | None = None
-    choose: int | None = None
 
 
 def screen_campaign(

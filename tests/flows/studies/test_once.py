@@ -14,8 +14,8 @@ from modetune.core.parameters import Quantity
 from modetune.core.storage.record import RunCounts
 from modetune.flows.campaign.campaign import Campaign, load_campaign, load_model
 from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
-from modetune.flows.studies.pretest.choice import PretestSettings
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
+from modetune.flows.studies.requests import PretestSettings
 from modetune.flows.updating.running import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_by_matrices import NAMED, OWN, STORED, Case, written

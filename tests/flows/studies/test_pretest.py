@@ -26,8 +26,8 @@ from modetune.flows.campaign.schema import ModelFile
 from modetune.flows.cli.pretest import pretest as pretest_command
 from modetune.flows.cli.pretest import told_pretest
 from modetune.flows.report.mesh_picture import can_draw
-from modetune.flows.studies.pretest.choice import PretestSettings, parse_modes
 from modetune.flows.studies.pretest.running import run_pretest
+from modetune.flows.studies.requests import PretestSettings, parse_modes
 from tests.adapters.solved import needs_ccx
 
 TRUTH = {"k1": 1.2, "k3": 0.8}

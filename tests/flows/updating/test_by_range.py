@@ -15,12 +15,17 @@ from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.localise.localise import Localisation, localise
-from modetune.flows.studies.pretest.choice import Method, PretestSettings
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
+from modetune.flows.studies.requests import (
+    PlacementMethod,
+    PretestSettings,
+    SamplingRequest,
+    ScreeningRequest,
+)
 from modetune.flows.studies.sample import density, sampling
-from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+from modetune.flows.studies.sample.running import sample_campaign
 from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.screen.running import screen_campaign
 from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
 from modetune.flows.updating import by_range, tried_starts
 from modetune.flows.updating.evaluators import evaluator_of
@@ -312,7 +317,7 @@ def test_maps_of_the_error_keep_to_the_limit_of_memory(tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", ["effective_independence", "information"])
 @pytest.mark.parametrize("case", [BAR, JOINT], ids=["bar", "joint"])
 def test_sensors_are_placed_by_matrices_that_the_store_has(
-    case: Case, method: Method, tmp_path: Path
+    case: Case, method: PlacementMethod, tmp_path: Path
 ) -> None:
     file = written(case, tmp_path / "case")
 

@@ -17,8 +17,9 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.screen.running import screen_campaign
 from modetune.flows.updating import stored_modes
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of

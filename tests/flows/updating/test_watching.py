@@ -15,7 +15,8 @@ from modetune.core.errors import ModesError, SolverCancelled
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.watching import Derivation, Ended, doing, part_of, told
 from modetune.flows.jobs.work import TOLD_EACH
-from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.requests import ScreeningRequest
+from modetune.flows.studies.screen.running import screen_campaign
 from modetune.flows.updating.prefect import became
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched

@@ -9,9 +9,10 @@ import pytest
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample import learning, running
 from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+from modetune.flows.studies.sample.running import sample_campaign
 from modetune.flows.studies.sample.telling import ITSELF, findings
 from modetune.flows.updating.updating import Unwatched
 from tests.adapters.solved import needs_ccx

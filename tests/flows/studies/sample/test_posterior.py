@@ -13,10 +13,11 @@ from modetune.core.errors import CampaignError, SolverRejected
 from modetune.core.modes import Floats
 from modetune.core.updating.weighting import Weighting, even_weighting
 from modetune.flows.report.matplotlib_charts import save_all
+from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample import running
 from modetune.flows.studies.sample.figures import posterior_figures
 from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
-from modetune.flows.studies.sample.running import SamplingRequest, sample_campaign
+from modetune.flows.studies.sample.running import sample_campaign
 from modetune.flows.studies.sample.telling import findings, told
 from modetune.flows.updating.running import update_campaign
 from tests.core.storage.test_seal import refused_when_damaged

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import permutations
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.modes import Floats
-from modetune.flows.studies.screen.design import METHODS, Design, Method, make_design
+from modetune.flows.studies.requests import ScreeningMethod
+from modetune.flows.studies.screen.design import Design, make_design
 from modetune.flows.studies.screen.indices import Indices, design_indices, varies
 
 SLOPES = np.array([3.0, -1.0, 0.25])
@@ -21,7 +23,7 @@ WIDTHS = SLOPES * (UPPER - LOWER)
 
 
 def indices(
-    method: Method,
+    method: ScreeningMethod,
     function: Callable[[Floats], Floats],
     lower: Floats,
     upper: Floats,
@@ -79,7 +81,7 @@ def test_sobol_indices_of_the_g_function_are_products_of_its_variances() -> None
     [("morris", 40, 1e-9), ("sobol", 5 * 1024, 0.02), ("lhs", 50, 1e-9), ("factorial", 8, 1e-9)],
 )
 def test_every_method_moves_a_linear_response_by_slope_times_range(
-    method: Method, points: int, tolerance: float
+    method: ScreeningMethod, points: int, tolerance: float
 ) -> None:
     found = indices(method, linear, LOWER, UPPER, points)
     np.testing.assert_allclose(found.moves[0], np.abs(WIDTHS), rtol=tolerance)
@@ -177,7 +179,7 @@ def test_failed_points_of_a_factorial_do_not_change_what_interactions_of_two_exp
 
 
 @pytest.mark.parametrize("method", ["morris", "sobol"])
-def test_a_failed_point_leaves_out_its_whole_block(method: Method) -> None:
+def test_a_failed_point_leaves_out_its_whole_block(method: ScreeningMethod) -> None:
     design = make_design(method, LOWER, UPPER, np.random.default_rng(5), 200)
     responses = np.sin(linear(design.points))[:, None]
     each = int(np.sum(design.blocks == 0))
@@ -193,7 +195,7 @@ def test_a_failed_point_leaves_out_its_whole_block(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", ["morris", "sobol", "lhs", "factorial"])
-def test_too_few_good_points_are_told(method: Method) -> None:
+def test_too_few_good_points_are_told(method: ScreeningMethod) -> None:
     design = make_design(method, LOWER, UPPER, np.random.default_rng(5), 60)
     responses = np.full((len(design.points), 1), np.nan)
     responses[0] = 1.0
@@ -202,15 +204,17 @@ def test_too_few_good_points_are_told(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", ["morris", "sobol", "lhs", "factorial"])
-def test_a_response_that_nothing_moves_has_no_effects(method: Method) -> None:
+def test_a_response_that_nothing_moves_has_no_effects(method: ScreeningMethod) -> None:
     found = indices(method, lambda x: np.full(len(x), 0.1), LOWER, UPPER, 60)
     assert not found.values.any()
     assert not found.moves.any()
     assert not varies(np.full((4, 1), 0.1 + 0.2)).any()
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_designs_lie_in_their_bounds_and_come_again_from_their_seed(method: Method) -> None:
+@pytest.mark.parametrize("method", get_args(ScreeningMethod))
+def test_designs_lie_in_their_bounds_and_come_again_from_their_seed(
+    method: ScreeningMethod,
+) -> None:
     first, second, other = (
         make_design(method, LOWER, UPPER, np.random.default_rng(seed), 90) for seed in (4, 4, 5)
     )
@@ -228,7 +232,7 @@ def test_designs_lie_in_their_bounds_and_come_again_from_their_seed(method: Meth
      ("morris", None, 40), ("sobol", None, 320), ("lhs", None, 30)],
 )  # fmt: skip
 def test_designs_have_at_most_the_points_that_were_asked_for(
-    method: Method, points: int | None, n: int
+    method: ScreeningMethod, points: int | None, n: int
 ) -> None:
     design = make_design(method, LOWER, UPPER, np.random.default_rng(1), points)
     assert len(design.points) == len(design.blocks) == n
@@ -249,7 +253,7 @@ def test_designs_have_at_most_the_points_that_were_asked_for(
     ],
 )
 def test_a_design_that_cannot_be_is_refused_with_a_remedy(
-    method: Method, points: int, levels: int | None, said: str
+    method: ScreeningMethod, points: int, levels: int | None, said: str
 ) -> None:
     with pytest.raises(CampaignError, match=said):
         make_design(method, LOWER, UPPER, np.random.default_rng(1), points, levels)
@@ -257,7 +261,7 @@ def test_a_design_that_cannot_be_is_refused_with_a_remedy(
 
 def test_one_parameter_can_be_screened_by_every_method() -> None:
     lower, upper = np.array([0.5]), np.array([1.5])
-    for method in METHODS[1:]:
+    for method in get_args(ScreeningMethod)[1:]:
         found = indices(method, lambda x: 2.0 * x[:, 0], lower, upper, 60)
         assert found.moves[0, 0] == pytest.approx(2.0, rel=0.35)
 

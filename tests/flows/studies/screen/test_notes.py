@@ -13,10 +13,11 @@ from modetune.adapters.solver import Analysis, ModalAnalysis, Solver
 from modetune.core.errors import ModesError
 from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult, Result
+from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen import telling
 from modetune.flows.studies.screen.notes import notes
 from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.screen.running import screen_campaign
 from modetune.flows.studies.screen.telling import lines, tables, told
 from modetune.flows.updating.updating import Unwatched
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, recased

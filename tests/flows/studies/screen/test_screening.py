@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -21,10 +22,10 @@ from modetune.core.updating.results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import Ended
 from modetune.flows.report.matplotlib_charts import save_all
-from modetune.flows.studies.screen.design import METHODS, Method
+from modetune.flows.studies.requests import ScreeningMethod, ScreeningRequest
 from modetune.flows.studies.screen.figures import screening_charts
 from modetune.flows.studies.screen.record import SCREENING, Screening
-from modetune.flows.studies.screen.running import ScreeningRequest, screen_campaign
+from modetune.flows.studies.screen.running import screen_campaign
 from modetune.flows.studies.screen.telling import lines, tables, told
 from modetune.flows.updating.updating import Unwatched
 from tests.core.storage.test_seal import refused_when_damaged
@@ -55,7 +56,7 @@ class ShortProgram(ScriptedProgram):
         )
 
 
-def screened(campaign: Campaign, method: Method, **asked: int) -> Screening:
+def screened(campaign: Campaign, method: ScreeningMethod, **asked: int) -> Screening:
     return screen_campaign(campaign, ScreeningRequest(method, **asked), Unwatched().working)
 
 
@@ -152,8 +153,8 @@ def test_slopes_of_mac_are_those_of_differences(bench: Bench) -> None:
         np.testing.assert_allclose(found.local.mac[:, place], slope, atol=1e-7)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_same_screening_again_starts_no_solver(bench: Bench, method: Method) -> None:
+@pytest.mark.parametrize("method", get_args(ScreeningMethod))
+def test_the_same_screening_again_starts_no_solver(bench: Bench, method: ScreeningMethod) -> None:
     campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2, 3), shapes=True)
     asked = {} if method == "local" else {"points": 32 if method == "sobol" else 9}
     first = screened(campaign, method, **asked)
@@ -264,9 +265,9 @@ def test_a_design_that_cannot_be_starts_no_solver(bench: Bench) -> None:
     assert bench.runs() == 0
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", get_args(ScreeningMethod))
 def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
-    bench: Bench, method: Method, tmp_path: Path
+    bench: Bench, method: ScreeningMethod, tmp_path: Path
 ) -> None:
     campaign = bench.campaign({"k1": 1.3, "k3": 0.9, "k6": 1.1}, modes=(1, 2, 3), shapes=True)
     asked = {} if method == "local" else {"points": 40 if method == "sobol" else 8}
