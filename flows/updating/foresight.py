@@ -32,9 +32,10 @@ from modetune.flows.updating.by_matrices import MATRICES, ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import REDUCED
-from modetune.flows.updating.loop import CONFIRMED, Loop, Noted
+from modetune.flows.updating.loop import CONFIRMED, Loop
 from modetune.flows.updating.modes_choice import confirms_by_matrices
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
+from modetune.flows.updating.trials import Noted
 
 logger = logging.getLogger(__name__)
 

@@ -76,6 +76,39 @@ class StartEnd:
         return self.misfit <= AS_WELL * answer.misfit
 
 
+@dataclass(slots=True)
+class StartEnds:
+    """How the updates from several starts ended, the campaign's own first; more may join them.
+
+    tolerated: (n_parameters,), by how much values may differ in one place.
+    """
+
+    ends: list[StartEnd]
+    tolerated: Floats
+
+    @property
+    def updated(self) -> Floats:
+        """(n_starts, n_parameters), NaN where an update failed."""
+        none = np.full(self.tolerated.size, np.nan)
+        return np.array([none if end.updated is None else end.updated for end in self.ends])
+
+    def places(self, chosen: int = 0) -> Integers:
+        """Number of the place of each end, 0 being that of the chosen one; -1 where it failed."""
+        ranks = [end.rank for end in self.ends]
+        ended = np.flatnonzero([rank[0] < 2 for rank in ranks])
+        scaled = self.updated[ended] / self.tolerated
+        apart = np.abs(np.nan_to_num(scaled[:, None] - scaled)).max(axis=2)
+        _, labels = connected_components(apart <= 1.0, directed=False)
+        order = sorted(range(ended.size), key=lambda n: (ended[n] != chosen, ranks[int(ended[n])]))
+        names = {
+            label: number
+            for number, label in enumerate(dict.fromkeys(int(labels[place]) for place in order))
+        }
+        minima = np.full(len(ranks), -1, dtype=np.int64)
+        minima[ended] = [names[int(label)] for label in labels]
+        return minima
+
+
 def end_of(start: Floats, record: CampaignRecord) -> StartEnd:
     """The end of a start whose update has a record."""
     least = record.trust is not None and record.trust.ended == "least misfit"
@@ -101,24 +134,19 @@ def chosen_end(ends: Sequence[StartEnd]) -> int:
     return chosen
 
 
-def start_spread(
-    campaign: Campaign, ends: Sequence[StartEnd], chosen: int, tolerated: Floats
-) -> StartSpread:
+def start_spread(campaign: Campaign, found: StartEnds, chosen: int) -> StartSpread:
     """Where the updates ended, and what fits as well as the answer.
 
-    chosen: the end that is the answer, unless the campaign's own start led to the same place;
-    tolerated: (n_parameters,), by how much values may differ in one place.
+    chosen: the end that is the answer, unless the campaign's own start led to the same place.
     """
-    n = len(campaign.parameters)
-    updated = np.array([np.full(n, np.nan) if e.updated is None else e.updated for e in ends])
-    minima = places(updated / tolerated, [end.rank for end in ends], chosen)
+    ends, updated, minima = found.ends, found.updated, found.places(chosen)
     if minima[0] == 0 and ends[0].rank[0] == ends[chosen].rank[0]:
         chosen = 0  # the same place: the campaign's own start leads there too
     rivals, differ = [], set()
     for number, end in enumerate(ends):
         if minima[number] > 0 and end.fits_as_well(ends[chosen]):
             rivals.append(int(minima[number]))
-            apart = np.abs(updated[number] - updated[chosen]) > tolerated
+            apart = np.abs(updated[number] - updated[chosen]) > found.tolerated
             differ |= set(np.flatnonzero(apart).tolist())
     return StartSpread(
         starts=np.stack([end.start for end in ends]),
@@ -146,21 +174,3 @@ def tolerated(campaign: Campaign, answer: CampaignRecord) -> Floats:
         loose = asked / float(known.min(initial=asked))
     errors = SAME_ERRORS * loose * answer.standard_errors
     return np.asarray(np.fmax(SAME_LEAST, errors))
-
-
-def places(scaled: Floats, ranks: Sequence[tuple[int, float]], chosen: int) -> Integers:
-    """Number of the place of each end, 0 being that of the answer; -1 where there is none.
-
-    scaled: (n_starts, n_parameters), ends over the difference that makes another place.
-    """
-    ended = np.flatnonzero([rank[0] < 2 for rank in ranks])
-    apart = np.abs(np.nan_to_num(scaled[ended, None] - scaled[None, ended])).max(axis=2)
-    _, labels = connected_components(apart <= 1.0, directed=False)
-    order = sorted(range(ended.size), key=lambda n: (ended[n] != chosen, ranks[int(ended[n])]))
-    names = {
-        label: number
-        for number, label in enumerate(dict.fromkeys(int(labels[place]) for place in order))
-    }
-    minima = np.full(len(ranks), -1, dtype=np.int64)
-    minima[ended] = [names[int(label)] for label in labels]
-    return minima

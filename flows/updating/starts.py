@@ -39,6 +39,7 @@ from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.running import job_engine, solving_engine, update_campaign
 from modetune.flows.updating.start_ends import (
     StartEnd,
+    StartEnds,
     chosen_end,
     drawn_starts,
     end_of,
@@ -91,7 +92,7 @@ def update_from_starts(
     chosen = chosen_end(ends)
     answer = ends[chosen].record
     assert answer is not None
-    spread = start_spread(own, ends, chosen, tolerated(own, answer))
+    spread = start_spread(own, StartEnds(ends, tolerated(own, answer)), chosen)
     settings = own.update.model_copy(update={"start": "deck", "starts": 1})
     best = replace(
         own,

@@ -14,10 +14,7 @@ stand in for its modes it was asked about them at the update's own end.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from modetune.core.algebra.eigen import DENSE
 from modetune.core.errors import ModelError, ModesError, SolverError
@@ -38,9 +35,9 @@ from modetune.flows.updating.semi_analytic import UnlikeMatrices
 from modetune.flows.updating.small_matrices import one_thread
 from modetune.flows.updating.start_ends import (
     StartEnd,
+    StartEnds,
     drawn_starts,
     end_of,
-    places,
     start_spread,
     tolerated,
 )
@@ -74,115 +71,139 @@ class TriedStarts:
         ends = list(self.ends)
         own = end_of(ends[self.chosen].start, answer)
         ends[self.chosen] = replace(ends[self.chosen], updated=own.updated, misfit=own.misfit)
-        return start_spread(self.campaign, ends, self.chosen, tolerated(self.campaign, answer))
+        return start_spread(
+            self.campaign, StartEnds(ends, tolerated(self.campaign, answer)), self.chosen
+        )
 
 
-@dataclass(slots=True)
-class Sought:
-    """Where reduced models led from other starts so far, by start; states: the cases on them."""
+class OtherStarts:
+    """The search from other starts of a campaign, whose update the evaluator serves."""
 
-    states: list[CaseState] = field(default_factory=list)
-    ends: dict[bytes, StartEnd] = field(default_factory=dict)
+    def __init__(self, campaign: Campaign, evaluator: Evaluator) -> None:
+        self.campaign = campaign
+        self.evaluator = evaluator
+        #: The cases on the newest reduced models, and where these led so far, by start.
+        self._states: list[CaseState] = []
+        self._known: dict[bytes, StartEnd] = {}
 
+    def seek(self, record: CampaignRecord) -> None:
+        """What `tried` will want of reduced models that are there, before the solver has confirmed
+        where the update ended."""
+        states = [] if self.evaluator.foresight is None else self.evaluator.foresight.states
+        if states and self._wanted(record):
+            self._ends_on(states, record)
 
-def seek_starts(
-    campaign: Campaign, evaluator: Evaluator, record: CampaignRecord, sought: Sought
-) -> None:
-    """What `try_starts` will want of reduced models that are there, before the solver has confirmed
-    where the update ended."""
-    states = [] if evaluator.foresight is None else evaluator.foresight.states
-    if states and _wanted(campaign, record):
-        _ends_on(states, campaign, evaluator, record, sought)
+    def tried(self, record: CampaignRecord, last: Evaluation) -> TriedStarts | None:
+        """Seek the parameters from other starts after an update has ended.
 
+        record: of the update; last: the evaluation it ended on. None where sets cost too much, the
+        iterations are used up, or the campaign asks for one start alone.
+        """
+        if not self._wanted(record):
+            return None
+        asked = self.campaign.update.starts
+        states = self._reduced_states(last) if self.evaluator.sets_cost_little else []
+        if not states:
+            return None
+        found = self._ends_on(states, record)
+        ends = found.ends
+        if asked:
+            ends[:] = [
+                self._updated(self.evaluator, end.start, end.start) if end.updated is None else end
+                for end in ends
+            ]
+        for place in _worth_a_look(found, every=asked is not None):
+            members = [n for n, at in enumerate(found.places()) if at == place]
+            best = min(members, key=lambda n: ends[n].rank)
+            looked = self._looked_at(ends[best], found, last)
+            for n in members:
+                ends[n] = replace(looked, start=ends[n].start)
+        chosen = min(range(len(ends)), key=lambda n: ends[n].rank)
+        if ends[0].fits_as_well(ends[chosen]):
+            chosen = 0
+        return TriedStarts(self.campaign, tuple(ends), chosen)
 
-def try_starts(
-    campaign: Campaign,
-    evaluator: Evaluator,
-    record: CampaignRecord,
-    last: Evaluation,
-    sought: Sought,
-) -> TriedStarts | None:
-    """Seek the parameters from other starts after an update has ended.
+    def _wanted(self, record: CampaignRecord) -> bool:
+        update = self.campaign.update
+        ended = record.status != "max_iterations" and update.max_iterations > 0
+        return update.starts != 1 and bool(ended or update.starts)
 
-    record: of the update; last: the evaluation it ended on; sought: what is known already. None
-    where sets cost too much, the iterations are used up, or the campaign asks for one start alone.
-    """
-    if not _wanted(campaign, record):
-        return None
-    asked = campaign.update.starts
-    states = reduced_states(evaluator, last, asked) if evaluator.sets_cost_little else []
-    if not states:
-        return None
-    inner = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
-    ends, allowed = _ends_on(states, campaign, evaluator, record, sought)
-    starts = [end.start for end in ends]
-    if asked:
-        ends = [
-            _updated(campaign, evaluator, end.start, end.start, "") if end.updated is None else end
-            for end in ends
-        ]
-    for place in _worth_a_look(ends, allowed, every=asked is not None):
-        members = [n for n, at in enumerate(_places(ends, allowed)) if at == place]
-        best = min(members, key=lambda n: ends[n].rank)
-        found = ends[best].updated
-        assert found is not None
-        looked = _looked_at(campaign, evaluator, inner, starts[best], found, last, ends[0], allowed)
-        for n in members:
-            ends[n] = replace(looked, start=starts[n])
-    chosen = min(range(len(ends)), key=lambda n: ends[n].rank)
-    if ends[0].fits_as_well(ends[chosen]):
-        chosen = 0
-    return TriedStarts(campaign, tuple(ends), chosen)
+    def _ends_on(self, states: list[CaseState], record: CampaignRecord) -> StartEnds:
+        """The campaign's own end and where reduced models lead from others."""
+        if self._states is not states:
+            self._states, self._known = states, {}
+        campaign, asked = self.campaign, self.campaign.update.starts
+        scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
+        starts = drawn_starts(campaign, asked or (MANY if scarce else TRIED))
+        found = StartEnds([end_of(starts[0], record)], tolerated(campaign, record))
+        inner = self._on(states)
+        with one_thread():
+            for start in starts[1:]:
+                mark = start.tobytes()
+                if mark not in self._known:
+                    self._known[mark] = self._updated(inner, start, start, REDUCED)
+                found.ends.append(self._known[mark])
+                if not asked and len(found.ends) >= TRIED and _worth_a_look(found):
+                    break
+        return found
 
+    def _reduced_states(self, last: Evaluation) -> list[CaseState]:
+        """The cases on models of a few unknowns; none where one of them has no such model.
 
-def _wanted(campaign: Campaign, record: CampaignRecord) -> bool:
-    asked = campaign.update.starts
-    ended = record.status != "max_iterations" and campaign.update.max_iterations > 0
-    return asked != 1 and bool(ended or asked)
-
-
-def _ends_on(
-    states: list[CaseState],
-    campaign: Campaign,
-    evaluator: Evaluator,
-    record: CampaignRecord,
-    sought: Sought,
-) -> tuple[list[StartEnd], Floats]:
-    """The campaign's own end and where reduced models lead from others, and by how much values
-    may differ in one place, (n_parameters,)."""
-    if sought.states is not states:
-        sought.states, sought.ends = states, {}
-    asked = campaign.update.starts
-    scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
-    starts = drawn_starts(campaign, asked or (MANY if scarce else TRIED))
-    ends, allowed = [end_of(starts[0], record)], tolerated(campaign, record)
-    inner = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
-    with one_thread():
-        for start in starts[1:]:
-            mark = start.tobytes()
-            if mark not in sought.ends:
-                sought.ends[mark] = _updated(campaign, inner, start, start, REDUCED)
-            ends.append(sought.ends[mark])
-            if not asked and len(ends) >= TRIED and _worth_a_look(ends, allowed):
-                break
-    return ends, allowed
-
-
-def reduced_states(
-    evaluator: Evaluator, last: Evaluation, asked: int | None = None
-) -> list[CaseState]:
-    """The evaluator's cases on models of a few unknowns; none where one of them has no such model.
-
-    Matrices are solved whole where they are few, else reduced around an evaluation; where modes
-    come from stored matrices the newest reduced models are at hand, once a step was taken. asked:
-    how many starts were asked for, for which they are made where they are not.
-    """
-    if evaluator.foresight is not None:
-        if evaluator.foresight.states or not asked:
-            return evaluator.foresight.states
+        Matrices are solved whole where they are few, else reduced around an evaluation; where modes
+        come from stored matrices the newest reduced models are at hand, once a step was taken. For
+        starts that were asked for they are made where they are not.
+        """
+        foresight = self.evaluator.foresight
+        if foresight is None:
+            return _reduced_around(self.evaluator, last)
+        if foresight.states or not self.campaign.update.starts:
+            return foresight.states
         # The solver's own, which confirmed it, have no more modes than are compared.
-        last = _in_full(evaluator, last.theta, last)
-    return _reduced_around(evaluator, last)
+        return _reduced_around(self.evaluator, _in_full(self.evaluator, last.theta, last))
+
+    def _looked_at(self, found: StartEnd, beside: StartEnds, known: Evaluation) -> StartEnd:
+        """Where updating ends from what reduced models around the answer found elsewhere."""
+        assert found.updated is not None
+        begin = found.updated
+        if self.evaluator.foresight is not None:
+            try:
+                there = _in_full(self.evaluator, begin, known)
+                states = _reduced_around(self.evaluator, there)
+            except (SolverError, ModesError) as error:
+                if isinstance(error, CAMPAIGNS_OWN):
+                    raise
+                states = []
+            if states:
+                with one_thread():
+                    end = self._updated(self._on(states), found.start, begin, REDUCED)
+                    begin = begin if end.updated is None else end.updated
+                    end = self._updated(self._on(self._states), found.start, begin, REDUCED)
+                if StartEnds([beside.ends[0], end], beside.tolerated).places()[1] == 0:
+                    return end
+        return self._updated(self.evaluator, found.start, begin)
+
+    def _on(self, states: list[CaseState]) -> Evaluator:
+        """What evaluates sets on reduced models."""
+        return Evaluator(self.campaign, states, self.evaluator.execution, self.evaluator.ledger)
+
+    def _updated(
+        self, evaluator: Evaluator, start: Floats, begin: Floats, by: str = ""
+    ) -> StartEnd:
+        """Where updating ends from a set."""
+        update = self.campaign.update
+        if by:
+            update = update.model_copy(update={"max_iterations": ITERATIONS})
+        inner = replace(self.campaign, begin=tuple(begin.tolist()), update=update)
+        try:
+            end = Loop(inner, evaluator, Unnoted(), confirms=False).run()
+        except (SolverError, ModesError) as error:
+            if isinstance(error, CAMPAIGNS_OWN):
+                raise
+            return StartEnd(start, error=error)
+        least = end.status in ("converged", "stationary")
+        misfit = end.last.residual.misfit
+        return StartEnd(start, end.last.theta, misfit, end.status, least, by=by)
 
 
 def _in_full(evaluator: Evaluator, theta: Floats, known: Evaluation) -> Evaluation:
@@ -228,67 +249,13 @@ def _shift(part: CaseEvaluation) -> float:
     return -0.1 * float(part.modal.eigenvalues[part.modal.n_rigid])
 
 
-def _looked_at(
-    campaign: Campaign,
-    evaluator: Evaluator,
-    inner: Evaluator,
-    start: Floats,
-    found: Floats,
-    known: Evaluation,
-    own: StartEnd,
-    allowed: Floats,
-) -> StartEnd:
-    """Where updating ends from what reduced models around the answer (inner) found elsewhere."""
-    if evaluator.foresight is not None:
-        try:
-            states = _reduced_around(evaluator, _in_full(evaluator, found, known))
-        except (SolverError, ModesError) as error:
-            if isinstance(error, CAMPAIGNS_OWN):
-                raise
-            states = []
-        beside = Evaluator(campaign, states, evaluator.execution, evaluator.ledger)
-        for each in (beside, inner) if states else ():
-            with one_thread():
-                end = _updated(campaign, each, start, found, REDUCED)
-            if each is inner and _places([own, end], allowed)[1] == 0:
-                return end
-            if each is beside and end.updated is not None:
-                found = end.updated
-    return _updated(campaign, evaluator, start, found, "")
-
-
-def _updated(
-    campaign: Campaign, evaluator: Evaluator, start: Floats, begin: Floats, by: str
-) -> StartEnd:
-    """Where updating ends from a set."""
-    update = campaign.update
-    if by:
-        update = update.model_copy(update={"max_iterations": ITERATIONS})
-    inner = replace(campaign, begin=tuple(begin.tolist()), update=update)
-    try:
-        end = Loop(inner, evaluator, Unnoted(), confirms=False).run()
-    except (SolverError, ModesError) as error:
-        if isinstance(error, CAMPAIGNS_OWN):
-            raise
-        return StartEnd(start, error=error)
-    least = end.status in ("converged", "stationary")
-    misfit = end.last.residual.misfit
-    return StartEnd(start, end.last.theta, misfit, end.status, least, by=by)
-
-
-def _places(ends: Sequence[StartEnd], allowed: Floats) -> list[int]:
-    n = allowed.size
-    updated = np.array([np.full(n, np.nan) if e.updated is None else e.updated for e in ends])
-    return [int(at) for at in places(updated / allowed, [end.rank for end in ends], 0)]
-
-
-def _worth_a_look(ends: Sequence[StartEnd], allowed: Floats, every: bool = False) -> list[int]:
+def _worth_a_look(found: StartEnds, every: bool = False) -> list[int]:
     """Places beside the update's own that seem to fit as well, or better, or every one."""
-    own = ends[0]
+    own = found.ends[0]
     return sorted(
         {
             at
-            for end, at in zip(ends, _places(ends, allowed), strict=True)
+            for end, at in zip(found.ends, found.places(), strict=True)
             if at > 0 and (every or end.fits_as_well(own) or end.rank < own.rank)
         }
     )

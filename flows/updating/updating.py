@@ -15,10 +15,11 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.judging import checked
-from modetune.flows.updating.loop import End, Loop, Noted
+from modetune.flows.updating.loop import End, Loop
 from modetune.flows.updating.recording import campaign_record
 from modetune.flows.updating.showing import shown_field
-from modetune.flows.updating.tried_starts import Sought, TriedStarts, seek_starts, try_starts
+from modetune.flows.updating.trials import Noted
+from modetune.flows.updating.tried_starts import OtherStarts, TriedStarts
 
 
 class Progress(Protocol):
@@ -70,17 +71,17 @@ class Updating:
 
     def run(self) -> CampaignRecord:
         """Update until e1 holds, nothing more is gained, or the iterations are used up."""
-        campaign, evaluator, sought = self.campaign, self.evaluator, Sought()
+        campaign, evaluator = self.campaign, self.evaluator
+        others = OtherStarts(campaign, evaluator)
 
         def seek() -> None:
             if self.kept[-1].agrees(campaign.tolerances):
-                seek_starts(campaign, evaluator, self._record("converged", ""), sought)
+                others.seek(self._record("converged", ""))
 
         evaluator.idle, idle = seek, evaluator.idle
         end = Loop(campaign, evaluator, self, around=self.around).run()
         evaluator.idle, self.matrix = idle, end.matrix
-        known = self._record(end.status, end.reason)
-        tried = try_starts(campaign, evaluator, known, end.last, sought)
+        tried = others.tried(self._record(end.status, end.reason), end.last)
         if tried is not None and tried.chosen:
             end = self._from(tried)
         held_out = self.evaluator.held_out(self.kept[0], self.kept[-1])

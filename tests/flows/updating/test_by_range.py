@@ -27,11 +27,12 @@ from modetune.flows.studies.sample.running import sample_campaign
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import screen_campaign
 from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
-from modetune.flows.updating import by_range, tried_starts
+from modetune.flows.updating import by_range
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.starts import update_from_starts
+from modetune.flows.updating.tried_starts import OtherStarts
 from modetune.flows.updating.updating import Unwatched
 from tests.adapters.ccx_decks import bar
 from tests.adapters.solved import needs_ccx
@@ -206,19 +207,19 @@ def test_a_reduced_model_that_errs_far_away_is_found_out_by_one_made_there(
 ) -> None:
     settings = ["update.e1.frequency=1e-4", "model.eigensolver=pardiso", "update.starts=6"]
     file, by = written(BAR, tmp_path / "bar"), list[str]()
-    ends_on, updated = tried_starts._ends_on, tried_starts._updated
+    ends_on, updated = OtherStarts._ends_on, OtherStarts._updated
 
     def misled(*given: Any) -> Any:
-        ends, allowed = ends_on(*given)
-        stays = replace(ends[3], updated=ends[3].start)
-        return [*ends[:3], stays, *ends[4:]], allowed
+        found = ends_on(*given)
+        found.ends[3] = replace(found.ends[3], updated=found.ends[3].start)
+        return found
 
     def told(*given: Any) -> Any:
-        by.append(given[-1])
+        by.append(given[4] if len(given) > 4 else "")
         return updated(*given)
 
-    monkeypatch.setattr(tried_starts, "_ends_on", misled)
-    monkeypatch.setattr(tried_starts, "_updated", told)
+    monkeypatch.setattr(OtherStarts, "_ends_on", misled)
+    monkeypatch.setattr(OtherStarts, "_updated", told)
     record = update_from_starts(load_campaign(file, settings), tmp_path / "run", Unwatched()).record
     assert record.trust is not None
     spread = record.trust.spread

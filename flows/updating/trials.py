@@ -1,0 +1,242 @@
+"""Trials: sets that are tried from an accepted one, each with a number, until one is better.
+
+A set that makes the residual worse is not accepted: a step from an older matrix is taken back and
+the matrix computed anew, one from a fresh matrix is made shorter. So skipping never costs
+convergence. A failed trial (solver failure, lost mode) is treated likewise.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from modetune.core.errors import ModesError, SolverCancelled, SolverError, SolverMissing
+from modetune.core.modes import Floats
+from modetune.core.updating.criteria import slope
+from modetune.core.updating.estimation import Step
+from modetune.core.updating.trust_region import TrustRegion
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.updating.between import Between
+from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.stepping import Stepping
+
+logger = logging.getLogger(__name__)
+
+#: A step is shortened at most so often before its start counts as stationary.
+SHORTENINGS = 5
+#: Largest parameter change that counts as none.
+NO_STEP = 1e-8
+
+
+class Watcher(Protocol):
+    """Who is told what a loop does."""
+
+    def working(self, text: str) -> None:
+        """What is being computed now."""
+        ...
+
+    def noted(self, trial: Noted) -> None:
+        """A set was evaluated, and this was decided of it."""
+        ...
+
+    def confirmed(self, evaluation: Evaluation) -> None:
+        """The solver's own modes at the last accepted set."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """An evaluation point: how it was come by, and what was decided.
+
+    step, matrix: None at the start; matrix: the one of the step; slope: e2's, NaN at the start;
+    skipped: whether e2 made this set do without a matrix of its own; newest: the newest matrix.
+    """
+
+    number: int
+    evaluation: Evaluation
+    step: Step | None
+    matrix: Matrix | None
+    slope: float
+    accepted: bool
+    decision: str
+    skipped: bool
+    newest: Matrix | None
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Where a loop stands.
+
+    current: the last accepted set; matrix: for the step from there, None where it has yet to be
+    computed; skip: the slope by which e2 lets the next iteration do without a matrix of its own,
+    None where it does not; region: where the next step may go.
+    """
+
+    current: Evaluation
+    matrix: Matrix | None
+    skip: float | None
+    region: TrustRegion
+
+
+@dataclass(frozen=True, slots=True)
+class TrialStep:
+    """A step to a set to be tried, by a matrix, taken in a region.
+
+    begun: where its last part began: the current set but after a step by an old matrix that made
+    things worse; the matrix is that of this part.
+    """
+
+    step: Step
+    matrix: Matrix
+    region: TrustRegion
+    begun: Evaluation
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What a step led to: the set, its fresh matrix if there is one, and e2's slope."""
+
+    by: TrialStep
+    evaluation: Evaluation
+    matrix: Matrix | None
+    slope: float
+
+
+class Trials:
+    """The trials of a loop.
+
+    region: lower and upper values that it keeps to within the parameters' bounds, each
+    (n_parameters,), where it may not go everywhere. first: number of the first set.
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        evaluator: Evaluator,
+        watcher: Watcher,
+        region: tuple[Floats, Floats] | None,
+        first: int,
+    ) -> None:
+        self.campaign = campaign
+        self.evaluator = evaluator
+        self.watcher = watcher
+        parameters = campaign.parameters
+        low, high = region or (parameters.lower, parameters.upper)
+        box = np.maximum(parameters.lower, low), np.minimum(parameters.upper, high)
+        self.between = Between(campaign, evaluator, *box)
+        self.stepping = Stepping(campaign, evaluator, *box)
+        self.newest: Matrix | None = None
+        self.number = self.first = first
+
+    def used_up(self) -> bool:
+        """Whether there are no iterations left."""
+        return self.number - self.first == self.campaign.update.max_iterations
+
+    def start(self, title: str, around: Evaluation | None) -> State:
+        """The first set; around: an evaluation point that its modes are tracked from."""
+        self.watcher.working(title)
+        theta, alone = self.campaign.start, self.campaign.update.max_iterations == 0
+        current, matrix = self.evaluator.evaluate(self.first, theta, around, alone)
+        self.newest = matrix
+        told = Noted(self.first, current, None, None, np.nan, True, title, False, matrix)
+        self.watcher.noted(told)
+        return State(current, matrix, None, self.stepping.first)
+
+    def matrix(self, state: State) -> Matrix:
+        """The matrix of the step from a state, computed where it has to be."""
+        if state.matrix is None:
+            self.watcher.working(f"iteration {self.number}: sensitivities")
+        self.newest = state.matrix or self.evaluator.matrix(self.number, state.current)
+        return self.newest
+
+    def better(self, state: State, matrix: Matrix) -> Trial | None:
+        """The first set that is better than the current one, or None.
+
+        With a fresh matrix the step is made shorter until it helps. An old one gets one chance, and
+        Broyden's a second: along a narrow valley a long step is worse by its curvature alone, and
+        corrected by what it showed the next one from there ends at the bottom, at the price of a
+        round where a new matrix takes all of its own.
+        """
+        current, stepping = state.current, self.stepping
+        by = TrialStep(stepping.step(current, matrix, state.region), matrix, state.region, current)
+        chances, failures = 2 if matrix.age > 0 else SHORTENINGS + 1, 0
+        for chance in range(chances):
+            if np.max(np.abs(by.step.change)) < NO_STEP or self.used_up():
+                return None
+            self.watcher.working(f"iteration {self.number + 1}")
+            old = by.matrix.age > 0
+            ending = "taken back, new sensitivity" if old else "shorter step"
+            try:
+                trial = self.tried(state, by, alone=chance > 0)
+            except (SolverError, ModesError) as error:
+                never_solved = not old and failures == chance == chances - 1
+                if isinstance(error, SolverMissing | SolverCancelled) or never_solved:
+                    raise
+                failures += 1
+                level = logging.WARNING if self.evaluator.steps_run else logging.INFO
+                logger.log(level, "%s; %s", error, ending)
+            else:
+                better = stepping.better(current, trial.evaluation, by.step)
+                if better or trial.evaluation.agrees(self.campaign.tolerances):
+                    return trial
+                again = old and chance == 0 and self.between.tries_again(trial.slope)
+                self.note(trial, f"worse: {'corrected and gone on from' if again else ending}")
+                if again:
+                    by = self._gone_on(current, trial)
+                    continue
+            if old:
+                return None
+            step, region = stepping.shorter(current, by.matrix, by.step, by.region)
+            by = replace(by, step=step, region=region)
+        return None
+
+    def _gone_on(self, current: Evaluation, trial: Trial) -> TrialStep:
+        """From a set that an old matrix made worse, by the matrix corrected by what it showed."""
+        by, begun = trial.by, trial.evaluation
+        matrix = self.between.older(by.matrix, by.begun, begun)
+        step = self.stepping.step(begun, matrix, by.region)
+        step = replace(step, change=begun.theta + step.change - current.theta)
+        return TrialStep(step, matrix, by.region, begun)
+
+    def tried(self, state: State, by: TrialStep, alone: bool = False) -> Trial:
+        """The set that a step leads to; alone: without sensitivities beside its modal job.
+
+        Raises SolverError, ModesError, StoreError.
+        """
+        self.number += 1
+        current = state.current
+        # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
+        alone = (
+            alone
+            or self.between.waits
+            or state.skip is not None
+            or self.used_up()
+            or expects_agreement(by.step, current, self.campaign.tolerances)
+        )
+        theta = current.theta + by.step.change
+        evaluation, fresh = self.evaluator.evaluate(self.number, theta, current, alone)
+        change = slope(evaluation.residual, current.residual, theta.size)
+        return Trial(by, evaluation, fresh, change)
+
+    def note(
+        self, trial: Trial, decision: str, accepted: bool = False, skipped: bool = False
+    ) -> None:
+        """Tell what was decided of a trial."""
+        by, there = trial.by, trial.evaluation
+        self.watcher.noted(
+            Noted(
+                self.number,
+                there,
+                by.step,
+                by.matrix,
+                trial.slope,
+                accepted,
+                decision,
+                skipped,
+                self.newest,
+            )
+        )
