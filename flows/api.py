@@ -35,8 +35,7 @@ from modetune.flows.studies.condensation.reduce import (
 from modetune.flows.studies.correlate.correlate import Correlation
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
-from modetune.flows.studies.identify.identify import identify as identify_modes
-from modetune.flows.studies.identify.operational import OperationalModes, operational_modes
+from modetune.flows.studies.identify.operational import OperationalModes, identified
 from modetune.flows.studies.identify.reading import SpectraSettings, read_functions
 from modetune.flows.studies.init.draft import Draft
 from modetune.flows.studies.init.text import init_campaign
@@ -360,15 +359,13 @@ def identify(
     response functions from time histories.
     """
     settings = IdentificationSettings(band, order, tuple(pick))
-    if not isinstance(test, Measurement | MeasuredFrfs):
+    outputs = None
+    if isinstance(test, MeasuredFrfs):
+        test = Measurement(frfs=test)
+    elif not isinstance(test, Measurement):
         spectra = SpectraSettings(estimator, segment, window)
         test, outputs = read_functions(_paths(test), spectra)
-        if outputs is not None:
-            return operational_modes(outputs, settings)
-    frfs = test.frfs if isinstance(test, Measurement) else test
-    if frfs is None:
-        raise CampaignError("the test has no frequency response functions to identify modes from")
-    return identify_modes(frfs, settings)
+    return identified(test, outputs, settings)
 
 
 def read_test(paths: StrPath | Sequence[StrPath]) -> Measurement:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.calculix.frd import read_frd, read_frd_points
+from modetune.adapters.calculix.frd_modes import read_frd, read_frd_points
 from modetune.adapters.nastran.eigenvectors import unit_modes
 from modetune.adapters.nastran.f06 import read_f06
 from modetune.adapters.nastran.hdf5_modes import read_hdf5_modes

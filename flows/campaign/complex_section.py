@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from modetune.adapters.yaml_file import Place
+from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.complex_shapes import ComplexShapes
-from modetune.core.updating.responses.damping import DampedPairs
 from modetune.flows.campaign.response_section import (
     ModewiseSection,
     TestedModel,

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from modetune.adapters.yaml_file import Place
 from modetune.core.measurement.repeated import damping_covariance
-from modetune.core.updating.responses.damping import DampedPairs, DampingRatios
+from modetune.core.updating.damped_pairs import DampedPairs
+from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.response_section import ModewiseSection, TestedModel
 from modetune.flows.campaign.section import Positive
 

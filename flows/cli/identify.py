@@ -14,11 +14,12 @@ from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
-from modetune.flows.report.tables import Column, json_object, json_of, table_of
+from modetune.flows.report.tables import Column, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
     from modetune.flows.studies.identify.operational import OperationalModes
+    from modetune.flows.studies.identify.reading import SpectraSettings
 
 #: Functions that are named as the worst.
 WORST = 5
@@ -61,53 +62,31 @@ def identify(
     Time histories with a force become response functions first; of responses alone the modes come
     from their covariances, without a scale of shapes.
     """
-    names = ", ".join(str(path) for path in frfs)
+    names = ", ".join(map(str, frfs))
     with (
         stoppable("stopped; the same command starts from the beginning"),
         begun(f"reading {names}") as tell,
     ):
-        from modetune.adapters.test_files.writing import check_out, write_modes
-        from modetune.core.measurement.time_histories import Estimator, Window
-        from modetune.flows.studies.identify.identify import comments
-        from modetune.flows.studies.identify.identify import identify as identify_modes
-        from modetune.flows.studies.identify.operational import operational_modes
-        from modetune.flows.studies.identify.reading import SpectraSettings, read_functions
+        from modetune.adapters.test_files.writing import check_out
+        from modetune.flows.studies.identify.operational import identified, write_identified
+        from modetune.flows.studies.identify.reading import read_functions
 
         settings = _settings(band, order, pick, criteria)
         if out is not None:
             check_out(out)
-        spectra = SpectraSettings(
-            None if estimator is None else named("--estimator", estimator, get_args(Estimator)),
-            segment,
-            None if window is None else named("--window", window, get_args(Window)),
-        )
-        measurement, outputs = read_functions(frfs, spectra)
+        measurement, outputs = read_functions(frfs, _spectra(estimator, segment, window))
         tell("identifying modes")
-        written: tuple[Path, ...] = ()
-        if outputs is not None:
-            if figures is not None:
-                raise CampaignError("--figures shows response functions, and none were measured")
-            alone = operational_modes(outputs, settings)
-            modes, notes = _modes(alone), (*measurement.notes, *alone.notes)
-            source = f"identified by modetune from {' '.join(names.split())}"
-            test, said, lines = alone.modes, (source, *notes), []
-            about = json_object(alone, "auto_mac", normalisation="max", output_only=True)
-        else:
-            assert measurement.frfs is not None
-            found = identify_modes(measurement.frfs, settings)
-            modes, notes = _modes(found), (*measurement.notes, *found.notes)
-            test, said, lines = found.modes, comments(found, names), [_fit(found)]
-            if figures is not None:
-                from modetune.flows.studies.identify.figures import write_figures
-
-                written = write_figures(figures, ", ".join(path.name for path in frfs), found)
-            about = _told(found) | {"figures": json_of(written)}
+        if outputs is not None and figures is not None:
+            raise CampaignError("--figures shows response functions, and none were measured")
+        found = identified(measurement, outputs, settings)
+        about, lines, files = _told(found, figures, ", ".join(path.name for path in frfs))
         if out is not None:
-            write_modes(out, test, measurement.geometry, said)
-            written = (out, *written)
+            write_identified(out, found, measurement, names)
+            files = (out, *files)
+    modes, notes = _modes(found), (*measurement.notes, *found.notes)
+    about |= json_object(found, "auto_mac", status="identified", modes=modes, notes=notes, out=out)
     table = table_of("Identified modes", modes, IdentifiedMode)
-    lines += [*(f"note: {note}" for note in notes), *(f"written: {path}" for path in written)]
-    about |= json_object(status="identified", modes=modes, notes=notes, out=out)
+    lines += [*(f"note: {note}" for note in notes), *(f"written: {path}" for path in files)]
     tell_end(about, [table, *lines], as_json)
 
 
@@ -122,6 +101,17 @@ def _settings(
     if len(limits) != 3:
         raise CampaignError("--criteria requires three numbers: frequency,damping,shape")
     return IdentificationSettings(band, order, picked, Criteria(*limits))
+
+
+def _spectra(estimator: str | None, segment: float | None, window: str | None) -> SpectraSettings:
+    from modetune.core.measurement.time_histories import Estimator, Window
+    from modetune.flows.studies.identify.reading import SpectraSettings
+
+    return SpectraSettings(
+        None if estimator is None else named("--estimator", estimator, get_args(Estimator)),
+        segment,
+        None if window is None else named("--window", window, get_args(Window)),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,30 +142,35 @@ def _modes(found: Identification | OperationalModes) -> list[IdentifiedMode]:
     ]
 
 
-def _told(found: Identification) -> dict[str, Json]:
-    """What the `--json` object of `modetune identify` has of response functions."""
-    lines = found.frfs.frequencies_hz
+def _told(
+    found: Identification | OperationalModes, figures: Path | None, title: str
+) -> tuple[dict[str, Json], list[str], tuple[Path, ...]]:
+    """What the `--json` object has of response functions beside modes, or of none; the fit in a
+    sentence; and the figures, written where they are asked for."""
+    from modetune.flows.studies.identify.identify import Identification
+
+    about = json_object(normalisation=found.modes.modes.normalisation)
+    if not isinstance(found, Identification):
+        return about | {"output_only": True}, [], ()
+    written: tuple[Path, ...] = ()
+    if figures is not None:
+        from modetune.flows.studies.identify.figures import write_figures
+
+        written = write_figures(figures, title, found)
+    lines, frac = found.frfs.frequencies_hz, found.frac
     worst = [
-        {"function": found.function_name(place), "frac": found.frac[place]}
+        {"function": found.function_name(place), "frac": frac[place]}
         for place in found.worst_functions[:WORST].tolist()
     ]
-    return json_object(
-        found,
-        "auto_mac",
+    about |= json_object(
         band_hz=[lines[0], lines[-1]],
         order=found.settings.order,
-        functions=found.frac.size,
-        normalisation=found.modes.modes.normalisation,
-        frac={"mean": found.frac.mean(), "least": found.frac.min(), "worst": worst},
+        functions=frac.size,
+        frac={"mean": frac.mean(), "least": frac.min(), "worst": worst},
+        figures=written,
     )
-
-
-def _fit(found: Identification) -> str:
-    worst = int(found.worst_functions[0])
-    return (
-        f"FRAC of {found.frac.size} functions: mean {found.frac.mean():.4f}, least "
-        f"{found.frac[worst]:.4f} at {found.function_name(worst)}"
-    )
+    fit = f"FRAC of {frac.size} functions: mean {frac.mean():.4f}, least {frac.min():.4f} at "
+    return about, [fit + str(worst[0]["function"])], written
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

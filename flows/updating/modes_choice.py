@@ -16,7 +16,7 @@ import numpy as np
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.errors import NotComputed
 from modetune.core.storage.keys import Json
-from modetune.core.updating.results import ModesForecast
+from modetune.core.updating.modes_forecast import ModesForecast
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.matrix_plan import unsuitable
 from modetune.flows.jobs.job_prices import job_prices, side_by_side

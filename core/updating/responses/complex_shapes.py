@@ -28,7 +28,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.correlation.complexity import turned
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
-from modetune.core.updating.responses.damping import DampedPairs, SolvedPairs
+from modetune.core.updating.damped_pairs import DampedPairs, SolvedPairs
 from modetune.core.updating.responses.response import (
     ModelState,
     Need,

@@ -8,16 +8,19 @@ split poles of close modes. Shapes have no scale that forces would give: their l
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy import signal
 
 from modetune.adapters.ssi import ssi_poles
+from modetune.adapters.test_files import writing
 from modetune.core.brief import brief
 from modetune.core.correlation.complexity import modal_phase_collinearity, real_shapes
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.measurement import Measurement
 from modetune.core.measurement.stabilisation import (
     OrderPoles,
     Stability,
@@ -29,7 +32,12 @@ from modetune.core.measurement.stabilisation import (
 )
 from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats, MeasuredModes, dof_name, mode_set
-from modetune.flows.studies.identify.identify import IdentificationSettings
+from modetune.flows.studies.identify.identify import (
+    Identification,
+    IdentificationSettings,
+    identify,
+    write_modes,
+)
 
 #: Samples in a period of the highest frequency that is looked at.
 SAMPLES = 2.5
@@ -57,6 +65,34 @@ class OperationalModes:
     notes: tuple[str, ...]
 
     __repr__ = brief
+
+
+def identified(
+    test: Measurement, outputs: TimeHistories | None, settings: IdentificationSettings
+) -> Identification | OperationalModes:
+    """Modes of a test's response functions, or of outputs where the forces are unknown.
+
+    Raises CampaignError where there are neither, or they do not allow it.
+    """
+    if outputs is not None:
+        return operational_modes(outputs, settings)
+    if test.frfs is None:
+        raise CampaignError("the test has no frequency response functions to identify modes from")
+    return identify(test.frfs, settings)
+
+
+def write_identified(
+    path: Path, found: Identification | OperationalModes, test: Measurement, source: str
+) -> None:
+    """Write identified modes as a test file. Raises StorageUnavailable, CampaignError.
+
+    test: that they are of; source: its files.
+    """
+    if isinstance(found, Identification):
+        write_modes(path, found, test.geometry, source)
+    else:
+        said = f"identified by modetune from {' '.join(source.split())}", *test.notes, *found.notes
+        writing.write_modes(path, found.modes, test.geometry, said)
 
 
 def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> OperationalModes:

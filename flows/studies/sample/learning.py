@@ -23,7 +23,8 @@ from scipy.stats import chi2
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.flows.studies.sample.density import Peaks, Posterior, find_peaks, limits_of
+from modetune.flows.studies.sample.density import Peaks, Posterior, find_peaks
+from modetune.flows.studies.sample.limits import limits_of
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.sampling import Chains, walk
 from modetune.flows.studies.sample.surrogate import (

@@ -11,7 +11,8 @@ from scipy.stats import truncnorm
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.flows.studies.sample.density import UNIT, Posterior, ResponseLimits, find_peaks
+from modetune.flows.studies.sample.density import Posterior, find_peaks
+from modetune.flows.studies.sample.limits import UNIT, ResponseLimits
 from modetune.flows.studies.sample.sampling import Chains, check_walkers, sample, split_r_hat
 
 
