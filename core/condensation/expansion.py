@@ -30,11 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
-from modetune.core.algebra.factorisation import (
-    SINGULAR_CONDITION,
-    Matrix,
-    symmetric_matrix,
-)
+from modetune.core.algebra.factorisation import SINGULAR_CONDITION, Matrix, symmetric_matrix
 from modetune.core.condensation.reduction import basis_inverse, checked_rows, partition
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import ModesError

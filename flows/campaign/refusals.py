@@ -7,12 +7,7 @@ from typing import get_args
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile
 from modetune.flows.campaign.parameter_section import targets_of
-from modetune.flows.campaign.schema import (
-    BY_NAME,
-    NO_TEST,
-    CampaignFile,
-    SolverName,
-)
+from modetune.flows.campaign.schema import BY_NAME, NO_TEST, CampaignFile, SolverName
 from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.campaign.site import RunSection
 

@@ -131,10 +131,7 @@ def frequencies(
 
     numbers: of the modes, (n_modes,), like the frequencies.
     """
-    names, largest = (
-        names_of(numbers),
-        1.06 * float(max(map(np.max, (test_hz, before_hz, after_hz)))),
-    )
+    names, largest = names_of(numbers), 1.06 * float(np.max((test_hz, before_hz, after_hz)))
     ends, span = np.array([0.0, largest]), (0.0, largest)
     points, bars = [Curve("equal", ends, ends, GREY, width=1.0)], []
     for name, values, colour, mark in (
@@ -145,18 +142,8 @@ def frequencies(
             f"mode {number}: test {x:.3f} Hz, {name} {y:.3f} Hz"
             for number, x, y in zip(names, test_hz, values, strict=True)
         )
-        points.append(
-            Curve(
-                name,
-                test_hz,
-                values,
-                colour,
-                "",
-                mark,
-                told=told,
-                written=names if name == "after" else (),
-            )
-        )
+        written = names if name == "after" else ()
+        points.append(Curve(name, test_hz, values, colour, "", mark, told=told, written=written))
         bars.append(Bars(name, 100.0 * (values / test_hz - 1.0), colour))
     panels = (
         Panel(tuple(points), Axis("test, Hz", span=span), Axis("computed, Hz", span=span)),
@@ -173,23 +160,13 @@ def parameter_histories(record: CampaignRecord) -> Chart:
     for place, name in enumerate(record.parameters.names):
         again, shade = divmod(place, len(PARAMETER_COLOURS))
         colour, line = PARAMETER_COLOURS[shade], ("-", "--", ":")[again % 3]
-        for which, said in ((kept, ""), (tried, " (not kept)")):
+        looks = (kept, "", (line, "o")), (tried, " (not kept)", ("", "ring"))
+        for which, said, look in looks:
             values = np.array([item.parameters[place] for item in which])
             told = tuple(f"{name}: {value:.4f}{said}" for value in values)
             numbers = np.array([item.number for item in which])
             if which:
-                items.append(
-                    Curve(
-                        name,
-                        numbers,
-                        values,
-                        colour,
-                        "" if said else line,
-                        "ring" if said else "o",
-                        size=5.0,
-                        told=told,
-                    )
-                )
+                items.append(Curve(name, numbers, values, colour, *look, size=5.0, told=told))
     panel = Panel(tuple(items), _iteration_axis(record), Axis("value relative to the deck"))
     return Chart(record.name, "parameters by iteration", (panel,), size=(6.4, 4.2))
 
@@ -259,14 +236,8 @@ def sensitivities(record: CampaignRecord, matrices: Sequence[tuple[int, Floats]]
         )
         for mode, label in enumerate(labels)
     )
-    return Chart(
-        record.name,
-        "normalised sensitivities of each mode",
-        panels,
-        min(3, len(panels)),
-        (3.2, 2.1),
-        same_y=True,
-    )
+    what, columns = "normalised sensitivities of each mode", min(3, len(panels))
+    return Chart(record.name, what, panels, columns, (3.2, 2.1), same_y=True)
 
 
 def convergence(record: CampaignRecord) -> Chart:
@@ -282,17 +253,9 @@ def convergence(record: CampaignRecord) -> Chart:
             slopes.append(Curve(name, numbers, _above_zero(slope), AFTER, line, mark))
     skipped = [item for item in items if item.sensitivity_skipped]
     if skipped:
-        slopes.append(
-            Curve(
-                "sensitivity skipped (e2)",
-                np.array([item.number for item in skipped]),
-                _above_zero(np.array([item.slope for item in skipped])),
-                TEST,
-                "",
-                "ring",
-                size=13.0,
-            )
-        )
+        numbers = np.array([item.number for item in skipped])
+        slope, name = np.array([item.slope for item in skipped]), "sensitivity skipped (e2)"
+        slopes.append(Curve(name, numbers, _above_zero(slope), TEST, "", "ring", size=13.0))
     rules = (Rule(f"e2 = {record.e2:g}", record.e2),) if record.e2 > 0.0 else ()
     axis = _iteration_axis(record)
     panels = (
@@ -304,34 +267,16 @@ def convergence(record: CampaignRecord) -> Chart:
 
 def comac(title: str, found: SensorAgreement) -> Chart:
     """COMAC of each sensor before and after."""
-    at = positions(found.labels)
-    items = tuple(
-        Curve(
-            name,
-            at,
-            values,
-            colour,
-            "",
-            mark,
-            size=6.0,
-            told=tuple(
-                f"{label}, {name}: {value:.3f}"
-                for label, value in zip(found.labels, values, strict=True)
-            ),
-        )
-        for name, values, colour, mark in (
-            ("before", found.before, BEFORE, "o"),
-            ("after", found.after, AFTER, "x"),
-        )
-    )
+    at, items = positions(found.labels), []
+    looks = ("before", found.before, BEFORE, "o"), ("after", found.after, AFTER, "x")
+    for name, values, colour, mark in looks:
+        pairs = zip(found.labels, values, strict=True)
+        told = tuple(f"{label}, {name}: {value:.3f}" for label, value in pairs)
+        items.append(Curve(name, at, values, colour, "", mark, size=6.0, told=told))
     y = Axis("COMAC", span=(found.scale_foot - 0.02, 1.02))
-    panel = Panel(items, Axis(names=found.labels, slant=90), y)
-    return Chart(
-        title,
-        "COMAC of each sensor",
-        (panel,),
-        size=(max(6.4, min(0.14 * len(found.labels), 16.0)), 3.4),
-    )
+    panel = Panel(tuple(items), Axis(names=found.labels, slant=90), y)
+    size = max(6.4, min(0.14 * len(found.labels), 16.0)), 3.4
+    return Chart(title, "COMAC of each sensor", (panel,), size=size)
 
 
 def sensor_shapes(record: CampaignRecord) -> Chart:
@@ -372,17 +317,8 @@ def l_curve(trust: Trust) -> Chart:
         points.append(("taken", trust.regularisation, AFTER, "x"))
     for name, factor, colour, mark in points:
         at = [int(np.argmin(np.abs(np.log(curve.factors / factor))))]
-        items.append(
-            Curve(
-                f"{name}: {factor:.3g}",
-                curve.misfits[at],
-                curve.sizes[at],
-                colour,
-                "",
-                mark,
-                size=9.0,
-            )
-        )
+        there, label = (curve.misfits[at], curve.sizes[at]), f"{name}: {factor:.3g}"
+        items.append(Curve(label, *there, colour, "", mark, size=9.0))
     panel = Panel(
         tuple(items),
         Axis("residual left, in standard deviations", log=True),

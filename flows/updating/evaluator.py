@@ -38,13 +38,7 @@ from modetune.flows.updating.evaluation import (
     Point,
     whole_evaluation,
 )
-from modetune.flows.updating.finders import (
-    CAMPAIGNS_OWN,
-    REDUCED,
-    UNFIT,
-    by_solver,
-    unless_failed,
-)
+from modetune.flows.updating.finders import CAMPAIGNS_OWN, REDUCED, UNFIT, by_solver, unless_failed
 from modetune.flows.updating.holding_out import HoldingOut
 from modetune.flows.updating.modes_choice import MANY, confirms_by_matrices
 from modetune.flows.updating.pieces import Pieces
@@ -121,11 +115,7 @@ class Evaluator:
     """
 
     def __init__(
-        self,
-        campaign: Campaign,
-        states: Sequence[CaseState],
-        execution: Execution,
-        ledger: Ledger,
+        self, campaign: Campaign, states: Sequence[CaseState], execution: Execution, ledger: Ledger
     ) -> None:
         self.campaign = campaign
         self.used = [state for state in states if not state.case.aside]

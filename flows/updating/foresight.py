@@ -35,7 +35,7 @@ from modetune.flows.updating.finders import REDUCED
 from modetune.flows.updating.loop import CONFIRMED, Loop
 from modetune.flows.updating.modes_choice import confirms_by_matrices
 from modetune.flows.updating.semi_analytic import UnlikeMatrices
-from modetune.flows.updating.trials import Noted
+from modetune.flows.updating.trials import Watcher
 
 logger = logging.getLogger(__name__)
 
@@ -265,14 +265,5 @@ def _length(theta: Floats, previous: Evaluation) -> float:
     return max(float(np.max(np.abs(theta - previous.theta))), float(np.finfo(np.float64).eps))
 
 
-class Unnoted:
+class Unnoted(Watcher):
     """A loop that nobody watches."""
-
-    def working(self, text: str) -> None:
-        return
-
-    def noted(self, trial: Noted) -> None:
-        return
-
-    def confirmed(self, evaluation: Evaluation) -> None:
-        return

@@ -40,6 +40,7 @@ class End:
     matrix: Matrix | None
 
 
+@dataclass
 class Loop:
     """Updating from a start to its end; `run` carries it there.
 
@@ -49,24 +50,17 @@ class Loop:
     whether the end is looked at by the solver's own modes where it was found otherwise.
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        evaluator: Evaluator,
-        watcher: Watcher,
-        region: tuple[Floats, Floats] | None = None,
-        around: Evaluation | None = None,
-        first: int = 0,
-        title: str = "initial model",
-        confirms: bool = True,
-    ) -> None:
-        self.around = around
-        self.confirms = confirms
-        self.title = title
-        self.campaign = campaign
-        self.evaluator = evaluator
-        self.watcher = watcher
-        self.trials = Trials(campaign, evaluator, watcher, region, first)
+    campaign: Campaign
+    evaluator: Evaluator
+    watcher: Watcher
+    region: tuple[Floats, Floats] | None = None
+    around: Evaluation | None = None
+    first: int = 0
+    title: str = "initial model"
+    confirms: bool = True
+
+    def __post_init__(self) -> None:
+        self.trials = Trials(self.campaign, self.evaluator, self.watcher, self.region, self.first)
 
     def run(self) -> End:
         """Update until e1 holds, nothing more is gained, or the iterations are used up.

@@ -213,12 +213,7 @@ class Solutions:
         return self._solver
 
     def _solved(
-        self,
-        item: ModalSet,
-        start: SearchStart,
-        here: MatrixResult,
-        count: bool,
-        beside: int = 0,
+        self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool, beside: int = 0
     ) -> tuple[FactorsAt | None, SolvedModes, tuple[Floats, int]]:
         """The factors that were at hand, modes, and these modes' energies as `assembled`.
 

@@ -33,33 +33,32 @@ NO_STEP = 1e-8
 
 
 class Watcher(Protocol):
-    """Who is told what a loop does."""
+    """Who is told what a loop does, as far as it has a method for it."""
 
     def working(self, text: str) -> None:
         """What is being computed now."""
-        ...
+        return
 
     def noted(self, trial: Noted) -> None:
         """A set was evaluated, and this was decided of it."""
-        ...
+        return
 
     def confirmed(self, evaluation: Evaluation) -> None:
         """The solver's own modes at the last accepted set."""
-        ...
+        return
 
 
 @dataclass(frozen=True, slots=True)
 class Noted:
     """An evaluation point: how it was come by, and what was decided.
 
-    step, matrix: None at the start; matrix: the one of the step; slope: e2's, NaN at the start;
-    skipped: whether e2 made this set do without a matrix of its own; newest: the newest matrix.
+    by: the step to it, None at the start; slope: e2's, NaN at the start; skipped: whether e2 made
+    this set do without a matrix of its own; newest: the newest matrix.
     """
 
     number: int
     evaluation: Evaluation
-    step: Step | None
-    matrix: Matrix | None
+    by: TrialStep | None
     slope: float
     accepted: bool
     decision: str
@@ -106,6 +105,7 @@ class Trial:
     slope: float
 
 
+@dataclass
 class Trials:
     """The trials of a loop.
 
@@ -113,24 +113,19 @@ class Trials:
     (n_parameters,), where it may not go everywhere. first: number of the first set.
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        evaluator: Evaluator,
-        watcher: Watcher,
-        region: tuple[Floats, Floats] | None,
-        first: int,
-    ) -> None:
-        self.campaign = campaign
-        self.evaluator = evaluator
-        self.watcher = watcher
-        parameters = campaign.parameters
-        low, high = region or (parameters.lower, parameters.upper)
-        box = np.maximum(parameters.lower, low), np.minimum(parameters.upper, high)
-        self.between = Between(campaign, evaluator, *box)
-        self.stepping = Stepping(campaign, evaluator, *box)
-        self.newest: Matrix | None = None
-        self.number = self.first = first
+    campaign: Campaign
+    evaluator: Evaluator
+    watcher: Watcher
+    region: tuple[Floats, Floats] | None
+    first: int
+    newest: Matrix | None = None
+
+    def __post_init__(self) -> None:
+        own, self.number = self.campaign.parameters, self.first
+        low, high = self.region or (own.lower, own.upper)
+        box = np.maximum(own.lower, low), np.minimum(own.upper, high)
+        self.between = Between(self.campaign, self.evaluator, *box)
+        self.stepping = Stepping(self.campaign, self.evaluator, *box)
 
     def used_up(self) -> bool:
         """Whether there are no iterations left."""
@@ -142,8 +137,7 @@ class Trials:
         theta, alone = self.campaign.start, self.campaign.update.max_iterations == 0
         current, matrix = self.evaluator.evaluate(self.first, theta, around, alone)
         self.newest = matrix
-        told = Noted(self.first, current, None, None, np.nan, True, title, False, matrix)
-        self.watcher.noted(told)
+        self.watcher.noted(Noted(self.first, current, None, np.nan, True, title, False, matrix))
         return State(current, matrix, None, self.stepping.first)
 
     def matrix(self, state: State) -> Matrix:
@@ -226,17 +220,7 @@ class Trials:
         self, trial: Trial, decision: str, accepted: bool = False, skipped: bool = False
     ) -> None:
         """Tell what was decided of a trial."""
-        by, there = trial.by, trial.evaluation
+        there, newest = trial.evaluation, self.newest
         self.watcher.noted(
-            Noted(
-                self.number,
-                there,
-                by.step,
-                by.matrix,
-                trial.slope,
-                accepted,
-                decision,
-                skipped,
-                self.newest,
-            )
+            Noted(self.number, there, trial.by, trial.slope, accepted, decision, skipped, newest)
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -23,51 +23,40 @@ from modetune.flows.updating.tried_starts import OtherStarts, TriedStarts
 
 
 class Progress(Protocol):
-    """Who watches a campaign."""
+    """Who watches a campaign, as far as it has a method for it."""
 
     def working(self, text: str) -> None:
         """What is being computed now."""
-        ...
+        return
 
     def iteration(self, record: IterationRecord) -> None:
         """An iteration is complete."""
-        ...
+        return
 
 
-class Unwatched:
+class Unwatched(Progress):
     """Watches nothing."""
 
-    def working(self, text: str) -> None:
-        return
 
-    def iteration(self, record: IterationRecord) -> None:
-        return
-
-
+@dataclass
 class Updating:
     """A campaign under way. `run` carries it to its end.
 
     around: an evaluation point that the modes of the start are tracked from.
     """
 
-    def __init__(
-        self,
-        campaign: Campaign,
-        evaluator: Evaluator,
-        progress: Progress,
-        save: Callable[[CampaignRecord], None],
-        around: Evaluation | None = None,
-    ) -> None:
-        self.around = around
-        self.campaign = campaign
-        self.evaluator = evaluator
-        self.progress = progress
-        self.save = save
+    campaign: Campaign
+    evaluator: Evaluator
+    progress: Progress
+    save: Callable[[CampaignRecord], None]
+    around: Evaluation | None = None
+    matrix: Matrix | None = None
+    counted: RunCounts = field(default_factory=RunCounts)
+
+    def __post_init__(self) -> None:
         self.iterations: list[IterationRecord] = []
-        self.matrix: Matrix | None = None
         self.kept: list[Evaluation] = []
         self.started = self.lap = time.monotonic()
-        self.counted = RunCounts()
 
     def run(self) -> CampaignRecord:
         """Update until e1 holds, nothing more is gained, or the iterations are used up."""
@@ -108,7 +97,8 @@ class Updating:
 
     def noted(self, trial: Noted) -> None:
         """Keep an evaluation point in the record."""
-        evaluation, step, matrix = trial.evaluation, trial.step, trial.matrix
+        evaluation, by = trial.evaluation, trial.by
+        step, matrix = (by.step, by.matrix) if by else (None, None)
         now, parameters = time.monotonic(), self.campaign.parameters
         runs, wall_s = self.evaluator.runs.since(self.counted), now - self.lap
         self.counted, self.lap = self.evaluator.runs, now

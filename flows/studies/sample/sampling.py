@@ -150,10 +150,7 @@ class Foreseen(emcee.moves.RedBlueMove):  # type: ignore[misc]  # emcee has no t
 
 
 def _sampler(
-    posterior: Posterior,
-    walkers: int,
-    rng: np.random.Generator,
-    foreseen: Posterior | None = None,
+    posterior: Posterior, walkers: int, rng: np.random.Generator, foreseen: Posterior | None = None
 ) -> emcee.EnsembleSampler:
     # No snooker moves: in emcee 3.1 they accept with a wrong probability and narrow the samples.
     moves = [
