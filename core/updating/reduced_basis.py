@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from modetune.core.algebra.matrices import MatrixResult, projected, upper_product
+from modetune.core.algebra.matrices import ROWS_AT_ONCE, projected, upper_product
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.derivative_vectors import (
     NEGLIGIBLE,
@@ -49,6 +49,8 @@ LEAST_SHIFT = -1e-3
 RANK = 1e-8
 #: Squared length below which what an old basis has outside the new one is left out.
 OLD_RANK = 1e-8
+#: Vectors that are weighted at once: a product has three of the size of what it is made of.
+COLUMNS_AT_ONCE = 8
 
 
 def reduce(
@@ -77,16 +79,18 @@ def reduce(
     mass = affine.mass_at(theta)
     modes = KnownModes.of(eigenvalues, shapes, used, mass, n_rigid)
     answers = derivative_answers(affine, theta, modes, mass, inverse)
-    own_shift = min(answers.shift, LEAST_SHIFT * float(eigenvalues[modes.first]))
+    shift, more = answers.shift, [] if previous is None else [previous]
+    own_shift = min(shift, LEAST_SHIFT * float(eigenvalues[modes.first]))
     if exact:
-        basis, more = _basis(modes, answers, most - eigenvalues.size), previous
+        basis = _basis(modes, answers, most - eigenvalues.size)
     else:
-        basis, known = shapes, [answers.vectors, *([] if previous is None else [previous])]
-        more = np.hstack(known)
+        basis, more = shapes, [answers.vectors, *more]
+    del modes, answers  # as large as the basis itself
     widened = basis
-    if more is not None and basis.shape[1] < most:
-        metric = _Metric.of(affine.at(theta))
+    if more and basis.shape[1] < most:
+        metric = _Metric.of(affine.at(theta).upper_stiffness, mass)
         widened = with_directions(metric.weighted, basis, more, most - basis.shape[1])
+    del more
     if not exact:
         return projected_model(affine, widened, own_shift, observer), widened
     stiffness_parts = _reduced_parts(affine.base.upper_stiffness, affine.stiffness, widened)
@@ -95,9 +99,9 @@ def reduce(
     if widened.shape[1] > basis.shape[1]:
         stiffness = projected(affine.base.upper_stiffness, widened)
     else:
-        stiffness = answers.shift * inertia
+        stiffness = shift * inertia
         energies = np.ones(basis.shape[1])
-        energies[: eigenvalues.size] = eigenvalues - answers.shift
+        energies[: eigenvalues.size] = eigenvalues - shift
         stiffness[np.diag_indices_from(stiffness)] += energies
         stiffness -= _moved(stiffness_parts, theta, affine.reference, basis.shape[1])
     model = ReducedModel(
@@ -164,12 +168,12 @@ class _Metric:
     diagonal: Floats
 
     @classmethod
-    def of(cls, here: MatrixResult) -> _Metric:
-        stiffness, inertia = here.upper_stiffness.diagonal(), here.upper_mass.diagonal()
+    def of(cls, upper_stiffness: sparse.csr_array, upper_mass: sparse.csr_array) -> _Metric:
+        stiffness, inertia = upper_stiffness.diagonal(), upper_mass.diagonal()
         moving = inertia > 0.0
         largest = float(np.max(stiffness[moving] / inertia[moving], initial=0.0))
         scale = 1e-3 / largest if largest > 0.0 else 1.0
-        return cls(here.upper_mass, np.abs(stiffness) * scale)
+        return cls(upper_mass, np.abs(stiffness) * scale)
 
     def weighted(self, block: Floats) -> Floats:
         found = upper_product(self.mass, block)
@@ -222,27 +226,52 @@ def widened_model(
 
 
 def with_directions(
-    weight: Weight, basis: Floats, block: Floats, room: int, inner: Floats | None = None
+    weight: Weight,
+    basis: Floats,
+    blocks: Sequence[Floats],
+    room: int,
+    inner: Floats | None = None,
 ) -> Floats:
-    """A basis with the directions that a block has outside it, the strongest first.
+    """A basis with the directions that blocks have outside it, the strongest first.
 
-    weight: for the product of vectors; basis: (n, r); block: (n, k); room: how many of them the
-    basis takes; inner: (r, r), products of the basis with itself, where they are known.
+    weight: for the product of vectors; basis: (n, r); blocks: (n, k) each; room: how many of their
+    directions the basis takes; inner: (r, r), products of the basis with itself, where they are
+    known. Vectors are weighted a few at once, and rows of the blocks combined a few at once:
+    beside what is given and what is found hardly anything is in memory.
     """
-    own = weight(block)
     if inner is None:
-        inner = basis.T @ weight(basis)
-    gram = block.T @ own
+        inner = _products(weight, [basis], basis)
+    known = [basis, *blocks]
+    products = np.hstack([_products(weight, known, block) for block in blocks])
+    seen, gram = products[: basis.shape[1]], products[basis.shape[1] :]
     moves = np.flatnonzero(gram.diagonal() > 0.0)
     scale = 1.0 / np.sqrt(gram.diagonal()[moves])
     gram = scale[:, None] * gram[np.ix_(moves, moves)] * scale
-    seen = (basis.T @ own[:, moves]) * scale
+    seen = seen[:, moves] * scale
     inside = np.linalg.solve(inner, seen)
     squares, turned = np.linalg.eigh(gram - seen.T @ inside)
     kept = np.flatnonzero(squares > OLD_RANK)[::-1][: max(room, 0)]
     turned = turned[:, kept] / np.sqrt(squares[kept])
-    new = block[:, moves] @ (scale[:, None] * turned) - basis @ (inside @ turned)
-    return np.hstack([basis, new])
+    mixing = np.zeros((products.shape[0], kept.size))
+    mixing[: basis.shape[1]] = -inside @ turned
+    mixing[basis.shape[1] + moves] = scale[:, None] * turned
+    ends = np.cumsum([block.shape[1] for block in known])
+    pairs = list(zip(known, np.split(mixing, ends[:-1]), strict=True))
+    found = np.empty((basis.shape[0], basis.shape[1] + kept.size))
+    for start in range(0, found.shape[0], ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        found[rows, : basis.shape[1]] = basis[rows]
+        found[rows, basis.shape[1] :] = sum(block[rows] @ own for block, own in pairs)
+    return found
+
+
+def _products(weight: Weight, known: Sequence[Floats], block: Floats) -> Floats:
+    """Products of vectors, side by side in (n, r) each, with those of a block (n, k): (r, k)."""
+    pieces = []
+    for start in range(0, block.shape[1], COLUMNS_AT_ONCE):
+        own = weight(block[:, start : start + COLUMNS_AT_ONCE])
+        pieces.append(np.vstack([vectors.T @ own for vectors in known]))
+    return np.hstack(pieces)
 
 
 def _reduced_parts(

@@ -167,7 +167,7 @@ def reduce_over(
             shapes = found.shapes[:, n_rigid:]
             own = leading(whole, basis.shape[1])
             inner = own.base_stiffness - model.shift * own.base_mass
-            widened = with_directions(energy, basis, shapes, room - basis.shape[1], inner)
+            widened = with_directions(energy, basis, [shapes], room - basis.shape[1], inner)
         if widened.shape[1] == basis.shape[1]:  # good enough, or nothing can be added
             factor = errors[-1] / max(lacking, LEAST) ** 2
             seen = np.array(solved), np.array(errors)

@@ -48,8 +48,8 @@ from modetune.flows.updating.solutions import ModalSet, ReducedAround, Solutions
 logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are reduced to other numbers.
-REDUCED_VERSION = 5
-RANGE_VERSION = 3
+REDUCED_VERSION = 6
+RANGE_VERSION = 4
 #: Unknowns from which a range's full solutions are kept until it is made: those of smaller models
 #: are found again in a few times what it takes to keep them.
 KEPT_FROM = 50_000

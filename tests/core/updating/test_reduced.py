@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from modetune.core.updating.parameter_matrices import (
     parameter_matrices,
 )
 from modetune.core.updating.reduced import ReducedModel
-from modetune.core.updating.reduced_basis import reduce
+from modetune.core.updating.reduced_basis import reduce, with_directions
 from modetune.core.updating.sensitivity import ModeDerivatives, fox_kapoor, nelson
 from tests.core.matrix_decks import bar, matrices_of, plates
 
@@ -343,3 +344,22 @@ def test_forces_on_known_modes_alone_and_parameters_that_strain_nothing_add_no_v
     shares_moved = Full.at(wider, [1.2, 0.0, 1.5, 1.0], known=8).reduced()[0]
     lowest = shares_moved.modes(np.array([1.0, 0.0, 1.0, 1.0]), 1)[0]
     np.testing.assert_allclose(lowest, full.eigenvalues[:1], rtol=1e-4)
+
+
+def test_an_older_basis_joins_a_new_one_without_a_copy_of_either() -> None:
+    n, random = 60_000, np.random.default_rng(0)
+    diagonal = random.uniform(1.0, 2.0, n)
+    basis, older = random.standard_normal((n, 5)), random.standard_normal((n, 60))
+    answers = np.asfortranarray(older[:, :10] + 0.1 * random.standard_normal((n, 10)))
+    tracemalloc.start()
+    try:
+        found = with_directions(lambda x: diagonal[:, None] * x, basis, [answers, older], 70)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert found.shape == (n, 75)
+    # What is found, and beside it rows and columns of a few at a time, never all of `older`.
+    assert peak < found.nbytes + 0.75 * older.nbytes
+    gram = found[:, 5:].T @ (diagonal[:, None] * found[:, 5:])
+    np.testing.assert_allclose(gram, np.eye(70), atol=1e-11)
+    np.testing.assert_allclose(found[:, :5].T @ (diagonal[:, None] * found[:, 5:]), 0.0, atol=1e-7)
