@@ -293,7 +293,8 @@ def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
     if rows.all() and columns.all():
         return mac(first, second)
     table = np.zeros((first.shape[1], second.shape[1]))
-    table[np.ix_(rows, columns)] = mac(first[:, rows], second[:, columns])
+    if rows.any() and columns.any():
+        table[np.ix_(rows, columns)] = mac(first[:, rows], second[:, columns])
     return table
 
 

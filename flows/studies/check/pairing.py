@@ -21,7 +21,13 @@ from modetune.core.correlation.matching import (
     reach_text,
     uncertain_pairs,
 )
-from modetune.core.correlation.pairing import LOST_MAC, RESOLUTION, Pairing, close_modes
+from modetune.core.correlation.pairing import (
+    LOST_MAC,
+    RESOLUTION,
+    Pairing,
+    close_modes,
+    mac_or_zero,
+)
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
 from modetune.core.near_names import listed
@@ -119,12 +125,7 @@ def mac_table(measured: ModeSet, computed: ModeSet) -> Floats:
     rows_m, rows_c = common_dofs(measured, computed)
     if rows_m.size == 0:
         raise ModesError("no sensor of the test is a node of the model's results")
-    a, b = measured.mode_shapes[rows_m], computed.mode_shapes[rows_c]
-    table = np.zeros((a.shape[1], b.shape[1]))
-    moving_a, moving_b = np.flatnonzero(a.any(axis=0)), np.flatnonzero(b.any(axis=0))
-    if moving_a.size and moving_b.size:
-        table[np.ix_(moving_a, moving_b)] = mac(a[:, moving_a], b[:, moving_b])
-    return table
+    return mac_or_zero(measured.mode_shapes[rows_m], computed.mode_shapes[rows_c])
 
 
 def _by_order(test: MeasuredModes, elastic: ModeSet, pairing: Pairing) -> Iterator[ModePreview]:

@@ -64,6 +64,19 @@ def test_sensors_by_number_pick_the_rows_of_the_shapes() -> None:
     np.testing.assert_array_equal(seen.mode_shapes, shapes[chosen])
 
 
+def test_a_mode_that_rests_at_the_sensors_but_for_rounding_is_zero_there() -> None:
+    shapes = np.zeros((12, 4))
+    shapes[8] = 1.0, 3e-9, 1e-3, 1e-17  # z of node 2: bending, in the plane, weak, of a part apart
+    shapes[6] = 0.0, 1.4, 1e2, 1e-17
+    modes = mode_set([1.0, 2.0, 3.0, 4.0], shapes, *EVERY)
+    seen = one_sensor([0.0, 0.0, 1.0]).observe(modes)
+    np.testing.assert_array_equal(seen.mode_shapes, [[1.0, 0.0, 1e-3, 0.0]])
+    light = mode_set([1.0, 2.0], [[1.0, 2e6]], [2], [3])
+    np.testing.assert_array_equal(
+        one_sensor([0.0, 0.0, 1.0]).observe(light).mode_shapes, [[1.0, 2e6]]
+    )
+
+
 def test_a_component_the_results_lack_counts_only_where_it_is_looked_along() -> None:
     flat = mode_set([1.0], [[3.0], [5.0]], [2, 2], [1, 2])
     seen = one_sensor([0.6, 0.8, 1e-9]).observe(flat)
