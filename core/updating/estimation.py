@@ -45,6 +45,9 @@ Factor = float | Found
 
 #: Singular values below this share of the largest count as zero.
 RANK_TOLERANCE = 1e-10
+#: Part in an undetermined change above which a parameter is undetermined too: where that change is
+#: as large as the deck's value, all others stay known to a thousandth of theirs.
+LOOSE = 1e-3
 #: Deviations are taken to be right within a factor of ten: a fit beyond that is one of noise, or in
 #: a test without noise one of what the linear model leaves out.
 BELIEVED = 0.1
@@ -311,6 +314,6 @@ def parameter_covariance(
     null = values <= RANK_TOLERANCE * max(float(values.max(initial=0.0)), 0.0)
     inverse = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T
     covariance = free @ (inverse @ noise @ inverse) @ free.T
-    loose = np.any(np.abs(free @ vectors[:, null]) > 1e-6, axis=1)
+    loose = np.any(np.abs(free @ vectors[:, null]) > LOOSE, axis=1)
     covariance[loose, loose] = np.inf
     return np.asarray(covariance)

@@ -170,6 +170,15 @@ def test_covariance_knows_the_emphasis_of_the_step() -> None:
     assert (found > parameter_covariance(s, variances, p.weights).diagonal()).all()
 
 
+def test_a_parameter_with_next_to_no_effect_leaves_the_others_known() -> None:
+    s = np.array([[1.0, 0.5, 1e-6], [0.3, 2.0, 3e-6], [1.0, -1.0, 2e-6]])
+    errors = np.sqrt(parameter_covariance(s, np.ones(3), np.ones(3)).diagonal())
+    assert errors[2] == np.inf
+    alone = np.sqrt(parameter_covariance(s[:, :2], np.ones(3), np.ones(3)).diagonal())
+    # Mixed with the third by parts of 1e-6, the square of which is rounding.
+    np.testing.assert_allclose(errors[:2], alone, rtol=1e-10)
+
+
 def test_a_parameter_without_effect_has_an_infinite_error_and_a_prior_bounds_it() -> None:
     s = np.array([[1.0, 0.0], [2.0, 0.0]])
     covariance = parameter_covariance(s, np.ones(2), np.ones(2))
