@@ -119,6 +119,12 @@ class Identifiability:
         return np.asarray(np.clip(np.diag(self.resolution), 0.0, 1.0))
 
     @property
+    def moves(self) -> Floats:
+        """Standard deviations of the test by which one deviation of each parameter moves the
+        measured values, all together, (n_parameters,): the lengths of the columns of A."""
+        return np.asarray(np.linalg.norm(self.vectors * self.singular_values, axis=1))
+
+    @property
     def n_told(self) -> float:
         """How many parameters the test tells: the trace of the resolution."""
         return float(np.trace(self.resolution))

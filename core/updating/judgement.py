@@ -21,6 +21,10 @@ ALIKE = 20.0
 LISTED = 6
 #: All are told where less of them is missing: what one decimal shows.
 ALL = 0.05
+#: Standard deviations of the test below which measured values do not change but for rounding.
+NOTHING = 1e-6
+#: Changes below it are shown as none: two decimals of a per cent.
+SHOWN = 5e-5
 #: Two changes whose amounts differ by less are called equal.
 EQUAL = 0.05
 
@@ -47,6 +51,7 @@ def judge_parameters(
         value, error = float(updated[place]), float(standard_errors[place])
         share, change = float(found.test_shares[place]), value - float(start[place])
         said = _bound_clause(item, value)
+        scale = None if item.values == "relative" else item.scale
         if place in missing:
             said["missing"] = "kept its value, because its sensitivity could not be computed"
         elif place not in zones:
@@ -54,8 +59,9 @@ def judge_parameters(
                 [parameters.names[other] for other in group.get(place, ())]
                 for group in (hidden, alike)
             )
-            said |= _share_clause(share, mixed, like)
-        scale = None if item.values == "relative" else item.scale
+            moves = float(found.moves[place]) * (item.upper - item.lower) / item.standard_deviation
+            moved = "" if abs(change) < SHOWN else _change(scale, change)
+            said |= _share_clause(share, mixed, like, moves, moved)
         far = abs(value - 1.0) / item.standard_deviation
         where = "the deck" if scale is None else "its start"
         if far > FAR and place not in zones:
@@ -101,14 +107,20 @@ def _bound_clause(item: Parameter, value: float) -> dict[str, str]:
     return {}
 
 
-def _share_clause(share: float, mixed: list[str], like: list[str]) -> dict[str, str]:
+def _share_clause(
+    share: float, mixed: list[str], like: list[str], moves: float, moved: str
+) -> dict[str, str]:
+    """moves: of the measured values over its bounds, in standard deviations of the test; moved:
+    from its start, in words, "" where it stays."""
     percent = f"({100 * share:.0f} % of its value is the test's)"
     if mixed and share < SURE:
         return {"collinear": f"cannot be told apart from {_listed(mixed)} {percent}"}
     if share < UNSEEN_SHARE:
+        did = f"was moved by {moved}, which the test does not tell" * bool(moved)
+        what = "no measured value changes" if moves < NOTHING else "measured values hardly change"
         return {
-            "unseen": f"is not seen by the test {percent}: it stays what it was taken for "
-            "beforehand"
+            "unseen": f"{did or 'stays at its start value'}: {what} with it (over its bounds by "
+            f"{moves:.1g} standard deviations of the test)"
         }
     if share < HALF:
         return {"prior": f"is known by the prior more than by the test {percent}"}
@@ -232,6 +244,8 @@ def _verdict_sentence(trust: Trust) -> str:
         )
     if doubtful:
         reasons.append(f"{len(doubtful)} of {n} parameters in doubt ({_listed(doubtful)})")
+    if unseen := [item.name for item in trust.parameters if "unseen" in item.flags]:
+        reasons.append(f"measured values hardly change with {_listed(unseen)}")
     if trust.freedom <= 0:
         reasons.append(
             "no degree of freedom is left, as many parameters as independent measured values can "

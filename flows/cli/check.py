@@ -206,8 +206,9 @@ def _end(report: PreCheckReport) -> str:
 def _energy_table(report: PreCheckReport) -> Table:
     columns = [Column("parameter", words=True)]
     columns += [Column(f"mode {mode.mode}", form=".1f") for mode in report.modes]
-    rows = tuple((item.parameter, *(100.0 * item.shares)) for item in report.shares)
-    return Table("Strain energy by parameter, % of each test mode", tuple(columns), rows)
+    columns.append(Column("energy", words=True))
+    rows = tuple((item.parameter, *(100.0 * item.shares), item.energy) for item in report.shares)
+    return Table("Energy by parameter, % of each test mode", tuple(columns), rows)
 
 
 def compared(

@@ -17,6 +17,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.correlation.pairing import alone
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import POWERS
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
@@ -180,7 +181,7 @@ def judged(
     if shapes:
         found += suspected_sensors(test, campaign.case.sensors, result.elastic, every)
     found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
-    found += energy_findings(campaign, result, shares)
+    found += energy_findings(campaign, result, [mode.mode for mode in modes], shares)
     return PreCheckReport(tuple(found), facts, modes, shares, runs)
 
 
@@ -192,17 +193,19 @@ def _shares(
     computed: Integers,
 ) -> tuple[EnergyShare, ...]:
     """Shares as the run tells them; of modes by matrices, which tell none, as the eigenvalues'
-    slopes do: theta / lambda times that of lambda, where the stiffness is proportional to theta.
-    The step that updating begins with takes the same slopes."""
-    if result.groups or not analysis.groups:
+    slopes do: theta / lambda times that of lambda, where stiffness or mass is proportional to
+    theta. The step that updating begins with takes the same slopes."""
+    if result.groups or not evaluator.cheap:
         return energy_shares(result, computed)
     seen = result.at(evaluator.only.case.nodes)
     point = Point(theta, "", seen, alone(computed))
     slopes = evaluator.derivatives(point, analysis).eigenvalues
     shares = slopes * theta / result.eigenvalues[result.n_rigid :][computed, None]
-    told, names = dict(analysis.groups), evaluator.campaign.parameters.names
+    deck, items = evaluator.only.case.solver.deck, evaluator.campaign.parameters.parameters
     return tuple(
-        EnergyShare(name, shares[:, column]) for column, name in enumerate(names) if name in told
+        EnergyShare(item.name, "strain" if strain else "kinetic", np.abs(own))
+        for item, own in zip(items, shares.T, strict=True)
+        if (strain := deck.energy_sets(item)) or POWERS[item.quantity] == (0, 1)
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import DAMPING, NOT_NEGATIVE, POWERS, Parameter
+from modetune.core.updating.judgement import NOTHING, UNSEEN_SHARE
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.self_test import not_confirmed
@@ -23,13 +24,17 @@ WIDEST, NARROWEST = 10.0, 0.02
 POISSON_LIMIT = 0.5
 #: Steps that need more data than parameters.
 DETERMINED = ("pseudo_inverse", "weighted_least_squares")
+#: Responses that follow from the modes that are used.
+MODAL = {"frequencies", "shapes", "mac", "complex_shapes"}
 
 
 @dataclass(frozen=True, slots=True)
 class EnergyShare:
-    """A parameter's share of the strain energy in each used mode, (n_pairs,); NaN if not known."""
+    """A parameter's share of an energy (strain, kinetic) in each used mode, (n_pairs,); NaN if not
+    known."""
 
     parameter: str
+    energy: str
     shares: Floats
 
     @property
@@ -134,25 +139,20 @@ def energy_shares(result: ModalResult, computed: Integers) -> tuple[EnergyShare,
     if not (np.isfinite(total).all() and (total > 0.0).all()):
         return ()
     return tuple(
-        EnergyShare(name, result.elastic_energies(name)[computed] / total)
+        EnergyShare(name, "strain", result.elastic_energies(name)[computed] / total)
         for name in result.groups
         if np.isfinite(result.elastic_energies(name)[computed]).all()
     )
 
 
 def energy_findings(
-    campaign: Campaign, result: ModalResult, shares: tuple[EnergyShare, ...]
+    campaign: Campaign, result: ModalResult, modes: list[int], shares: tuple[EnergyShare, ...]
 ) -> Iterator[Finding]:
-    """Parameters that no used mode strains, and those of which the run cannot tell."""
-    yield from (
-        PARAMETERS.doubtful(
-            f"dead: at most {100 * item.largest:.2g} % of the strain energy of any used mode",
-            f"parameter {item.parameter}",
-            "leave it out, or use modes that strain it",
-        )
-        for item in shares
-        if item.largest < DEAD
-    )
+    """Parameters that hardly move a used mode, and those of which the run cannot tell.
+
+    modes: numbers of the test modes that the shares are of."""
+    for item in shares:
+        yield from _dead(campaign, item, modes)
     told = {item.parameter for item in shares}
     silent = [name for name in campaign.parameters.names if name not in told]
     if silent:
@@ -164,6 +164,34 @@ def energy_findings(
         reasons = [tell(campaign.case.solver) for tell in (not_linear, not_confirmed)]
         yield from (PARAMETERS.good(said) for said in reasons if said)
     yield from _balance(campaign, result, bool(shares))
+
+
+def _dead(campaign: Campaign, item: EnergyShare, modes: list[int]) -> Iterator[Finding]:
+    """Whether a parameter has next to no energy in used modes, or moves their frequencies by so
+    little that its value would be the prior's, and nothing else is compared."""
+    case, place = campaign.case, campaign.parameters.names.index(item.parameter)
+    own, start = campaign.parameters.parameters[place], campaign.start[place]
+    rows = [case.test.numbers.index(mode) for mode in modes if start]
+    if not rows:
+        return
+    # A share is theta / lambda times the eigenvalue's slope, and twice the frequency's.
+    moved = 0.5 * item.shares / start / case.weighting.frequency_deviations[rows]
+    slope = float(np.linalg.norm(moved[case.weighting.frequencies_used[rows]]))
+    told, moves = (own.standard_deviation * slope) ** 2, slope * (own.upper - own.lower)
+    dead, kinds = item.largest < DEAD, {each.kind for each in case.responses}
+    if not dead and (told >= UNSEEN_SHARE * (1.0 + told) or kinds != {"frequencies"}):
+        return
+    said = (
+        f"{'dead' if dead else 'hardly alive'}: at most {100 * item.largest:.2g} % of the "
+        f"{item.energy} energy of any used mode; over its bounds it moves their frequencies by "
+        f"{moves:.1g} standard deviations of the test"
+    )
+    where, others = f"parameter {own.name}", ", ".join(sorted(kinds - MODAL)).replace("_", " ")
+    if others:
+        yield PARAMETERS.good(f"{said}, so {others} alone may tell it", where)
+        return
+    said += ", so updating leaves it at its start value" * (moves < NOTHING)
+    yield PARAMETERS.doubtful(said, where, "leave it out, or use modes that it moves")
 
 
 def _balance(campaign: Campaign, result: ModalResult, told: bool) -> Iterator[Finding]:

@@ -93,6 +93,24 @@ def test_what_the_test_does_not_see_is_flagged_by_its_share() -> None:
     assert flags(found) == [("unseen",), ("prior",), (), ()]
     assert "(20 % of its value is the test's)" in found.parameters[1].sentence
     assert found.verdict == "trusted with reservations"
+    assert found.parameters[0].sentence == (
+        "a stays at its start value: no measured value changes with it (over its bounds by 0 "
+        "standard deviations of the test)."
+    )
+    assert (
+        "2 of 4 parameters in doubt (a and b); measured values hardly change with a"
+        in (trust_sentences(found)[0])
+    )
+
+
+def test_what_hardly_moves_the_measured_values_is_not_said_to_stay_where_it_moved() -> None:
+    # 0.2 of the test's deviation for a change by one: 0.3 from 0.5 to 2, a share of 0.04^2.
+    found = trust(np.diag([0.2, 500.0, 500.0, 500.0]), [1.273, 1.05, 1.1, 1.1])
+    assert flags(found)[0] == ("unseen",)
+    assert found.parameters[0].sentence == (
+        "a was moved by +27.3 %, which the test does not tell: measured values hardly change with "
+        "it (over its bounds by 0.3 standard deviations of the test)."
+    )
 
 
 def test_a_modulus_and_a_density_are_called_a_ratio() -> None:
