@@ -19,7 +19,8 @@ from scipy import sparse
 
 from modetune.adapters.calculix.affected_elements import changed_numbers, changed_places
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, understand
-from modetune.adapters.calculix.solver import CalculixDeck, EditedCalculix, calculix_program
+from modetune.adapters.calculix.parametric_deck import CalculixDeck, EditedCalculix
+from modetune.adapters.calculix.solver import calculix_program
 from modetune.adapters.damping import NOTHING, damps_only
 from modetune.adapters.nastran import model as nastran_model
 from modetune.adapters.nastran.bulk import Bulk, read_bulk

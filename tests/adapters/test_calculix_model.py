@@ -10,9 +10,9 @@ import pytest
 
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.model import CalculixModel, read_number, understand
+from modetune.adapters.calculix.parametric_deck import CalculixDeck
 from modetune.adapters.calculix.places import edited_lines, energy_sets, find_fields
 from modetune.adapters.calculix.sections import elastic_constants, point_mass
-from modetune.adapters.calculix.solver import CalculixDeck
 from modetune.core.errors import ModelError
 from modetune.core.parameters import TARGETS, Parameter, Quantity
 from tests.adapters.ccx_decks import bar

@@ -14,7 +14,8 @@ from scipy import integrate
 
 from modetune.adapters.calculix.deck import parse_deck
 from modetune.adapters.calculix.model import understand
-from modetune.adapters.calculix.solver import CalculixDeck, calculix_program
+from modetune.adapters.calculix.parametric_deck import CalculixDeck
+from modetune.adapters.calculix.solver import calculix_program
 from modetune.adapters.nastran.section_shapes import shape_of
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis, Solver

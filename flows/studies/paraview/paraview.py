@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Literal
 
 from modetune.adapters.calculix.frd import convert_frd
-from modetune.adapters.calculix.solver import JOB, CalculixDeck, CalculixProgram
+from modetune.adapters.calculix.parametric_deck import CalculixDeck
+from modetune.adapters.calculix.solver import JOB, CalculixProgram
 from modetune.adapters.paraview import check_series, mode_grids, write_fields, write_series
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
