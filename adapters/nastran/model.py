@@ -15,7 +15,6 @@ from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.damping import damped_groups, dampers
 from modetune.adapters.nastran.deck import (
     CardField,
-    NastranCard,
     NastranDeck,
     changed_lines,
     with_lines,
@@ -24,6 +23,7 @@ from modetune.adapters.nastran.deck import (
 from modetune.adapters.nastran.geometry import read_geometry
 from modetune.adapters.nastran.harmless import HARMLESS
 from modetune.adapters.nastran.left_out import check_left_out
+from modetune.adapters.nastran.linearity import energy_sets, is_linear
 from modetune.adapters.nastran.loads import load_case
 from modetune.adapters.nastran.lumped_masses import lumped_properties
 from modetune.adapters.nastran.number import read_number
@@ -44,19 +44,12 @@ from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation, observe
 from modetune.core.updating.static import LoadCase
 
-#: Quantities in which stiffness and mass matrices are linear whatever the card.
-LINEAR = (
-    "density", "mass", "rotary_inertia", "nonstructural_mass", "spring_stiffness",
-    "torsion_constant", "structural_damping", "viscous_damping",
-)  # fmt: skip
 #: Case control may hold parameters too, in free field.
 WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
 #: Cards that reduce a model: what is left of its matrices is linear in nothing.
 REDUCTIONS = ("ASET", "ASET1", "OMIT", "OMIT1")
 #: pyNastran's name of the modulus that tells a material's size, by its card.
 YOUNG = {"MAT1": "e", "MAT8": "e11"}
-#: K1 and K2, the shear stiffness factors of a PBAR.
-SHEAR_FACTORS = (17, 18)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,53 +272,9 @@ class NastranModel(Deck):
         return read_bulk(with_lines(self.deck, changed))[0] if changed else self.bulk
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
-        """Groups of elements whose strain energy is proportional to the parameter.
-
-        `P12` is all elements of property 12, `E7` element 7. Empty where the energy is not the
-        parameter's own: other materials share a property, or only some of its constants scale.
-        """
         if not parameter.proportional or driven_by(parameter, self.parameters):
             return ()
-        return self._energy_sets(parameter)
-
-    def _energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
-        """Groups of elements whose strain energy is proportional to the parameter's numbers."""
-        try:
-            places = self.places(parameter)
-        except ModelError:
-            return ()
-        if parameter.quantity == "youngs_modulus" and parameter.item == 0:
-            return self._users({place.ident for place in places})
-        if parameter.quantity != "spring_stiffness":
-            return ()
-        names: dict[str, None] = {}
-        for place in places:
-            if place.card.name == "PBUSH" and not self._whole_bush(place, places):
-                return ()
-            kind = "E" if place.card.name.startswith("CELAS") else "P"
-            names[f"{kind}{place.ident}"] = None
-        return tuple(names)
-
-    def _users(self, materials: set[int]) -> tuple[str, ...]:
-        """Groups that these materials alone make stiff, all that use them; else none."""
-        names = []
-        for number, used in sorted(self.structure.materials_of.items()):
-            if used & materials:
-                # Two of the parameter's own materials in one property still scale together.
-                if not used <= materials:
-                    return ()
-                names.append(f"P{number}")
-        for material in sorted(materials):
-            rods = self.structure.rods_of.get(material, frozenset())
-            names += [f"E{number}" for number in sorted(rods)]
-        return tuple(names)
-
-    def _whole_bush(self, place: ValuePlace, places: Iterable[ValuePlace]) -> bool:
-        """Whether all stiffness of a PBUSH scales: every K of it that is given and not zero."""
-        scaled = {other.field for other in places if other.card == place.card}
-        rows = (row for row in range(2, len(place.card.fields), 8) if place.card.text(row) == "K")
-        fields = {row + item for row in rows for item in range(1, 7)}
-        return {field for field in fields if self.structure.number(place.card, field)} == scaled
+        return energy_sets(self.structure, parameter)
 
     def set_elements(self, name: str) -> frozenset[int]:
         """Elements of a group that energy_sets names."""
@@ -337,24 +286,9 @@ class NastranModel(Deck):
     def is_linear(self, parameter: Parameter) -> bool:
         """Whether stiffness and mass matrices are linear in the parameter."""
         driven = driven_by(parameter, self.parameters)
-        return self._is_linear(parameter) and all(
-            degree(item.expression) < 2 and self._is_linear(item) for item in driven
+        return is_linear(self.structure, parameter) and all(
+            degree(item.expression) < 2 and is_linear(self.structure, item) for item in driven
         )
-
-    def _is_linear(self, parameter: Parameter) -> bool:
-        """Whether they are linear in the numbers of a parameter."""
-        if parameter.quantity in (*LINEAR, "variable"):
-            return True
-        if parameter.quantity == "youngs_modulus":
-            # Single constants, and one of several materials of a laminate, act in series with
-            # others (Poisson coupling, transverse shear, condensed bubbles): not linear.
-            return bool(self._energy_sets(parameter))
-        if parameter.quantity not in ("area", "inertia_1", "inertia_2"):
-            return False
-        try:
-            return all(self._without_shear(place.card) for place in self.places(parameter))
-        except ModelError:
-            return False
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         if damps_only(parameter, self.parameters):
@@ -376,16 +310,6 @@ class NastranModel(Deck):
 
     def load_case(self, number: int, values: Values | None = None) -> LoadCase:
         return load_case(self.structure, self.mesh(), number)
-
-    def _without_shear(self, card: NastranCard) -> bool:
-        """Whether a bar bends without shear, so that its stiffness is linear in A and I.
-
-        Shear acts in series with bending: K = 12 EI / (L^3 (1 + phi)), phi = 12 EI / (K1 A G L^2).
-        A PBEAM has it unless K1 and K2 are zero (blank is 1), a PBAR where K1 or K2 is given.
-        """
-        if card.name == "PBAR":
-            return not any(self.structure.number(card, field) for field in SHEAR_FACTORS)
-        return card.name in ("PROD", "CONROD")
 
 
 def understand(deck: NastranDeck, parameters: tuple[Parameter, ...] = ()) -> NastranModel:
