@@ -7,8 +7,8 @@ Each takes a campaign, or the path of its file, and gives a result with frames (
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,10 +28,7 @@ from modetune.flows.studies.condensation.direct import (
     correct_directly,
 )
 from modetune.flows.studies.condensation.expand import Expansions, expand_shapes
-from modetune.flows.studies.condensation.reduce import (
-    ModelReduction,
-    reduce_model,
-)
+from modetune.flows.studies.condensation.reduce import ModelReduction, reduce_model
 from modetune.flows.studies.correlate.correlate import Correlation
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
@@ -430,10 +427,5 @@ def _run_of(record: StrPath | CampaignRun) -> CampaignRun:
     return record if isinstance(record, CampaignRun) else read_record(record)
 
 
-@contextlib.contextmanager
-def _watched(progress: bool) -> Iterator[Any]:
-    if not progress:
-        yield Unwatched()
-        return
-    with ConsoleProgress(terminal(stderr=True)).shown() as watcher:
-        yield watcher
+def _watched(progress: bool) -> AbstractContextManager[Any]:
+    return ConsoleProgress(terminal(stderr=True)).shown() if progress else nullcontext(Unwatched())

@@ -11,8 +11,6 @@ A dataclass is a group, and each of its fields a member of the field's name:
     sparse matrix (CSR)                        a group with shape, data, indices, indptr
     None                                       nothing
 
-Large arrays are compressed without loss. Texts are UTF-8; what that cannot hold is escaped.
-
 Reading is strict: a member that is missing, or that the dataclass does not know, or of another
 type, and values that the dataclass itself refuses, raise StoreDamaged. HDF5 hangs or crashes on
 some files with a wrong byte, so only what a seal (`core/storage/seal`) vouches for is read.
@@ -23,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import cache, lru_cache
+from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Literal, Protocol, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -32,16 +30,10 @@ import numpy as np
 from scipy import sparse
 
 from modetune.core.errors import ModetuneError, StoreDamaged
+from modetune.core.storage import members
 
 D = TypeVar("D")
 
-#: Arrays of at least so many bytes are compressed: less than a page of the disk saves nothing.
-COMPRESSED_BYTES = 4096
-#: zlib's level: higher ones take several times as long for a hundredth of the size.
-LEVEL = 1
-#: Larger arrays of reals are stored as they are: zlib saves a quarter of their noisy digits, at 100
-#: MB/s, and a disk is faster.
-COMPRESSED_REALS = 1 << 24
 #: What h5py and constructors raise where a file is not what was expected.
 UNFIT = (
     OSError,
@@ -146,7 +138,7 @@ class _Scalar:
     def stored(self, value: Any) -> Any:
         if isinstance(value, Enum):
             value = value.name
-        return _utf8(value) if self.kind is str else self.kind(value)
+        return members.plain_text(value) if self.kind is str else self.kind(value)
 
     def checked(self, value: Any) -> Any:
         """A value as it was before it was stored. Raises ValueError."""
@@ -159,12 +151,12 @@ class _Scalar:
         return plain if self.made is None else self.made(plain)
 
     def write(self, group: h5py.Group, name: str, value: Any) -> None:
-        stored = np.array(self.stored(value), dtype=_dtype(self.kind))
-        told, held = _types(stored.dtype)
-        h5py.h5a.create(group.id, name.encode(), told, _space(())).write(stored, held)
+        members.write_attribute(
+            group, name, np.array(self.stored(value), dtype=members.dtype_of(self.kind))
+        )
 
     def read(self, group: h5py.Group, name: str) -> Any:
-        return self.checked(_held(h5py.h5a.open(group.id, name.encode())))
+        return self.checked(members.read_attribute(group, name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,10 +168,10 @@ class _Column:
 
     def write(self, group: h5py.Group, name: str, value: Sequence[Any]) -> None:
         stored = [self.item.stored(item) for item in value]
-        _put(group, name, np.array(stored, dtype=_dtype(self.item.kind)))
+        members.write_dataset(group, name, np.array(stored, dtype=members.dtype_of(self.item.kind)))
 
     def read(self, group: h5py.Group, name: str) -> tuple[Any, ...]:
-        found = _held(h5py.h5d.open(group.id, name.encode()), h5py.h5s.ALL, h5py.h5s.ALL)
+        found = members.read_dataset(group, name)
         if found.ndim != 1 or (self.count is not None and found.size != self.count):
             raise ValueError(f"{group.name.rstrip('/')}/{name} has the shape {found.shape}")
         return tuple(self.item.checked(value) for value in found)
@@ -194,10 +186,11 @@ class _Array:
     def write(self, group: h5py.Group, name: str, value: Any) -> None:
         array = np.asarray(value)
         kinds = [dtype for dtype in self.dtypes if dtype.kind == array.dtype.kind]
-        _put(group, name, array.astype((kinds or self.dtypes)[0], casting="same_kind", copy=False))
+        stored = array.astype((kinds or self.dtypes)[0], casting="same_kind", copy=False)
+        members.write_dataset(group, name, stored)
 
     def read(self, group: h5py.Group, name: str) -> Any:
-        found = _array(group, name)
+        found = members.read_array(group, name)
         for dtype in self.dtypes:
             if dtype.kind == found.dtype.kind:
                 return found.astype(dtype, copy=False)
@@ -212,12 +205,14 @@ class _Sparse:
         made = group.create_group(name)
         made["shape"] = np.array(value.shape, dtype=np.int64)
         for part in ("data", "indices", "indptr"):
-            _put(made, part, getattr(value, part))
+            members.write_dataset(made, part, getattr(value, part))
 
     def read(self, group: h5py.Group, name: str) -> sparse.csr_array:
         found = group[name]
-        _only(found, {"shape", "data", "indices", "indptr"})
-        shape, *parts = (_array(found, part) for part in ("shape", "data", "indices", "indptr"))
+        members.refuse_others(found, {"shape", "data", "indices", "indptr"})
+        shape, *parts = (
+            members.read_array(found, part) for part in ("shape", "data", "indices", "indptr")
+        )
         matrix = sparse.csr_array(tuple(parts), shape=tuple(shape.tolist()))
         matrix.check_format()
         return matrix
@@ -275,7 +270,7 @@ class _Mapping:
 
     def read(self, group: h5py.Group, name: str) -> dict[Any, Any]:
         found = group[name]
-        _only(found, {"keys", "values"})
+        members.refuse_others(found, {"keys", "values"})
         keys, values = self.keys.read(found, "keys"), self.values.read(found, "values")
         return dict(zip(keys, values, strict=True))
 
@@ -292,7 +287,7 @@ class _Dataclass:
             form.write(group, name, getattr(value, name))
 
     def take(self, group: h5py.Group, beside: frozenset[str] = frozenset()) -> Any:
-        _only(group, beside.union(name for name, _ in self.forms))
+        members.refuse_others(group, beside.union(name for name, _ in self.forms))
         values = {}
         for name, form in self.forms:
             try:
@@ -332,76 +327,3 @@ class _OneOf:
         found = group[name]
         kind = self.kinds[str(found.attrs["class"])]
         return _dataclass_form(kind).take(found, frozenset({"class"}))
-
-
-def _put(group: h5py.Group, name: str, array: Any) -> None:
-    whole = array.dtype.kind in "iub"
-    most = np.inf if whole else COMPRESSED_REALS
-    if not COMPRESSED_BYTES <= array.nbytes <= most or array.dtype.kind == "O":
-        # As `create_dataset` does in a third of its time; a job's result has nine of them.
-        told, held = _types(array.dtype)
-        made = h5py.h5d.create(group.id, name.encode(), told, _space(array.shape), _untimed())
-        inside = h5py.h5s.ALL
-        made.write(inside, inside, np.ascontiguousarray(array).reshape(array.shape), held)
-    else:
-        # Bytes of whole numbers are sorted by place, where they repeat. Reals come from text, with
-        # few digits, and repeat as they are: unsorted shapes take a quarter less, matrices a third.
-        group.create_dataset(
-            name, data=array, compression="gzip", compression_opts=LEVEL, shuffle=whole
-        )
-
-
-def _dtype(kind: type) -> np.dtype[Any]:
-    """Of single values in HDF5."""
-    return h5py.string_dtype() if kind is str else np.dtype(kind)
-
-
-@cache
-def _types(dtype: np.dtype[Any]) -> tuple[Any, Any]:
-    """What HDF5 calls a type of values in a file, and in memory."""
-    return h5py.h5t.py_create(dtype, logical=True), h5py.h5t.py_create(dtype)
-
-
-@lru_cache
-def _space(shape: tuple[int, ...]) -> Any:
-    """What HDF5 calls a shape."""
-    return h5py.h5s.create_simple(shape)
-
-
-@cache
-def _untimed() -> Any:
-    """What datasets have besides: no time of writing, or no two files would be alike."""
-    made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    made.set_obj_track_times(False)
-    return made
-
-
-def _array(group: h5py.Group, name: str) -> Any:
-    """A dataset of numbers. Raises ValueError where it is something else."""
-    found = _held(h5py.h5d.open(group.id, name.encode()), h5py.h5s.ALL, h5py.h5s.ALL)
-    if not found.ndim or found.dtype.kind not in "iufcb":
-        raise ValueError(f"{name} is not an array of numbers")
-    return found
-
-
-def _held(found: Any, *part: Any) -> Any:
-    """What a dataset or an attribute holds, texts decoded."""
-    values = np.empty(found.shape, found.dtype)
-    found.read(*part, values)
-    if values.dtype.kind == "O":
-        texts = [text.decode("utf-8", "surrogateescape") for text in values.flat]
-        values = np.array(texts, dtype=object).reshape(values.shape)
-    return values
-
-
-def _only(group: h5py.Group, known: set[str] | frozenset[str]) -> None:
-    """Raises ValueError where a group has other members and attributes than these."""
-    strange = sorted({*group.keys(), *group.attrs.keys()} - known)
-    if strange:
-        raise ValueError(f"{group.name} has the unknown member {strange[0]!r}")
-
-
-def _utf8(value: Any) -> str:
-    """A text that HDF5 can hold: without NUL and lone surrogates, as file names may have."""
-    text = str(value).encode("utf-8", "backslashreplace").decode()
-    return text.replace("\0", r"\x00")

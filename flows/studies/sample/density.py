@@ -160,10 +160,7 @@ class Peaks:
 
 
 def find_peaks(
-    posterior: Posterior,
-    rng: np.random.Generator,
-    also: Floats | None = None,
-    drawn: int = DRAWN,
+    posterior: Posterior, rng: np.random.Generator, also: Floats | None = None, drawn: int = DRAWN
 ) -> Peaks:
     """The peaks of a density. also: (n, n_parameters), starts beside those that are drawn.
 
