@@ -156,13 +156,8 @@ class NastranModel(Deck):
         found: dict[str, float] = {}
         for element in self.bulk.elements.values():
             section = getattr(element, "pid_ref", None) or element
-            plies = list(
-                zip(
-                    getattr(section, "mids_ref", None) or (),
-                    getattr(section, "thicknesses", ()),
-                    strict=False,
-                )
-            )
+            materials = getattr(section, "mids_ref", None) or ()
+            plies = list(zip(materials, getattr(section, "thicknesses", ()), strict=False))
             parts = [(ply, ply.rho * thickness) for ply, thickness in plies if ply.type in YOUNG]
             single = getattr(section, "mid1_ref", None) or getattr(section, "mid_ref", None)
             if not plies and single is not None and single.type in YOUNG:

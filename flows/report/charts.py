@@ -101,27 +101,26 @@ def mac_towers(
 
     tables: heading and MAC (n_computed, n_measured); numbers: of the measured modes.
     """
-    panels = tuple(
-        Panel((Towers(mac, PAIR, "MAC"),), *_mode_axes(mac, numbers), heading)
-        for heading, mac in tables
-    )
+    panels = _mac_panels(Towers, tables, numbers)
     return Chart(title, "MAC as bars", panels, len(panels), (4.9, 4.2))
 
 
 def mac_maps(title: str, tables: Sequence[tuple[str, Floats]], numbers: Sequence[object]) -> Chart:
     """The same as maps, their values written in while there is room."""
-    panels = tuple(
-        Panel((HeatMap(mac, PAIR, "MAC"),), *_mode_axes(mac, numbers), heading)
-        for heading, mac in tables
-    )
+    panels = _mac_panels(HeatMap, tables, numbers)
     n_rows, n_columns = tables[0][1].shape
     size = max(2.8, 1.4 + 0.42 * n_columns), max(2.6, 1.0 + 0.36 * n_rows)
     return Chart(title, "MAC before and after", panels, len(panels), size)
 
 
-def _mode_axes(mac: Floats, numbers: Sequence[object]) -> tuple[Axis, Axis]:
-    rows = range(1, mac.shape[0] + 1)
-    return Axis("test mode", names_of(numbers)), Axis("computed mode", names_of(rows))
+def _mac_panels(
+    shown: type[Towers | HeatMap], tables: Sequence[tuple[str, Floats]], numbers: Sequence[object]
+) -> tuple[Panel, ...]:
+    measured, panels = Axis("test mode", names_of(numbers)), []
+    for heading, mac in tables:
+        computed = Axis("computed mode", names_of(range(1, mac.shape[0] + 1)))
+        panels.append(Panel((shown(mac, PAIR, "MAC"),), measured, computed, heading))
+    return tuple(panels)
 
 
 def frequencies(

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 
 from modetune.core.errors import ModesError, SolverError
@@ -81,9 +82,11 @@ def update_from_starts(
         own = start_of(campaign, engine, read_earlier(folder))
         starts = drawn_starts(own, n)
         ends = _run_starts(own, engine, starts, progress)
-        spent = replace(
-            _counted(ends), core_s=engine.ledger.core_s, licence_s=engine.ledger.licence_s
+        counted = reduce(
+            RunCounts.plus, (end.record.runs for end in ends if end.record), RunCounts()
         )
+        ledger = engine.ledger
+        spent = replace(counted, core_s=ledger.core_s, licence_s=ledger.licence_s)
     for earlier in (folder / "starts").glob("*.h5"):
         earlier.unlink()  # of a run with more starts, or others
     for number, end in enumerate(ends):
@@ -164,14 +167,6 @@ def _run_start(campaign: Campaign, engine: JobEngine, start: Floats, share: int)
 def _paired_once(campaign: Campaign) -> bool:
     """Whether pairs are those of the campaign's own start, and tracked from there."""
     return any(case.rules.by_hand or case.rules.drop for case in campaign.used)
-
-
-def _counted(ends: list[StartEnd]) -> RunCounts:
-    runs = RunCounts()
-    for end in ends:
-        if end.record is not None:
-            runs = runs.plus(end.record.runs)
-    return runs
 
 
 def _joined(
