@@ -80,6 +80,8 @@ VECTORS, MORE_VECTORS = 8, 80
 ROUNDS = 4
 #: Largest residual from random vectors, whose modes hold some of any other; a block more.
 RANDOM_TOLERANCE = 2e-6
+#: The way of modes that an earlier model's factors led to.
+KEPT = "kept factors"
 #: Eigenvalues this close, relative to their distance from the shift, are not told apart.
 _SAME = 1e-6
 
@@ -167,12 +169,21 @@ class ModeSolver:
                 return near
         return self._from_random(pencil, n_modes, shift, count)
 
-    def factorise(self, stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> None:
-        """Only the factors of a model, for one that is like it. As `solve`, shift as it told."""
+    def factorise(
+        self,
+        stiffness: sparse.csr_array,
+        mass: sparse.csr_array,
+        shift: float,
+        n_modes: int | None = None,
+    ) -> None:
+        """Only the factors of a model, for one that is like it. As `solve`, shift as it told.
+
+        n_modes: that will be looked for with them, for which memory has to be left."""
         if self._pencil is None or not self._pencil.update(stiffness, mass):
             self._pencil = None
-            similar = None if self._count else similar_vectors(0)
-            self._pencil = Pencil(stiffness, mass, 0, similar)
+            similar = None if self._count else similar_vectors(n_modes or 0)
+            columns = 0 if n_modes is None else most_vectors(n_modes)
+            self._pencil = Pencil(stiffness, mass, columns, similar)
         self._shift = factorise_below(self._pencil, shift)
 
     def blocks_that_pay(self, n_modes: int) -> int:
@@ -220,7 +231,7 @@ class ModeSolver:
         self._shift, shift = None, pencil.kept_shift
         pairs = pairs_by_similar(pencil, n_modes, shift, start, blocks)
         if pairs is not None and pairs.converged:
-            solved = similar_modes(pairs, n_modes, shift, f"kept factors{pencil.held}")
+            solved = similar_modes(pairs, n_modes, shift, f"{KEPT}{pencil.held}")
             if not count:
                 return solved, start
             self._shift = shift

@@ -7,6 +7,7 @@ and then.
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -51,6 +52,7 @@ class JobProgress:
         self._running: dict[int, str] = {}
         self._places = count()
         self._told_s: float | None = None
+        self._due: threading.Timer | None = None
         self._file: Path | None = None
         self._kept_s = 0.0
 
@@ -61,6 +63,10 @@ class JobProgress:
             try:
                 yield self
             finally:
+                with self._guard:
+                    self._told_s = math.inf  # nothing is told any more
+                if self._due is not None:
+                    self._due.cancel()
                 if self._file is not None:
                     self._file.unlink(missing_ok=True)
 
@@ -148,6 +154,16 @@ class JobProgress:
                 part.replace(self._file)
         if self.console.is_terminal:
             return
-        if now or (self._told_s is not None and time.monotonic() - self._told_s > EVERY_S):
+        left_s = math.inf if self._told_s is None else self._told_s + EVERY_S - time.monotonic()
+        if now or left_s <= 0.0:
             self._told_s = time.monotonic()
             self.console.print(Text(self.line()), soft_wrap=True)
+        elif self._due is None and left_s < math.inf:  # what runs for long is told once it is due
+            self._due = threading.Timer(left_s, self._tell_due)
+            self._due.daemon = True
+            self._due.start()
+
+    def _tell_due(self) -> None:
+        with self._guard:
+            self._due = None
+            self._show(False)

@@ -99,6 +99,8 @@ class ByMatrices:
 
     def release(self) -> None:
         """Leave the factors' memory to others."""
+        if self._modes is not None:
+            self._modes.release()
         self._modes = None
 
     def stored(self, done: Sequence[Done] = ()) -> MatrixModes:

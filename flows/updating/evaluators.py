@@ -15,6 +15,7 @@ from modetune.flows.jobs.work import Execution
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import ModeFinder, by_solver, campaign_analysis
+from modetune.flows.updating.large_matrices import LARGE, return_freed_memory
 from modetune.flows.updating.modes_choice import UPDATING, Demand, modes_source
 
 
@@ -59,6 +60,8 @@ def finder_of(campaign: Campaign, engine: JobEngine, demand: Demand, like: Campa
         return own
     from modetune.flows.updating.by_matrices import ByMatrices
 
+    if campaign.case.solver.deck.summary.n_elements >= LARGE:
+        return_freed_memory()
     return ByMatrices(campaign, engine, source, own)
 
 

@@ -26,6 +26,7 @@ from modetune.core.updating.estimation import Step
 from modetune.core.updating.results import ModalResult
 from modetune.flows.jobs.engine import JobOutcome
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.watching import doing
 from modetune.flows.jobs.work import Work, meanwhile
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.by_matrices import MATRICES, ByMatrices, ByReduced
@@ -212,7 +213,8 @@ class ReducedForesight:
 
         try:
             own = state.engine.key(job)
-            key, modal = finder.stored().assembled(part.theta, analysis, own, begun)
+            with doing(title):
+                key, modal = finder.stored().assembled(part.theta, analysis, own, begun)
         except (ModelError, UnlikeMatrices) as error:
             logger.warning("%s: its own modes are looked at", error)
             return None

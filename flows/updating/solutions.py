@@ -6,8 +6,10 @@ earlier set. So this too follows from the start alone; where other factors have 
 since a set lay too far away and was not kept, they are made once more.
 
 Shapes of all unknowns and the newest basis stay in memory. Where a campaign goes on that was killed
-what its next search begins with is found once more, set by set. Matrices that the solver assembles
-at a set are solved the same way, and their modes are counted.
+what its next search begins with is made once more. Of a large model the shapes are in the store
+until they are of no more use, so that one factorisation does for that; of a small one they are
+found set by set. Matrices that the solver assembles at a set are solved the same way, and their
+modes are counted.
 """
 
 from __future__ import annotations
@@ -19,22 +21,30 @@ from functools import cached_property
 
 from scipy import sparse
 
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import KEPT, ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModesError, ModetuneError
 from modetune.core.modes import Floats, Integers
+from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.matrix_samples import differences
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.watching import told
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.observed_modes import observer_of, solved_energies
 
 logger = logging.getLogger(__name__)
+
+#: Unknowns from which full solutions that others begin with are in the store meanwhile: those of
+#: smaller models are found again in a few times what it takes to keep them.
+KEPT_FROM = 50_000
+#: What a campaign that goes on makes first, for people who watch.
+AGAIN = "what the search begins with, once more"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,6 +159,7 @@ class Solutions:
         self._first: tuple[ModalSet, SolutionAt] | None = None
         self._basis: ReducedBasis | None = None
         self._factors: FactorsAt | None = None
+        self._kept: list[str] = []
 
     @property
     def held(self) -> str:
@@ -159,24 +170,45 @@ class Solutions:
         """The modes of a set with shapes of all unknowns."""
         if self._newest is not None and self._newest[0] is item:
             return self._newest[1]
+        solved = self._stored(item)
+        here = self.model.matrices.at(item.values)
+        energies, n_rigid = solved_energies(self.model.campaign, here, solved)
+        factors, previous = FactorsAt(item, solved.shift), None
+        if solved.way.startswith(KEPT):
+            start = self._beginning(item)
+            assert start.factors is not None
+            factors, previous = start.factors, start.basis
+        shapes = solved.shapes
+        found = SolutionAt(solved.eigenvalues, shapes, energies, n_rigid, factors, previous)
+        self._newest = item, found
+        return found
+
+    def _stored(self, item: ModalSet) -> SolvedModes:
+        """The modes of a set; of a large model in the store, as long as others begin with them."""
+        if self.model.matrices.base.nodes.size < KEPT_FROM:
+            return self._searched(item)
+        asked: Json = {"solution": item.key}
+        key = content_key(canonical_json(asked))
+        known = key in self.engine.store
+        found = self.engine.derived(asked, lambda: self._searched(item), SolvedModes)
+        self._kept.append(key)
+        if not known and not found.way.startswith(KEPT):
+            self.forget(key)  # nothing leads back beyond this one
+        return found
+
+    def _searched(self, item: ModalSet) -> SolvedModes:
         start = self._beginning(item)
         here = self.model.matrices.at(item.values)
-        at_hand, solved, (energies, n_rigid) = self._solved(item, start, here, count=False)
-        own = self._solver.has_own_factors
+        at_hand, solved = self._solved(item, start, here, count=False)
+        own = not solved.way.startswith(KEPT)
         self._factors = FactorsAt(item, solved.shift) if own else at_hand
-        assert self._factors is not None
-        self._newest = (
-            item,
-            SolutionAt(
-                solved.eigenvalues,
-                solved.shapes,
-                energies,
-                n_rigid,
-                self._factors,
-                None if own else start.basis,
-            ),
-        )
-        return self._newest[1]
+        return solved
+
+    def forget(self, but: str = "") -> None:
+        """Take what is kept for others to begin with out of the store, all but the one named."""
+        for key in set(self._kept) - {but}:
+            self.engine.store.drop(key)
+        self._kept = [but] if but else []
 
     def assembled(
         self, item: ModalSet, begun: Callable[[], Callable[[], MatrixResult]], count: bool
@@ -198,14 +230,14 @@ class Solutions:
         if not beside:
             wait()
         try:
-            found = self._solved(item, start, there, count, beside)[1:]
+            found = self._solved(item, start, there, count, beside)[1]
         except ModetuneError:
             wait()
             raise
         here = wait()
         if any(upper.nnz for upper in differences(there, here)):
-            return self._solved(item, start, here, count)[1:]
-        return found
+            there, found = here, self._solved(item, start, here, count)[1]
+        return found, solved_energies(self.model.campaign, there, found)
 
     def lent(self) -> ModeSolver:
         """What solves the model, to whoever leaves other factors in it."""
@@ -214,8 +246,8 @@ class Solutions:
 
     def _solved(
         self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool, beside: int = 0
-    ) -> tuple[FactorsAt | None, SolvedModes, tuple[Floats, int]]:
-        """The factors that were at hand, modes, and these modes' energies as `assembled`.
+    ) -> tuple[FactorsAt | None, SolvedModes]:
+        """The factors that were at hand, and modes.
 
         beside: cores that are counted for it, 0 for all. PARDISO keeps to as many threads as it
         has ordered the unknowns with: on others its factors in two levels are wrong.
@@ -226,25 +258,32 @@ class Solutions:
             kept = self._at_hand(start.factors, item.n_modes)
             at_hand, self._factors = self._factors, None
             upper = here.upper_stiffness, here.upper_mass
-            solved = self._solver.solve(
+            return at_hand, self._solver.solve(
                 *upper, item.n_modes, start.shift, start.shapes, kept, count
             )
-            return at_hand, solved, solved_energies(self.model.campaign, here, solved)
 
     def _at_hand(self, factors: FactorsAt | None, n_modes: int) -> int:
         """For how many blocks these factors are worth being kept; made once more if need be."""
         blocks = 0 if factors is None else self._solver.blocks_that_pay(n_modes)
-        if blocks and factors is not None and factors != self._factors:
-            there = self.model.matrices.at(factors.of.values)
-            self._solver.factorise(there.upper_stiffness, there.upper_mass, factors.shift)
-            self._factors = factors
+        if blocks and factors is not None:
+            self._hold(factors)
         return blocks
+
+    def _hold(self, factors: FactorsAt) -> None:
+        """Make these the factors at hand."""
+        if factors != self._factors:
+            there, n_modes = self.model.matrices.at(factors.of.values), factors.of.n_modes
+            upper = there.upper_stiffness, there.upper_mass
+            self._solver.factorise(*upper, factors.shift, n_modes)
+            self._factors = factors
 
     def basis(self, around: ReducedAround) -> ReducedBasis:
         """A reduced model with its basis."""
         if self._basis is None or self._basis.of is not around:
             solved, observer = self.modes(around.of), self.model.observer(*around.seen)
+            own = solved.factors.of is around.of
             with self.engine.all_cores():
+                self._hold(solved.factors)
                 made = reduce(
                     self.model.matrices,
                     around.of.values,
@@ -255,7 +294,7 @@ class Solutions:
                     solved.n_rigid,
                     observer,
                     solved.previous,
-                    exact=self._solver.inverts_exactly,
+                    exact=own and self._solver.inverts_exactly,
                 )
             self._basis = ReducedBasis(around, solved.n_rigid, solved.factors, *made)
         return self._basis
@@ -271,8 +310,10 @@ class Solutions:
             eigenvalues, shapes, n_rigid = first.eigenvalues, first.shapes, first.n_rigid
         else:
             self._first = None
+            again = self._basis is None or self._basis.of is not item.start
             try:
-                newest = self.basis(item.start)
+                with told(self.engine.watcher if again else None, AGAIN):
+                    newest = self.basis(item.start)
                 eigenvalues, shapes = newest.shapes(item.values, item.n_modes)
             except ModesError as error:
                 logger.debug("no start from a reduced model: %s", error)

@@ -43,16 +43,19 @@ from modetune.flows.updating.observed_modes import (
     named_freedoms,
 )
 from modetune.flows.updating.small_matrices import one_thread
-from modetune.flows.updating.solutions import ModalSet, ReducedAround, Solutions, StoredModel
+from modetune.flows.updating.solutions import (
+    KEPT_FROM,
+    ModalSet,
+    ReducedAround,
+    Solutions,
+    StoredModel,
+)
 
 logger = logging.getLogger(__name__)
 
 #: Raised by hand when the same matrices are reduced to other numbers.
 REDUCED_VERSION = 6
 RANGE_VERSION = 4
-#: Unknowns from which a range's full solutions are kept until it is made: those of smaller models
-#: are found again in a few times what it takes to keep them.
-KEPT_FROM = 50_000
 #: The same of exact derivatives.
 DERIVATIVES_VERSION = 1
 
@@ -125,11 +128,17 @@ class MatrixModes:
             item = ModalSet(key, self.source.written(theta), n_modes, start)
             solved, more = self._solutions.assembled(item, begun, counted)
             self.engine.store.drop(job)  # as large as the model, and not asked for again
+            self._solutions.forget()
             found = solved.eigenvalues, solved.shapes, *more
             return modes_at(self._model.observer, *found, analysis)
 
-        found = self.engine.derived(asked, compute, ModalResult)
+        name = "modes of assembled matrices" + ", counted" * counted
+        found = self._derived(asked, compute, ModalResult, name)
         return key, self.engine.solver.by_hand(found)
+
+    def release(self) -> None:
+        """What is kept for later searches leaves the store: there are none."""
+        self._solutions.forget()
 
     def key(self, theta: Floats, analysis: ModalAnalysis) -> str:
         """The key of `modal`; nothing is computed."""

@@ -110,3 +110,18 @@ def test_a_terminal_gets_a_bar_and_a_file_no_control_characters(tmp_path: Path) 
     said = screen.getvalue()  # its last picture at least is of the end
     assert "0 of 2 jobs done" in said
     assert "\x1b" in said
+
+
+def test_what_begins_between_two_lines_and_runs_for_long_is_told_once_a_line_is_due(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(progress, "EVERY_S", 0.05)
+    out = io.StringIO()
+    with JobProgress(Console(file=out)).shown() as shown:
+        shown.working("iteration 5")
+        shown.began("iteration 5", "modes of assembled matrices, counted")
+        due = shown._due
+        assert due is not None
+        assert "counted" not in out.getvalue()
+        due.join()
+        assert "running: modes of assembled matrices, counted" in out.getvalue()

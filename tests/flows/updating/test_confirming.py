@@ -16,7 +16,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating import modes_choice
+from modetune.flows.updating import modes_choice, solutions
 from modetune.flows.updating.running import update_campaign
 from modetune.flows.updating.updating import Unwatched
 from tests.adapters.solved import needs_ccx
@@ -98,9 +98,11 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
 
 
 @pytest.mark.parametrize("columns", [0.5, 100.0], ids=["own factors", "kept factors"])
+@pytest.mark.parametrize("kept_from", [solutions.KEPT_FROM, 0], ids=["", "kept"])
 def test_killed_before_matrices_confirm_it_ends_on_the_same_bits(
-    columns: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    columns: float, kept_from: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(solutions, "KEPT_FROM", kept_from)
     file = written(long_bar(), tmp_path / "part")
     monkeypatch.setattr(pencil, "FACTORISED_COLUMNS", columns)
     settings = [STORED, "update.confirm=matrices"]
@@ -122,4 +124,30 @@ def test_killed_before_matrices_confirm_it_ends_on_the_same_bits(
         watch_puts(patch, stop)
         with pytest.raises(Killed):
             run(tmp_path / "killed")
+    solved, factorised, real, held = 0, 0, ModeSolver.solve, pencil.Pencil.factorise
+
+    def solve(*given: Any, **named: Any) -> Any:
+        nonlocal solved
+        solved += 1
+        return real(*given, **named)
+
+    def factorise(*given: Any) -> None:
+        nonlocal factorised
+        factorised += 1
+        held(*given)
+
+    monkeypatch.setattr(ModeSolver, "solve", solve)
+    monkeypatch.setattr(pencil.Pencil, "factorise", factorise)
     assert differences(whole, run(tmp_path / "killed")) == ["settings"]  # where their stores are
+    if kept_from:
+        assert solved > 1  # set by set
+        return
+    # What is kept leads to the start of the last search by factors alone, and then leaves.
+    assert solved == 1
+    assert factorised <= 3  # those of the start, the modes' own, the count's
+    for place in ("whole", "killed"):
+        store = Store(tmp_path / place / "store")
+        held_kinds = {
+            getattr(store.holding(path.name[:64]), "kind", "") for path in store.entries()
+        }
+        assert "solved_modes" not in held_kinds
