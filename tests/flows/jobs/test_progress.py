@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from modetune.core.errors import SolverCrashed
+from modetune.flows.jobs import progress as module
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.jobs.watching import Derivation, ask, displayed
 from tests.command_line import run_command
@@ -115,7 +116,7 @@ def test_a_terminal_gets_a_bar_and_a_file_no_control_characters(tmp_path: Path) 
 def test_what_begins_between_two_lines_and_runs_for_long_is_told_once_a_line_is_due(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(progress, "EVERY_S", 0.05)
+    monkeypatch.setattr(module, "EVERY_S", 0.05)
     out = io.StringIO()
     with JobProgress(Console(file=out)).shown() as shown:
         shown.working("iteration 5")
