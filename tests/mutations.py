@@ -30,7 +30,7 @@ from modetune.adapters.calculix.matrices import read_matrices
 from modetune.adapters.calculix.results import read_messages, read_modal
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.matrices.job import CLOSING_MARK, RESULT, read_result, run_job, write_job
-from modetune.adapters.matrices.matrix_files import read_matrix, write_matrix
+from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.adapters.matrices.model import MatrixModel
 from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.nastran.design_sensitivity import read_dscm2
@@ -65,6 +65,7 @@ from tests.adapters.test_nastran_solver import PARAMETERS as CHAIN_PARAMETERS
 from tests.adapters.test_nastran_solver import deck as chain_deck
 from tests.core.storage.test_record import record
 from tests.core.storage.test_store import KEY, modal
+from tests.one_matrix import read_matrix
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "adapters" / "data"

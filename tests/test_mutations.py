@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from modetune.adapters.calculix.deck import read_deck as read_keyword_deck
-from modetune.adapters.matrices.matrix_files import read_matrices, read_matrix
+from modetune.adapters.matrices.matrix_files import read_matrices
 from modetune.adapters.nastran.deck import read_deck as read_bulk_deck
 from modetune.adapters.regular_file import largest
 from modetune.adapters.test_files.measurements import read_measurement
@@ -26,6 +26,7 @@ from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import CampaignError, ModelError, ModetuneError, NoResult
 from modetune.flows.campaign.campaign import load_campaign
 from tests.mutations import KINDS, NASTRAN, PLATE_DECK, bounded, read_all, read_stiffness
+from tests.one_matrix import read_matrix
 
 MUTATIONS = 60
 #: Kinds whose reader is given the path.

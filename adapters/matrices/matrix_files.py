@@ -48,21 +48,11 @@ def split_reference(reference: str) -> tuple[str, str]:
     return reference, ""
 
 
-def read_matrix(folder: Path, reference: str) -> sparse.csr_array:
-    """The matrix of a reference, relative to a folder, (n, n), both triangles.
-
-    Raises ModelError where it cannot be read, or is not real, square, finite and symmetric.
-    """
-    (found,) = read_matrices(folder, [reference])
-    if isinstance(found, ModelError):
-        raise found
-    return found
-
-
 def read_matrices(folder: Path, references: Sequence[str]) -> list[sparse.csr_array | ModelError]:
-    """The matrices of references, each read or the error that `read_matrix` raises.
+    """The matrices of references, relative to a folder, each (n, n), both triangles.
 
-    An HDF5 file is opened once for all of its datasets.
+    An error in place of one that cannot be read, or is not real, square, finite and symmetric. An
+    HDF5 file is opened once for all of its datasets.
     """
     datasets: dict[str, list[str]] = {}
     for file, name in map(split_reference, references):

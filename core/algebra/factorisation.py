@@ -17,9 +17,6 @@ factorised one after the other by one `SymmetricFactors`, which orders the unkno
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -39,7 +36,6 @@ Matrix: TypeAlias = sparse.sparray | sparse.spmatrix | NDArray[np.float64]
 
 SINGULAR_CONDITION = 1e14
 _COLUMNS_AT_ONCE = 64  # bounds the copies made of a right-hand side
-_superlu_only: ContextVar[bool] = ContextVar("superlu_only", default=False)
 
 
 class SymmetricFactors(Protocol):
@@ -173,7 +169,7 @@ def symmetric_factors(
     similar matrix, where they will do. Raises ModelError where it is no such triangle,
     SolverExhausted where memory does not suffice.
     """
-    if not _superlu_only.get() and is_available():
+    if is_available():
         return roomy_factors(upper, columns=columns, similar=similar)
     return _SymmetricSuperLu(upper)
 
@@ -190,16 +186,6 @@ def filled_triangle(matrix: sparse.csr_array) -> sparse.csr_array:
     filled = sparse.csr_array((values, (rows, columns)), shape=matrix.shape)
     filled.sort_indices()
     return filled
-
-
-@contextmanager
-def superlu_only() -> Iterator[None]:
-    """Within this context, and in this thread only, SuperLU factorises even where PARDISO is."""
-    token = _superlu_only.set(True)
-    try:
-        yield
-    finally:
-        _superlu_only.reset(token)
 
 
 def _unit_diagonal(a: sparse.csr_array) -> NDArray[np.float64]:
@@ -221,7 +207,7 @@ def _factors_of(
     scaled: sparse.csr_array,
 ) -> tuple[SymmetricFactors, Literal["pardiso", "superlu"]]:
     upper = filled_triangle(scaled)
-    if not _superlu_only.get() and is_available():
+    if is_available():
         pardiso = roomy_factors(upper, matching=True)
         pardiso.refactor(upper.data)
         return pardiso, "pardiso"

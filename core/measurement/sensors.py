@@ -86,18 +86,6 @@ class SensorMap:
         return replace(modes, mode_shapes=seen, nodes=self.nodes, components=self.components)
 
 
-def by_number(nodes: Integers, components: Integers) -> SensorMap:
-    """Sensors that are the model's own nodes, along its axes."""
-    return SensorMap(
-        nodes=nodes,
-        components=components,
-        model_nodes=nodes,
-        directions=np.eye(3)[(components - 1) % 3],
-        turns=components > 3,
-        distances=np.zeros(nodes.size),
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class NextNodes:
     """The two model nodes next to each of some places.

@@ -78,7 +78,7 @@ class Holding:
     """What stands before an entry's result.
 
     kind: of the result, one of KINDS; asked: the canonical JSON behind the key; note: what was
-    noted beside it, empty where nothing was; written_s: when, seconds since 1970.
+    noted beside it, empty where nothing was.
     """
 
     key: str
@@ -88,7 +88,6 @@ class Holding:
     solver: str
     solver_version: str
     wall_s: float
-    written_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +228,6 @@ def _holding(file: IO[bytes]) -> Holding | None:
             solver=str(head["solver"]),
             solver_version=str(head["solver_version"]),
             wall_s=float(head["wall_s"]),
-            written_s=os.fstat(file.fileno()).st_mtime,
         )
     except (ValueError, KeyError, TypeError, RecursionError):
         return None

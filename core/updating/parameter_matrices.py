@@ -11,7 +11,7 @@ to t, its strains across the thickness to 1/t: B^T D B t has t^-1, t^0 and t^1. 
 at an angle or with different thicknesses, the faces move with a rigid knot, through arms of
 length t/2: T^T K T with T = T_0 + t T_1 has t^-1 up to t^3, the mass t^1 up to t^3. So -1, 1, 2
 and 3 beside the constant are all the powers of an unwarped or warped, flat or joined shell with
-full integration (SHELL_POWERS), and as many samples beside the reference fit them:
+full integration, and as many samples beside the reference fit them:
 
     A(v_i) - A_ref = sum_k (v_i^k - ref^k) A_k.
 
@@ -35,8 +35,6 @@ from modetune.core.algebra.matrices import MatrixResult, places_in, projected, u
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 
-#: Powers of a shell's thickness beside the constant one.
-SHELL_POWERS = (-1, 1, 2, 3)
 #: Beyond this condition a fit of powers has fewer than six of the text's fourteen digits left.
 HOPELESS_FIT = 1e8
 #: Entries added at once; these many stay in the processor's cache.

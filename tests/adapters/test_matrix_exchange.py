@@ -11,8 +11,9 @@ from pyNastran.bdf.bdf import BDF
 from pyNastran.op4.op4 import OP4
 
 from modetune.adapters.matrices.exchange import FORMS, WrittenMatrices, write_matrices
-from modetune.adapters.matrices.matrix_files import read_matrix, write_matrix
+from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.core.errors import CampaignError, ModelError
+from tests.one_matrix import read_matrix
 
 
 def written(n: int = 7, n_scalar: int = 2) -> WrittenMatrices:

@@ -135,12 +135,11 @@ class Posterior:
 class Peaks:
     """Maxima of the density, the one of greatest density first.
 
-    points: (n_peaks, n_parameters); log_densities, shares (of the whole, by Laplace): (n_peaks,);
+    points: (n_peaks, n_parameters); shares: (n_peaks,), of the whole, by Laplace;
     covariances: (n_peaks, n_parameters, n_parameters), linear.
     """
 
     points: Floats
-    log_densities: Floats
     shares: Floats
     covariances: Floats
 
@@ -192,9 +191,7 @@ def find_peaks(
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
     large = shares >= LEAST_SHARE
-    return Peaks(
-        points[large], heights[large], shares[large] / shares[large].sum(), covariances[large]
-    )
+    return Peaks(points[large], shares[large] / shares[large].sum(), covariances[large])
 
 
 def _is_apart(posterior: Posterior, point: Floats, height: float, other: Floats) -> bool:

@@ -16,11 +16,11 @@ from scipy import sparse
 from modetune.core.algebra.factorisation import (
     factorise,
     filled_triangle,
-    superlu_only,
     symmetric_factors,
     symmetric_matrix,
 )
 from modetune.core.errors import ModelError
+from tests.superlu import superlu_only
 
 
 def chain(n: int, grounded: bool = True) -> sparse.csr_array:

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg, sparse
 
-from modetune.core.algebra.factorisation import superlu_only
 from modetune.core.condensation.reduction import (
     Reduction,
     craig_bampton,
@@ -25,6 +24,7 @@ from modetune.core.condensation.reduction import (
     serep,
 )
 from modetune.core.errors import ModelError, ModesError
+from tests.superlu import superlu_only
 
 Method = Callable[[Any, Any, Any], Reduction]
 METHODS: tuple[Method, ...] = (guyan, irs, iterated_irs)

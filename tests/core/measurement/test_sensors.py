@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 
 from modetune.core.errors import ModesError
-from modetune.core.measurement.sensors import (
-    SensorMap,
-    by_number,
-    mean_edge,
-    next_nodes,
-    result_directions,
-)
+from modetune.core.measurement.sensors import SensorMap, mean_edge, next_nodes, result_directions
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import mode_set
+from tests.node_sensors import by_number
 
 EVERY = (
     np.repeat([1, 2], 6),

@@ -14,7 +14,6 @@ import pytest
 from modetune.core.correlation.pairing import Pairing
 from modetune.core.errors import CampaignError, StoreDamaged
 from modetune.core.measurement.measurement import MeasuredFrfs
-from modetune.core.measurement.sensors import by_number
 from modetune.core.modes import MeasuredModes, mode_set
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
@@ -22,6 +21,7 @@ from modetune.core.storage.record_file import CAMPAIGN, is_record, read_record, 
 from modetune.core.surface import Surface
 from modetune.core.updating.responses.response import residual_of
 from tests.core.storage.test_seal import refused_when_damaged, resealed
+from tests.node_sensors import by_number
 
 NODES = np.array([3, 7])
 #: Exact in single precision, in which surfaces and fields are kept.

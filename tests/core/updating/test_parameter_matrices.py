@@ -14,7 +14,6 @@ from modetune.core.algebra.matrices import MatrixResult, projected, symmetric, u
 from modetune.core.errors import ModelError
 from modetune.core.updating.matrix_samples import differences
 from modetune.core.updating.parameter_matrices import (
-    SHELL_POWERS,
     ParameterMatrices,
     Powers,
     fit_powers,
@@ -32,6 +31,9 @@ from tests.core.matrix_decks import (
 #: Factors on a thickness at which matrices are taken, spread as Chebyshev's points are.
 FACTORS = (0.55, 0.75, 1.4, 1.9)
 THICK = 2.0
+
+#: All the powers of the thickness of a shell with full integration beside the constant one.
+SHELL_POWERS = (-1, 1, 2, 3)
 
 
 def shell_matrices(

@@ -18,7 +18,6 @@ from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.updating.matrix_samples import differences, separate
 from modetune.core.updating.parameter_matrices import (
-    SHELL_POWERS,
     ParameterMatrices,
     Powers,
     fit_powers,
@@ -28,6 +27,7 @@ from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce, with_directions
 from modetune.core.updating.sensitivity import ModeDerivatives, fox_kapoor, nelson
 from tests.core.matrix_decks import bar, matrices_of, plates
+from tests.core.updating.test_parameter_matrices import SHELL_POWERS
 
 FACTORS = (0.55, 0.75, 1.4, 1.9)
 KNOWN, USED = 12, 5  # elastic modes that are solved for, and those that are updated

@@ -11,12 +11,12 @@ import pytest
 from modetune.core.correlation.correlation import mac
 from modetune.core.correlation.pairing import Pairing
 from modetune.core.measurement.measurement import TestGeometry
-from modetune.core.measurement.sensors import by_number
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
 from modetune.core.surface import Surface
 from modetune.core.updating.responses.response import residual_of
+from tests.node_sensors import by_number
 
 #: Half waves along x and y of the three modes.
 WAVES = ((1, 1), (2, 1), (1, 2))

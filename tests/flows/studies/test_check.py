@@ -23,7 +23,6 @@ from modetune.core.correlation.correlation import rigid_body_shapes
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.alignment import Alignment
 from modetune.core.measurement.measurement import Measurement
-from modetune.core.measurement.sensors import by_number
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.parameters import Quantity
@@ -38,6 +37,7 @@ from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.pairing import preview, unmeasured
 from modetune.flows.updating.running import update_campaign
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
+from tests.node_sensors import by_number
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
 N_SENSORS = 8
