@@ -12,13 +12,13 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from modetune.core.parameters import TARGETS, Quantity
+from modetune.core.parameters import QUANTITIES, Quantity
 
 T = TypeVar("T", bound=Hashable)
 
 #: Quantities of materials; others are of sections and elements.
 OF_MATERIALS: frozenset[Quantity] = frozenset(
-    quantity for quantity, targets in TARGETS.items() if "material" in targets
+    quantity for quantity, facts in QUANTITIES.items() if "material" in facts.targets
 )
 
 

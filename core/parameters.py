@@ -38,73 +38,51 @@ ValueKind = Literal["relative", "absolute", "additive"]
 #: A placeholder has the parameter's own name.
 TargetKind = Literal["material", "elset", "property", "element", "part", "placeholder"]
 
-#: What may name the owner of each quantity; the first is what CalculiX decks use.
-TARGETS: dict[Quantity, tuple[TargetKind, ...]] = {
-    "youngs_modulus": ("material", "property", "element", "elset"),
-    "shear_modulus": ("material", "property", "element", "elset"),
-    "poissons_ratio": ("material", "property", "element", "elset"),
-    "density": ("material", "property", "element", "elset"),
-    "thickness": ("elset", "property", "element"),
-    "area": ("property", "element"),
-    "inertia_1": ("property", "element"),
-    "inertia_2": ("property", "element"),
-    "torsion_constant": ("property", "element"),
-    "inertia_12": ("property", "element"),
-    "dimension": ("elset", "property", "element"),
-    "spring_stiffness": ("elset", "property", "element"),
-    "mass": ("elset", "element"),
-    "rotary_inertia": ("element",),
-    "nonstructural_mass": ("property", "element"),
-    "ply_angle": ("elset", "property", "element"),
-    "bending_inertia_ratio": ("property", "element"),
-    "shear_thickness_ratio": ("property", "element"),
-    "shear_factor": ("property", "element"),
-    "offset": ("property", "element"),
-    "structural_damping": ("material", "property", "element", "elset"),
-    "viscous_damping": ("property", "element", "elset"),
-    "matrix_factor": ("part",),
-    "number": (),
-    "variable": (),
-}
 
-#: Powers of a quantity that bound how stiffness and mass grow with it; infinite where none does
-#: (a ply that turns, an offset or a product of inertia that cancels another one).
-POWERS: dict[Quantity, tuple[float, float]] = {
-    "youngs_modulus": (1, 0),
-    "shear_modulus": (1, 0),
-    "poissons_ratio": (1, 0),
-    "density": (0, 1),
-    "thickness": (3, 1),
-    "area": (1, 1),
-    "inertia_1": (1, 0),
-    "inertia_2": (1, 0),
-    "torsion_constant": (1, 0),
-    "dimension": (4, 2),
-    "spring_stiffness": (1, 0),
-    "mass": (0, 1),
-    "rotary_inertia": (0, 1),
-    "nonstructural_mass": (0, 1),
-    "ply_angle": (np.inf, 0),
-    "inertia_12": (np.inf, 0),
-    "bending_inertia_ratio": (1, 0),
-    "shear_thickness_ratio": (1, 0),
-    "shear_factor": (1, 0),
-    "offset": (np.inf, 0),
-    "structural_damping": (0, 0),
-    "viscous_damping": (0, 0),
-    "matrix_factor": (1, 1),
-    "number": (np.inf, np.inf),
-    "variable": (0, 0),
-}
+@dataclass(frozen=True, slots=True)
+class QuantityFacts:
+    """What is true of a quantity whatever the solver.
 
-#: Quantities whose numbers are above zero, and those that are not below it; others have any sign.
-POSITIVE: frozenset[Quantity] = frozenset({
-    "youngs_modulus", "shear_modulus", "thickness", "area", "inertia_1", "inertia_2", "dimension",
-})  # fmt: skip
-NOT_NEGATIVE: frozenset[Quantity] = frozenset({
-    "density", "torsion_constant", "spring_stiffness", "mass", "nonstructural_mass",
-    "bending_inertia_ratio", "shear_thickness_ratio", "structural_damping", "viscous_damping",
-})  # fmt: skip
+    targets: what may name its owner, first what CalculiX decks use. powers: of it that bound how
+    stiffness and mass grow with it; infinite where none does (a ply that turns, an offset or a
+    product of inertia that cancels another one). sign: of its numbers.
+    """
+
+    targets: tuple[TargetKind, ...]
+    powers: tuple[float, float]
+    sign: Literal["any", "positive", "not negative"] = "any"
+
+
+_OF_MATERIAL: tuple[TargetKind, ...] = ("material", "property", "element", "elset")
+_OF_PROPERTY: tuple[TargetKind, ...] = ("property", "element")
+_OF_SET: tuple[TargetKind, ...] = ("elset", *_OF_PROPERTY)
+QUANTITIES: dict[Quantity, QuantityFacts] = {
+    "youngs_modulus": QuantityFacts(_OF_MATERIAL, (1, 0), "positive"),
+    "shear_modulus": QuantityFacts(_OF_MATERIAL, (1, 0), "positive"),
+    "poissons_ratio": QuantityFacts(_OF_MATERIAL, (1, 0)),
+    "density": QuantityFacts(_OF_MATERIAL, (0, 1), "not negative"),
+    "thickness": QuantityFacts(_OF_SET, (3, 1), "positive"),
+    "area": QuantityFacts(_OF_PROPERTY, (1, 1), "positive"),
+    "inertia_1": QuantityFacts(_OF_PROPERTY, (1, 0), "positive"),
+    "inertia_2": QuantityFacts(_OF_PROPERTY, (1, 0), "positive"),
+    "torsion_constant": QuantityFacts(_OF_PROPERTY, (1, 0), "not negative"),
+    "inertia_12": QuantityFacts(_OF_PROPERTY, (np.inf, 0)),
+    "dimension": QuantityFacts(_OF_SET, (4, 2), "positive"),
+    "spring_stiffness": QuantityFacts(_OF_SET, (1, 0), "not negative"),
+    "mass": QuantityFacts(("elset", "element"), (0, 1), "not negative"),
+    "rotary_inertia": QuantityFacts(("element",), (0, 1)),
+    "nonstructural_mass": QuantityFacts(_OF_PROPERTY, (0, 1), "not negative"),
+    "ply_angle": QuantityFacts(_OF_SET, (np.inf, 0)),
+    "bending_inertia_ratio": QuantityFacts(_OF_PROPERTY, (1, 0), "not negative"),
+    "shear_thickness_ratio": QuantityFacts(_OF_PROPERTY, (1, 0), "not negative"),
+    "shear_factor": QuantityFacts(_OF_PROPERTY, (1, 0)),
+    "offset": QuantityFacts(_OF_PROPERTY, (np.inf, 0)),
+    "structural_damping": QuantityFacts(_OF_MATERIAL, (0, 0), "not negative"),
+    "viscous_damping": QuantityFacts(("property", "element", "elset"), (0, 0), "not negative"),
+    "matrix_factor": QuantityFacts(("part",), (1, 1)),
+    "number": QuantityFacts((), (np.inf, np.inf)),
+    "variable": QuantityFacts((), (0, 0)),
+}
 #: Quantities of damping, which undamped modes know nothing of.
 DAMPING: frozenset[Quantity] = frozenset({"structural_damping", "viscous_damping"})
 #: Parameters of an expression whose bounds are all looked at together.
@@ -174,10 +152,10 @@ class Parameter:
         """Why the deck's number cannot be this, empty where it can."""
         if not np.isfinite(number):
             return f"{self.quantity} would be {number:g}"
-        bad = number <= 0.0 if self.quantity in POSITIVE else number < 0.0
-        signed = self.quantity in POSITIVE or self.quantity in NOT_NEGATIVE
-        kind = "above zero" if self.quantity in POSITIVE else "not below zero"
-        return f"{self.quantity} would be {number:.6g}, it is {kind}" if bad and signed else ""
+        sign = QUANTITIES[self.quantity].sign
+        bad = sign != "any" and (number <= 0.0 if sign == "positive" else number < 0.0)
+        kind = "above zero" if sign == "positive" else "not below zero"
+        return f"{self.quantity} would be {number:.6g}, it is {kind}" if bad else ""
 
 
 def counted_from(
@@ -317,7 +295,7 @@ def frequency_reach(parameters: ParameterSet, theta: Floats) -> tuple[float, flo
     if (
         parameters.dependents
         or not all(p.proportional for p in parameters.parameters)
-        or any(np.isinf(POWERS[p.quantity]).any() for p in parameters.parameters)
+        or any(np.isinf(QUANTITIES[p.quantity].powers).any() for p in parameters.parameters)
     ):
         return 0.0, np.inf
     least = largest = 1.0
@@ -327,7 +305,7 @@ def frequency_reach(parameters: ParameterSet, theta: Floats) -> tuple[float, flo
     }
     for quantity in dict.fromkeys(item.quantity for item in parameters.parameters):
         own = [item.quantity == quantity for item in parameters.parameters]
-        stiffness, mass = POWERS[quantity]
+        stiffness, mass = QUANTITIES[quantity].powers
         low, high = float(ratios["lower"][own].min()), float(ratios["upper"][own].max())
         largest *= high**stiffness / low**mass
         least *= low**stiffness / high**mass

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from modetune.core.parameters import TARGETS
+from modetune.core.parameters import QUANTITIES
 from modetune.flows.campaign.parameter_section import TARGET_KEYS
 from modetune.flows.campaign.schema import CampaignFile
 from modetune.flows.campaign.section import Section
@@ -88,10 +88,10 @@ def _add_rules(sections: dict[str, Any]) -> None:
     parameter["allOf"] = [
         {
             "if": {"properties": {"quantity": {"const": quantity}}, "required": ["quantity"]},
-            "then": {"anyOf": [*_one_of(targets), none]},
+            "then": {"anyOf": [*_one_of(facts.targets), none]},
         }
-        for quantity, targets in TARGETS.items()
-        if targets
+        for quantity, facts in QUANTITIES.items()
+        if facts.targets
     ]
 
 

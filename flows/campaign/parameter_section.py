@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of
 from modetune.core.parameters import (
-    TARGETS,
+    QUANTITIES,
     Parameter,
     Quantity,
     TargetKind,
@@ -82,7 +82,7 @@ class ParameterSection(Section):
     @model_validator(mode="after")
     def _sound(self) -> ParameterSection:
         given = [key for key in TARGET_KEYS if getattr(self, key) is not None]
-        wanted = TARGETS[self.quantity]
+        wanted = QUANTITIES[self.quantity].targets
         if len(given) > 1 or any(key not in wanted for key in given):
             found = f"not {' and '.join(f'`{key}`' for key in given)}"
             raise ValueError(f"{self.quantity} needs {targets_of(self.quantity)}; {found}")
@@ -167,4 +167,4 @@ class ParameterSection(Section):
 
 def targets_of(quantity: Quantity) -> str:
     """The keys that may name what a quantity belongs to, for messages."""
-    return " or ".join(f"`{key}`" for key in TARGETS[quantity]) or "`solver: command`"
+    return " or ".join(f"`{key}`" for key in QUANTITIES[quantity].targets) or "`solver: command`"

@@ -14,7 +14,7 @@ from modetune.adapters.calculix.parametric_deck import CalculixDeck
 from modetune.adapters.calculix.places import edited_lines, energy_sets, find_fields
 from modetune.adapters.calculix.sections import elastic_constants, point_mass
 from modetune.core.errors import ModelError
-from modetune.core.parameters import TARGETS, Parameter, Quantity
+from modetune.core.parameters import QUANTITIES, Parameter, Quantity
 from tests.adapters.ccx_decks import bar
 from tests.adapters.solved import needs_ccx
 
@@ -84,7 +84,7 @@ def model_of(folder: Path, text: str = DECK) -> CalculixModel:
 
 
 def parameter(quantity: Quantity, *targets: str, name: str = "p") -> Parameter:
-    return Parameter(name, quantity, TARGETS[quantity][0], targets, 0.5, 2.0, 0.1)
+    return Parameter(name, quantity, QUANTITIES[quantity].targets[0], targets, 0.5, 2.0, 0.1)
 
 
 def line_of(text: str, deck: str = DECK) -> int:

@@ -14,12 +14,13 @@ import pytest
 from scipy import io, sparse
 
 from modetune.adapters.matrices.deck import read_deck, write_updated
-from modetune.adapters.matrices.matrix_files import read_matrix, write_matrix
+from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
-from modetune.core.parameters import TARGETS, Parameter, Quantity
+from modetune.core.parameters import QUANTITIES, Parameter, Quantity
 from modetune.core.storage.keys import canonical_json
+from tests.one_matrix import read_matrix
 
 SYSTEM = """\
 # two masses, written by hand
@@ -43,7 +44,7 @@ Reads = Callable[[str], Any]
 
 
 def parameter(name: str, quantity: Quantity, *targets: str) -> Parameter:
-    return Parameter(name, quantity, TARGETS[quantity][0], targets, 0.5, 2.0, 0.1)
+    return Parameter(name, quantity, QUANTITIES[quantity].targets[0], targets, 0.5, 2.0, 0.1)
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ from modetune.core.errors import (
     SolverMissing,
     SolverRejected,
 )
-from modetune.core.parameters import TARGETS, Parameter, Quantity
+from modetune.core.parameters import QUANTITIES, Parameter, Quantity
 from modetune.core.storage.keys import canonical_json
 from modetune.core.updating.results import MatrixResult, ModalResult, Result
 
@@ -61,7 +61,7 @@ class Case:
 
 
 def parameter(name: str, quantity: Quantity, *targets: str) -> Parameter:
-    return Parameter(name, quantity, TARGETS[quantity][0], targets, 0.5, 2.0, 0.1)
+    return Parameter(name, quantity, QUANTITIES[quantity].targets[0], targets, 0.5, 2.0, 0.1)
 
 
 def beam_frequency(root: float) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import DAMPING, NOT_NEGATIVE, POWERS, Parameter
+from modetune.core.parameters import DAMPING, QUANTITIES, Parameter
 from modetune.core.updating.judgement import NOTHING, UNSEEN_SHARE
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
@@ -102,8 +102,8 @@ def from_nothing(campaign: Campaign) -> tuple[Parameter, ...]:
     return tuple(
         item
         for item, start in starts
-        if item.quantity in NOT_NEGATIVE
-        and any(POWERS[item.quantity])
+        if QUANTITIES[item.quantity].sign == "not negative"
+        and any(QUANTITIES[item.quantity].powers)
         and item.number(solver.deck.deck_value(item), start) == 0.0
     )
 
