@@ -15,16 +15,14 @@ from modetune.adapters.nastran.deck import NastranDeck
 from modetune.adapters.nastran.harmless import CHANGING, changing_parameter
 from modetune.core.errors import ModelError
 
-#: Case control commands that select parts of the model.
-SELECTIONS = frozenset({
-    "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "NSM", "MFLUID", "RIGID", "AUTOSPC",
-    "BC", "K2GG", "M2GG", "K42GG", "A2GG", "BGSET", "BOUTPUT", "ADAPT",
-})  # fmt: skip
-#: Those that a job on another solver follows or that change no modes.
+#: Case control commands that select parts of the model, and that a job on another solver follows
+#: or that change no modes.
 FOLLOWED = frozenset({
     "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "AUTOSPC", "RIGID", "BC", "BOUTPUT",
     "K2GG",
 })  # fmt: skip
+#: All that select parts of the model.
+SELECTIONS = FOLLOWED | {"NSM", "MFLUID", "M2GG", "K42GG", "A2GG", "BGSET", "ADAPT"}
 #: A temperature that loads alone: no modes know it.
 LOADING = re.compile(r"TEMP\w*\s*\(\s*LOAD\s*\)", re.IGNORECASE)
 #: Commands whose meaning a plain modal job would lose, and why it is not a modal job then.

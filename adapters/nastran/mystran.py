@@ -65,7 +65,7 @@ def mystran_cards(
 ) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
-    bulk: pyNastran's model of the same deck, for cards of beams, shells, solids and bodies.
+    bulk: gives pyNastran's model of the same deck, for cards of beams, shells, solids and bodies.
     n_modes: how many it must be able to find. lumped: whether the deck asks for lumped masses.
     Blank fields that a GRDSET or BAROR fills are filled. Raises ModelError for all cards it cannot
     take, with the lines they stand in.

@@ -57,25 +57,21 @@ class BeamCards:
     """Writes the cards of one deck; what elements share is written once."""
 
     def __init__(self, bulk: Callable[[], Bulk], new_number: Callable[[], str]) -> None:
-        """bulk: makes pyNastran's model of the deck as it is run; new_number: one no card has."""
-        self._made = bulk
+        """bulk: gives pyNastran's model of the deck as it is run; new_number: one no card has."""
+        self._bulk = bulk
         self._new_number = new_number
         self._inertias: dict[int, Floats] = {}
         self._properties: dict[tuple[int, Station, tuple[float, float]], int] = {}
 
     @cached_property
-    def _bulk(self) -> Bulk:
-        return self._made()
-
-    @cached_property
     def _frames(self) -> dict[int, Floats]:
-        return output_frames(self._bulk)
+        return output_frames(self._bulk())
 
     @cached_property
     def _places(self) -> dict[int, Floats]:
         return {
             number: np.asarray(grid.get_position(), dtype=np.float64)
-            for number, grid in self._bulk.nodes.items()
+            for number, grid in self._bulk().nodes.items()
         }
 
     def cards(self, card: NastranCard) -> list[Card] | None:
@@ -90,8 +86,8 @@ class BeamCards:
             return [self._section(name, number)]
         if name == "CONM2":
             has_body = any(card.text(field) for field in BODY)
-            return [self._body(point_mass(self._bulk.masses[number]))] if has_body else None
-        element = self._bulk.elements[number]
+            return [self._body(point_mass(self._bulk().masses[number]))] if has_body else None
+        element = self._bulk().elements[number]
         if name == "CTUBE":
             return [_card("CROD", number, element.pid, *element.node_ids)]
         if name == "CBAR" and element.offt == "GGG":
@@ -112,7 +108,7 @@ class BeamCards:
 
     def _body(self, body: PointMass) -> Card:
         frame = self._frames.get(body.node, np.eye(3))
-        grid = self._bulk.nodes.get(body.node)
+        grid = self._bulk().nodes.get(body.node)
         offset = frame @ (body.centre - self._places[body.node])
         inertia = frame @ body.inertia @ frame.T
         products = 2.0 * body.mass * np.outer(offset, offset) - inertia
@@ -124,7 +120,7 @@ class BeamCards:
         return _card("CONM2", body.eid, body.node, system, body.mass, *offset, "", *moments)
 
     def _section(self, name: str, number: int) -> Card:
-        card = self._bulk.properties[number]
+        card = self._bulk().properties[number]
         section = cross_section(card)
         if not section.is_constant:
             raise ValueError("MYSTRAN has no tapered tubes")

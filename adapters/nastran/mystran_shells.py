@@ -12,7 +12,6 @@ and the edges CONROD.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,13 +37,9 @@ class ShellCards:
     """Writes the cards of one deck in place of those that MYSTRAN has wrong."""
 
     def __init__(self, bulk: Callable[[], Bulk], new_number: Callable[[], str]) -> None:
-        """bulk: makes pyNastran's model of the deck as it is run; new_number: one no card has."""
-        self._made = bulk
+        """bulk: gives pyNastran's model of the deck as it is run; new_number: one no card has."""
+        self._bulk = bulk
         self._new_number = new_number
-
-    @cached_property
-    def _bulk(self) -> Bulk:
-        return self._made()
 
     def cards(self, card: NastranCard) -> list[Card] | None:
         """What MYSTRAN reads in a card's place, None for the card as it is.
@@ -52,10 +47,10 @@ class ShellCards:
         Raises ValueError with a reason where it can read nothing that is right.
         """
         if card.name == "CSHEAR":
-            return self._panel(self._bulk.elements[int(card.text(1))])
+            return self._panel(self._bulk().elements[int(card.text(1))])
         if card.name == "PSHEAR":
             return [(card.name, [card.text(field) for field in (1, 2, 3)])]
-        law = self._unlike(self._bulk.properties[int(card.text(1))])
+        law = self._unlike(self._bulk().properties[int(card.text(1))])
         return self._plate(card.text(1), law) if law else None
 
     def _unlike(self, card: Any) -> ShellLaw | None:

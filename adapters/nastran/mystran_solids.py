@@ -43,8 +43,8 @@ class SolidCards:
         new_number: Callable[[], str],
         lumped: bool,
     ) -> None:
-        """bulk: makes pyNastran's model of the deck as it is run; new_number: one no card has."""
-        self._made = bulk
+        """bulk: gives pyNastran's model of the deck as it is run; new_number: one no card has."""
+        self._bulk = bulk
         self._new_number = new_number
         self._lumps = lumped
         self._materials = {card.text(1): card for card in deck.named("MAT1")}
@@ -55,16 +55,12 @@ class SolidCards:
             self._tens.setdefault(card.text(2), set()).add(ten)
 
     @cached_property
-    def _bulk(self) -> Bulk:
-        return self._made()
-
-    @cached_property
     def _lumped(self) -> frozenset[int]:
         """Properties whose masses are written as CONM2."""
         if not (self._lumps and self._tens):
             return frozenset()
-        plain = lumped_properties(self._bulk)
-        return plain & solid_densities(self._bulk, plain).keys()
+        plain = lumped_properties(self._bulk())
+        return plain & solid_densities(self._bulk(), plain).keys()
 
     def cards(self, card: NastranCard) -> list[Card]:
         """A PSOLID as MYSTRAN reads it, with a material of its own where its mass is lumped."""
@@ -89,7 +85,7 @@ class SolidCards:
     def rest(self) -> Iterator[Card]:
         """The masses at the grid points."""
         if self._lumped:
-            densities = solid_densities(self._bulk, self._lumped)
-            for lump in lumps(lumped_solids(self._bulk, self._lumped)):
+            densities = solid_densities(self._bulk(), self._lumped)
+            for lump in lumps(lumped_solids(self._bulk(), self._lumped)):
                 mass = format_number(lump.mass(densities), LARGE)
                 yield "CONM2", [self._new_number(), str(lump.node), "", mass]
