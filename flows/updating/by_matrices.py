@@ -46,7 +46,7 @@ MATRICES = "stored matrices"
 
 
 @dataclass(slots=True)
-class ByMatrices:
+class ByMatrices(ModeFinder):
     """Modes by the stored matrices of all values, derivatives by a reduced model around a set.
 
     solver: what takes over where the matrices turn out not to be the model's (parts that they do
@@ -89,9 +89,6 @@ class ByMatrices:
             return reduced_columns(reduced, point)
         return Columns(exact, ("semi_analytic",) * point.theta.size, (point.key,))
 
-    def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
-        return True
-
     def instead(self, error: ModetuneError) -> BySolver:
         logger.warning("%s: modes are the solver's own from now on", error)
         self.release()
@@ -118,16 +115,13 @@ class ByMatrices:
 
 
 @dataclass(frozen=True, slots=True)
-class ByReduced:
+class ByReduced(ModeFinder):
     """Modes by a reduced model around a set that was evaluated in full."""
 
     reduced: ReducedModel
     around: CaseEvaluation
     name: str = REDUCED
     cheap: bool = True
-
-    def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        return []
 
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
@@ -142,17 +136,8 @@ class ByReduced:
         assert self.around.matrices is not None
         return replace(self.around.matrices, theta=theta, around=self.around.theta)
 
-    def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        return []
-
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
         return reduced_columns(self.reduced, point)
-
-    def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
-        return True
-
-    def instead(self, error: ModetuneError) -> ModeFinder:
-        raise error
 
 
 def reduced_modal(

@@ -16,14 +16,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.errors import ModelError, ModesError, ModetuneError
+from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats
 from modetune.core.updating.reduced_range import RangeUse, ReducedRange, range_sets
 from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import Done, Work, meanwhile
+from modetune.flows.jobs.work import Done, meanwhile
 from modetune.flows.updating.by_matrices import ByMatrices, reduced_columns
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, Point
 from modetune.flows.updating.evaluator import Evaluator
@@ -46,12 +46,13 @@ class Tally:
 
 
 @dataclass(frozen=True, slots=True)
-class ByRange:
+class ByRange(ModeFinder):
     """Modes by a reduced model for a range of values, and by the matrices where it may be off.
 
     key: of the range; around: an evaluated set, whose degrees of freedom the range has. worst:
     (n_parameters,), the last set of the range that was solved in full. in_full: whether the
-    matrices stand in where the range may be off; else its estimate alone tells so.
+    matrices, whose jobs went before the range, stand in where it may be off; else its estimate
+    alone tells so.
     """
 
     key: str
@@ -64,9 +65,6 @@ class ByRange:
     cheap: bool = True
     tally: Tally = field(default_factory=Tally)
 
-    def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        return []  # what the matrices are made of went before the range
-
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
@@ -78,17 +76,8 @@ class ByRange:
     def assembled(self, theta: Floats) -> MatricesAt:
         return self.matrices.assembled(theta)
 
-    def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        return []
-
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
         return reduced_columns(self.range.model, point)
-
-    def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
-        return True
-
-    def instead(self, error: ModetuneError) -> ModeFinder:
-        raise error
 
     def _reduced(self, theta: Floats, n_modes: int) -> tuple[str, ModalResult] | None:
         """By the range; None where it may be off by more than what confirms a set."""

@@ -61,7 +61,7 @@ class Columns:
 
 
 class ModeFinder(Protocol):
-    """Finds the modes of one case and their derivatives."""
+    """Finds the modes of one case and their derivatives; with no jobs unless it says which."""
 
     @property
     def name(self) -> str:
@@ -75,7 +75,7 @@ class ModeFinder(Protocol):
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         """What has to be carried out before the modes at a set are found."""
-        ...
+        return []
 
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
@@ -88,7 +88,7 @@ class ModeFinder(Protocol):
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         """What has to be carried out before the derivatives at a set are found."""
-        ...
+        return []
 
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
         """The derivatives at a point, from what became of `sensitivity_works`.
@@ -103,11 +103,11 @@ class ModeFinder(Protocol):
 
     def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
         """Whether the modes of an evaluation point are enough for derivatives."""
-        ...
+        return True
 
     def instead(self, error: ModetuneError) -> ModeFinder:
         """What takes the place of a finder that met this error. Raises it where nothing does."""
-        ...
+        raise error
 
 
 @dataclass(frozen=True, slots=True)
