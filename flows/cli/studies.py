@@ -8,41 +8,31 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from modetune.core.errors import CampaignError
-from modetune.flows.cli.check import check
-from modetune.flows.cli.correlate import correlate
-from modetune.flows.cli.direct import direct
-from modetune.flows.cli.expand import expand
-from modetune.flows.cli.localise import localise
 from modetune.flows.cli.options import on_pages
-from modetune.flows.cli.pretest import pretest
-from modetune.flows.cli.reduce import reduce
-from modetune.flows.cli.sample import sample
-from modetune.flows.cli.scatter import scatter
-from modetune.flows.cli.screen import screen
-from modetune.flows.cli.update import update
-from modetune.flows.cli.validate import validate
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.updating.prefect import Pages
 
+#: Each in the module of its name.
 STUDIES = (
-    update, screen, sample, scatter, validate, localise, check, pretest, correlate, expand, reduce,
-    direct,
+    "update", "screen", "sample", "scatter", "validate", "localise", "check", "pretest",
+    "correlate", "expand", "reduce", "direct",
 )  # fmt: skip
 #: What is not part of a study: `deploy` has options for it, or nobody would see it.
 NOT_THERE = ("settings", "runs", "as_json", "no_prefect", "dry_run")
 #: What a wrong command line raises; typer has no name for it that all its versions share.
 WRONG: Any = typer.BadParameter.__bases__[0]
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-for command in STUDIES:
-    app.command()(command)
+for study in STUDIES:
+    app.command()(getattr(import_module(f"modetune.flows.cli.{study}"), study))
 
 
 @dataclass(frozen=True, slots=True)

@@ -210,16 +210,16 @@ def study(options: type[StudyOptions]) -> Callable[[Callable[..., StudyEnd]], Ca
 
 def _fields(kind: type) -> list[inspect.Parameter]:
     """The fields of options or a request as options: one of a few words is a text, several values
-    are a list, or a text where the option has a parser."""
+    are a list, or a text where the field names what reads it."""
     made: list[inspect.Parameter] = []
     hints = get_type_hints(kind, include_extras=True)
     for item in inspect.signature(kind).parameters.values():
-        of, note = get_args(hints[item.name])
+        of, note, *reader = get_args(hints[item.name])
         default = item.default
         if get_origin(of) is Literal:
             of = str
         elif get_origin(of) is tuple:
-            of, default = (str if note.parser else list[str]) | None, None
+            of, default = (str if reader else list[str]) | None, None
         made.append(
             item.replace(annotation=Annotated[of, note], default=default, kind=item.KEYWORD_ONLY)
         )
@@ -227,11 +227,14 @@ def _fields(kind: type) -> list[inspect.Parameter]:
 
 
 def _filled(kind: type[T], given: dict[str, Any]) -> T:
-    """Options or a request of what was typed. Raises CampaignError for an unknown word."""
+    """Options or a request of what was typed. Raises CampaignError for what none of it means."""
     values = {}
-    for name, hint in get_type_hints(kind).items():
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        of, _, *reader = get_args(hint)
         value = given.pop(name)
-        if get_origin(hint) is Literal:
-            value = named(f"--{name.replace('_', '-')}", value, get_args(hint))
-        values[name] = tuple(value or ()) if get_origin(hint) is tuple else value
+        if get_origin(of) is Literal:
+            value = named(f"--{name.replace('_', '-')}", value, get_args(of))
+        elif get_origin(of) is tuple:
+            value = reader[0](value or "") if reader else tuple(value or ())
+        values[name] = value
     return kind(**values)

@@ -151,11 +151,8 @@ class PretestSettings:
 
     modes: Annotated[
         tuple[int, ...],
-        Option(
-            metavar="TEXT",
-            parser=parse_modes,
-            help="Elastic modes, as 1-8 or 1,3,5-7; default: the first eight.",
-        ),
+        Option(help="Elastic modes, as 1-8 or 1,3,5-7; default: the first eight."),
+        parse_modes,
     ] = ()
     sensors: Annotated[int | None, Option(help="How many; default: twice as many as modes.")] = None
     method: Annotated[

@@ -29,6 +29,10 @@ def test_a_line_becomes_a_study_with_paths_that_hold_elsewhere(
     assert read_study("correlate run/campaign.h5", CAMPAIGN).options == (
         str(tmp_path / "run" / "campaign.h5"),
     )
+    assert read_study("pretest --modes 1-3,5 --mass", CAMPAIGN).options == (
+        "--modes", "1-3,5", "--mass",
+    )  # fmt: skip
+    assert read_study("scatter --of a --of b", CAMPAIGN).options == ("--of", "a", "--of", "b")
     assert read_study("validate --leave-one-out", CAMPAIGN).options == ("--leave-one-out",)
     assert read_study("check", CAMPAIGN).arguments(CAMPAIGN, [], tmp_path) == ["check", "wing.yaml"]
 
