@@ -64,6 +64,10 @@ class SensorRow:
     reason: str = ""
     misfit: float = float("nan")
 
+    @property
+    def sensor(self) -> str:
+        return f"{self.test_node}.{self.component}"
+
 
 @dataclass(frozen=True, slots=True)
 class Mapping:

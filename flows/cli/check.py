@@ -10,7 +10,7 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
+from modetune.flows.cli.ending import StudyEnd, tell_end
 from modetune.flows.cli.options import (
     AsJson,
     ModelPath,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from modetune.flows.studies.check.findings import Finding
     from modetune.flows.studies.check.judging import PreCheckReport
     from modetune.flows.studies.check.model import ModelFacts
-    from modetune.flows.updating.baseline import BaselineCheck
+    from modetune.flows.updating.baseline import Band, State
 
 MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
 
@@ -83,19 +83,24 @@ def check(
     if against is not None or record is not None:
         if no_run and record is None:
             raise CampaignError("--against needs a solver run; with --record nothing is run")
-        bands = frequency_band, mac_band
-        with stoppable():
-            campaign, found = compared(
-                campaign_file, changed, against, record, state, bands, no_prefect
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.updating.baseline import Band, State
+
+        if against is None:
+            raise CampaignError(
+                "--record requires a baseline to compare with; name one with --against"
             )
-        outcome_of_comparison(campaign.name, found).write(summary, junit)
-        parts: list[Table | str] = [
-            _comparison_table(found),
-            *found.remarks,
-            _comparison_end(found),
-        ]
-        tell_end(_told_check(found, state, bands), parts, as_json)
-        raise typer.Exit(0 if found.within else 3)
+        with stoppable():
+            end, outcome = _compared(
+                load_campaign(campaign_file, changed),
+                (against, record),
+                named("--state", state, get_args(State)),
+                Band(frequency_band, mac_band),
+                no_prefect or record is not None,
+            )
+        outcome.write(summary, junit)
+        end.tell((), as_json)
+        return
     with begun(f"reading {campaign_file}"):
         from modetune.flows.campaign.sketch import looked_at
         from modetune.flows.studies.check.judging import check_campaign
@@ -211,54 +216,44 @@ def _energy_table(report: PreCheckReport) -> Table:
     return Table("Energy by parameter, % of each test mode", tuple(columns), rows)
 
 
-def compared(
-    campaign_file: Path,
-    settings: list[str],
-    baseline: Path | None,
-    record: Path | None,
-    state: str,
-    bands: tuple[float, float],
-    no_prefect: bool = True,
-) -> tuple[Campaign, BaselineCheck]:
-    """A campaign, and its model beside a baseline's, or that of a record."""
-    from modetune.flows.campaign.campaign import load_campaign
-    from modetune.flows.updating.baseline import Band, State, check_deck, check_record
-
-    if baseline is None:
-        raise CampaignError("--record requires a baseline to compare with; name one with --against")
-    model: State = named("--state", state, get_args(State))
-    campaign, band = load_campaign(campaign_file, settings), Band(*bands)
-    if record is None:
-        with paged("check", campaign.name, no_prefect) as pages:
-            found = check_deck(campaign, baseline, model, band, pages)
-            if pages is not None:
-                status, tables = "within the band", [_comparison_table(found)]
-                status = status if found.within else "worse"
-                pages.done(_comparison_end(found), tables, status=status, good=found.within)
-            return campaign, found
-    return campaign, check_record(campaign, record, baseline, model, band)
-
-
-def _comparison_table(found: BaselineCheck) -> Table:
-    from modetune.flows.updating.baseline import ModeCheck
-
-    outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
-    return table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
-
-
-def _comparison_end(found: BaselineCheck) -> str:
-    return "within the band" if found.within else f"worse than the baseline: {found.reason}"
-
-
-def outcome_of_comparison(name: str, found: BaselineCheck) -> CheckOutcome:
-    """What a comparison with a baseline found, for CI."""
+def _compared(
+    campaign: Campaign, files: tuple[Path, Path | None], state: State, band: Band, no_prefect: bool
+) -> tuple[StudyEnd, CheckOutcome]:
+    """A campaign's model beside a baseline's; files: the baseline, and a record in place of it."""
     from modetune.flows.report.ci_files import CheckOutcome, Judged
+    from modetune.flows.updating.baseline import ModeCheck, check_deck, check_record
 
+    baseline, record = files
+    with paged("check", campaign.name, no_prefect) as pages:
+        found = (
+            check_deck(campaign, baseline, state, band, pages)
+            if record is None
+            else check_record(campaign, record, baseline, state, band)
+        )
+        outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
+        table = table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
+        said = "within the band" if found.within else f"worse than the baseline: {found.reason}"
+        end = StudyEnd(
+            said,
+            json_object(
+                found,
+                "reason modes remarks",
+                status="within" if found.within else "worse",
+                state=state,
+                frequency_band=band.frequency,
+                mac_band=band.mac,
+                solver_runs=found.runs,
+            ),
+            [table],
+            [*found.remarks, said],
+            doubts=[] if found.within else [said],
+            status="within the band" if found.within else "worse",
+        )
+        end.reported(("check", campaign.name), pages)
     judged = [Judged(f"mode {mode.label}", ", ".join(mode.reasons)) for mode in found.modes]
     if not judged:  # a mode was lost
         judged = [Judged("modes", found.reason)]
-    table = _comparison_table(found)
-    return CheckOutcome(name, _comparison_end(found), (table,), found.remarks, tuple(judged))
+    return end, CheckOutcome(campaign.name, said, (table,), found.remarks, tuple(judged))
 
 
 def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
@@ -281,15 +276,3 @@ def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
 def _finding(item: Finding) -> str:
     where = f"{item.where}: " if item.where else ""
     return f"{where}{item.what}{f'; {item.remedy}' if item.remedy else ''}"
-
-
-def _told_check(found: BaselineCheck, state: str, bands: tuple[float, float]) -> dict[str, Json]:
-    return json_object(
-        found,
-        "reason modes remarks",
-        status="within" if found.within else "worse",
-        state=state,
-        frequency_band=bands[0],
-        mac_band=bands[1],
-        solver_runs=found.runs,
-    )

@@ -92,6 +92,7 @@ class MeasuredMode:
 def _told(inspection: Inspection) -> dict[str, Any]:
     measurement = inspection.measurement
     points, frfs, modes = measurement.geometry, measurement.frfs, measurement.modes
+    references = (frfs.reference_nodes.tolist(), frfs.reference_components.tolist()) if frfs else ()
     files = [
         {"path": file.path, "form": file.form, "datasets": dict(Counter(file.datasets))}
         for file in inspection.files
@@ -116,15 +117,7 @@ def _told(inspection: Inspection) -> dict[str, Any]:
             "count": frfs.values.shape[1],
             "frequencies": frfs.frequencies_hz.size,
             "band_hz": [frfs.frequencies_hz[0], frfs.frequencies_hz[-1]],
-            "references": len(
-                set(
-                    zip(
-                        frfs.reference_nodes.tolist(),
-                        frfs.reference_components.tolist(),
-                        strict=True,
-                    )
-                )
-            ),
+            "references": len(set(zip(*references, strict=True))),
             "coherences": bool(frfs.coherences.size),
         },
         functions=inspection.n_functions,

@@ -15,7 +15,7 @@ import typer
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, CampaignPath, Settings, begun
-from modetune.flows.report.tables import Column, Table, json_object
+from modetune.flows.report.tables import Column, Table, json_object, table_of
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.mapping import Mapping, SensorRow
@@ -56,28 +56,16 @@ def sensor_table(mapping: Mapping) -> Table:
     shown = shown_sensors(mapping)
     fitted = any(isfinite(row.misfit) for row in mapping.table)
     columns = (
-        Column("sensor"),
-        Column("node", unknown="-"),
-        Column("distance", mapping.unit, ".4g"),
-        *((Column("off the surface", mapping.unit, ".4g"),) if fitted else ()),
-        Column("direction in the model", form="+.3f"),
+        Column("sensor", name="sensor"),
+        Column("node", name="model_node"),
+        Column("distance", mapping.unit, ".4g", name="distance"),
+        *((Column("off the surface", mapping.unit, ".4g", name="misfit"),) if fitted else ()),
+        Column("direction in the model", form="+.3f", name="direction"),
         Column("verdict", words=True, name="verdict"),
-        Column("why", words=True),
-    )
-    rows = tuple(
-        (
-            f"{row.test_node}.{row.component}",
-            row.model_node,
-            row.distance,
-            *((row.misfit,) if fitted else ()),
-            row.direction,
-            row.verdict,
-            row.reason,
-        )
-        for row in shown
+        Column("why", words=True, name="reason"),
     )
     outside = [(place, "verdict") for place, row in enumerate(shown) if row.verdict != "good"]
-    return Table("Sensors on the model", columns, rows, outside=frozenset(outside))
+    return table_of("Sensors on the model", shown, columns, outside=outside)
 
 
 def shown_sensors(mapping: Mapping) -> tuple[SensorRow, ...]:

@@ -66,7 +66,7 @@ def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> Iterator[Findin
     """One finding for all sensors of one reason."""
     names: dict[str, list[str]] = {}
     for row in rows:
-        names.setdefault(row.reason, []).append(f"{row.test_node}.{row.component}")
+        names.setdefault(row.reason, []).append(row.sensor)
     told = [*names.items()][:REASONS]
     if len(names) > REASONS:
         others = [sensor for sensors in [*names.values()][REASONS:] for sensor in sensors]

@@ -12,7 +12,7 @@ sensors first (`modetune reduce --out FILE.yaml`), as the field does.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from scipy import linalg, sparse
@@ -36,6 +36,7 @@ from modetune.core.updating.direct import (
 )
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.watching import JobWatcher
+from modetune.flows.report.tables import Column
 from modetune.flows.studies.condensation.damage import MatrixDamage, damage_of
 from modetune.flows.studies.condensation.model import (
     FullModel,
@@ -60,15 +61,16 @@ SAME = 0.99
 class CorrectedMode:
     """A mode of the corrected model, and the test's or the model's own one that it is most like.
 
-    test: number of the test's mode, 0 where it is none; difference: of frequency to that, relative;
-    initial_hz: of the first model's mode that it is most like, mac: how much.
+    test: number of the test's mode, None where it is none; difference: of frequency to that,
+    relative; initial_hz: of the first model's mode that it is most like, mac: how much.
     """
 
-    corrected_hz: float
-    test: int
-    difference: float
-    initial_hz: float
-    mac: float
+    mode: Annotated[int, Column("mode")]
+    corrected_hz: Annotated[float, Column("corrected", "Hz", ".5g")]
+    test: Annotated[int | None, Column("test mode", words=True)]
+    difference: Annotated[float, Column("off the test", "%", "+.2g")]
+    initial_hz: Annotated[float, Column("most like before", "Hz", ".5g")]
+    mac: Annotated[float, Column("by MAC", form=".3f")]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -296,13 +298,10 @@ def _corrected(
     for place, value in enumerate(hertz.tolist()):
         partner, mine = int(with_own[place].argmax()), int(with_test[place].argmax())
         is_test = with_test[place, mine] > SAME
-        number = int(numbers[mine]) if is_test else 0
+        number = int(numbers[mine]) if is_test else None
         away = value / float(test.frequencies_hz[mine]) - 1.0 if is_test else float("nan")
-        rows.append(
-            CorrectedMode(
-                value, number, away, float(first_hz[partner]), float(with_own[place, partner])
-            )
-        )
+        before = float(first_hz[partner]), float(with_own[place, partner])
+        rows.append(CorrectedMode(place + 1, value, number, away, *before))
     return tuple(rows), ""
 
 
