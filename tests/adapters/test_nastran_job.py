@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from pyNastran.bdf.bdf import BDF
 
-from modetune.adapters.nastran.deck import read_deck
+from modetune.adapters.nastran import model as nastran_model
+from modetune.adapters.nastran.deck import NastranDeck, read_deck
 from modetune.adapters.nastran.dialect import MSC, MYSTRAN, NX, Dialect
 from modetune.adapters.nastran.job import COLUMNS, job_text, wrapped_set
 from modetune.adapters.nastran.model import NastranModel, understand
@@ -22,6 +24,7 @@ from modetune.adapters.solver import (
 )
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity, TargetKind
+from tests.adapters.mystran_decks import frame
 
 HEAD = "SOL 103\nCEND\nTITLE = TRUSS\nSPC = 1\nMETHOD = 10\nDISP = ALL\nBEGIN BULK\n"
 #: Two rods and a spring in a row, a mass at each node.
@@ -265,6 +268,23 @@ def test_mystran_gets_a_shift_and_two_points_in_its_solids(tmp_path: Path) -> No
     assert "EIGRL,10,,,2,,,-50.,MASS" in job(tmp_path, HEAD + own, dialect=MYSTRAN)
     given = job(tmp_path, HEAD + BULK + solid + "PSOLID,5,1,,3\n", dialect=MYSTRAN)
     assert f"PSOLID* {5:<16}{1:<16}{'':16}3\n" in given
+
+
+def test_an_edited_deck_is_read_once_for_all_cards_that_mystran_gets_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = model_of(tmp_path, frame())  # an RBE3 and bodies in frames of their own
+    changed = model.edit([(parameter("E", "youngs_modulus", "material", "2"), 1.1)])
+    read: list[NastranDeck] = []
+    really = nastran_model.read_bulk
+
+    def counted(deck: NastranDeck) -> Any:
+        read.append(deck)
+        return really(deck)
+
+    monkeypatch.setattr(nastran_model, "read_bulk", counted)
+    assert "RBE3" in job_text(model, changed, MODAL, MYSTRAN)
+    assert len(read) == 1
 
 
 def test_cards_that_mystran_has_not_are_refused_all_at_once(tmp_path: Path) -> None:
