@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pyNastran.bdf.bdf import BDF
 
-from modetune.adapters.nastran import model as nastran_model
+from modetune.adapters.nastran.bulk import read_bulk
 from modetune.adapters.nastran.deck import NastranDeck, read_deck
 from modetune.adapters.nastran.dialect import MSC, MYSTRAN, NX, Dialect
 from modetune.adapters.nastran.job import COLUMNS, job_text, wrapped_set
@@ -276,13 +276,12 @@ def test_an_edited_deck_is_read_once_for_all_cards_that_mystran_gets_otherwise(
     model = model_of(tmp_path, frame())  # an RBE3 and bodies in frames of their own
     changed = model.edit([(parameter("E", "youngs_modulus", "material", "2"), 1.1)])
     read: list[NastranDeck] = []
-    really = nastran_model.read_bulk
 
     def counted(deck: NastranDeck) -> Any:
         read.append(deck)
-        return really(deck)
+        return read_bulk(deck)
 
-    monkeypatch.setattr(nastran_model, "read_bulk", counted)
+    monkeypatch.setattr("modetune.adapters.nastran.model.read_bulk", counted)
     assert "RBE3" in job_text(model, changed, MODAL, MYSTRAN)
     assert len(read) == 1
 
