@@ -1,7 +1,7 @@
 """What is asked of studies: fields of the Python API that are options of the command line too.
 
-Nothing heavy is imported, for the command line reads these to say what it takes. A function beside an
-option reads the text that is typed.
+Nothing heavy is imported, for the command line reads these to say what it takes. A function beside
+an option reads the text that is typed.
 """
 
 from __future__ import annotations
