@@ -17,7 +17,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.correlation.pairing import alone
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import POWERS
+from modetune.core.parameters import QUANTITIES
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
@@ -205,7 +205,7 @@ def _shares(
     return tuple(
         EnergyShare(item.name, "strain" if strain else "kinetic", np.abs(own))
         for item, own in zip(items, shares.T, strict=True)
-        if (strain := deck.energy_sets(item)) or POWERS[item.quantity] == (0, 1)
+        if (strain := deck.energy_sets(item)) or QUANTITIES[item.quantity].powers == (0, 1)
     )
 
 
