@@ -115,7 +115,7 @@ def check_deck(
     evaluator = evaluator_of(own, engine, ThreadExecution(engine, 1))
     theta = np.ones(len(campaign.parameters))
     try:
-        evaluation, _ = evaluator.evaluate(0, theta, None, alone=True)
+        evaluation, _ = evaluator.evaluate("deck's values", theta, None, alone=True)
     except LostMode as error:
         return BaselineCheck((), f"a mode is lost: {error}", (), evaluator.runs)
     for case in campaign.cases:

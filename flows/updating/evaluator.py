@@ -46,6 +46,8 @@ from modetune.flows.updating.small_matrices import one_thread
 
 logger = logging.getLogger(__name__)
 
+#: What pieces are told under that are carried out once more, for a mode that was lost.
+MORE = ", more modes"
 #: Sets whose shapes are in memory at once.
 TOGETHER = 256
 
@@ -173,13 +175,14 @@ class Evaluator:
         return any(state.finder.name == state.case.solver.program.name for state in self.used)
 
     def evaluate(
-        self, number: int, theta: Floats, previous: Evaluation | None, alone: bool
+        self, title: int | str, theta: Floats, previous: Evaluation | None, alone: bool
     ) -> tuple[Evaluation, Matrix | None]:
         """A set's evaluation, and its sensitivity unless the modal jobs are to go alone.
 
-        Raises SolverError, ModesError, StoreError.
+        title: of its pieces, or the number of the iteration. Raises SolverError, ModesError,
+        StoreError.
         """
-        title, ahead = f"iteration {number}", Ahead()
+        title, ahead = title if isinstance(title, str) else f"iteration {title}", Ahead()
         with doing(title):
             foreseen = None if self.foresight is None else self.foresight.believed(theta, previous)
         if foreseen is not None:
@@ -232,8 +235,11 @@ class Evaluator:
             within = self.ranges.within(self.campaign, known[0], in_full, ahead=True)
         parameters = self.campaign.parameters
         track = ModeTrack(parameters.upper - parameters.lower, list(known), grows)
+        whole = title
         for first in range(0, len(thetas), TOGETHER):
             some = thetas[first : first + TOGETHER]
+            if len(thetas) > TOGETHER:  # pieces are numbered among those that go together
+                title = f"{whole}, {first + 1} to {first + len(some)} of {len(thetas)}"
             if within is not None and self.ranges is not None:
                 name = f"{len(some)} sets by the reduced model"  # one piece for whoever watches
                 with doing(title), told(self.used[0].engine.watcher, name), one_thread():
@@ -417,6 +423,7 @@ class Evaluator:
                     whole = self.whole(thetas[point], own)
                     found[point] = whole
                     track.join(whole)
+            title = title.removesuffix(MORE) + MORE
         return [found[point] for point in range(len(thetas))]
 
     def _before(self, item: AskedModes, previous: Evaluation | None) -> CaseEvaluation | None:

@@ -116,7 +116,9 @@ def localise(
         threads, why = ThreadExecution(engine, campaign.parallel), why_no_maps(campaign)
         demand = Demand(steps=1, matrices=not why)
         evaluator = evaluator_of(campaign, engine, threads, demand=demand)
-        evaluation, matrix = evaluator.evaluate(0, values, None, alone=False)
+        evaluation, matrix = evaluator.evaluate(
+            "values of the parameters", values, None, alone=False
+        )
         assert matrix is not None
         maps = None
         if not why:

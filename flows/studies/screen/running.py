@@ -35,7 +35,7 @@ from modetune.flows.updating.poses import settled
 from modetune.flows.updating.running import solving_engine
 
 #: What is being run, for people.
-POINTS = "points of the design"
+DECK, POINTS = "deck's values", "points of the design"
 
 
 def screen_campaign(
@@ -67,11 +67,11 @@ def screen_campaign(
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign, watcher) as engine:
-        working("deck's values, sensitivities")
+        working(f"{DECK}, sensitivities")
         threads = ThreadExecution(engine, campaign.parallel)
         evaluator = evaluator_of(campaign, engine, threads, demand=Demand(1, len(design.points)))
         evaluator.tell = working
-        nominal, matrix = evaluator.evaluate(0, parameters.initial, None, alone=False)
+        nominal, matrix = evaluator.evaluate(DECK, parameters.initial, None, alone=False)
         assert matrix is not None
         working(POINTS)
         points = evaluator.points(POINTS, design.points, [nominal])

@@ -230,7 +230,7 @@ def _on_range(campaign: Campaign, whole: Evaluator) -> Evaluation | None:
     if whole.ranges is None:
         return None
     try:
-        known, _ = whole.evaluate(0, campaign.start, None, alone=True)
+        known, _ = whole.evaluate("start", campaign.start, None, alone=True)
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):
             raise

@@ -78,6 +78,18 @@ def test_many_sets_by_a_reduced_model_are_one_piece_however_many(name: str, tmp_
     assert many.begun - full[1].total() <= few.begun - full[0].total() + 2
 
 
+def test_pieces_of_a_screening_are_named_by_the_point_that_they_are_for(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modetune.flows.updating.evaluator.TOGETHER", 3)
+    heard, request = Heard(), ScreeningRequest("lhs", points=5)
+    screen_campaign(bench.campaign(TRUTH), request, Unwatched().working, heard)
+    assert heard.states("deck's values / modal") == {"Completed": 1}
+    assert heard.states("points of the design, 1 to 3 of 5 / modal 2 of 3") == {"Completed": 1}
+    assert heard.states("points of the design, 4 to 5 of 5 / modal 2 of 2") == {"Completed": 1}
+    assert not heard.states("iteration")
+
+
 @needs_ccx
 def test_an_update_by_matrices_tells_of_modes_columns_and_confirmation(tmp_path: Path) -> None:
     campaign = load_campaign(written(BAR, tmp_path / "bar"), [STORED])
