@@ -10,7 +10,8 @@ import logging
 
 import numpy as np
 
-from modetune.core.errors import ModesError, SolverCancelled, SolverError, SolverMissing
+from modetune.core.errors import ModesError, SolverError
+from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.trials import State, Trial, Trials, TrialStep
 
 logger = logging.getLogger(__name__)
@@ -45,7 +46,7 @@ def _better(trials: Trials, state: State, by: TrialStep) -> Trial | None:
     try:
         trial = trials.tried(state, by)
     except (SolverError, ModesError) as error:
-        if isinstance(error, SolverMissing | SolverCancelled):
+        if isinstance(error, CAMPAIGNS_OWN):
             raise
         logger.info("%s; shorter step", error)
         return None

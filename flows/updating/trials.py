@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from modetune.core.errors import ModesError, SolverCancelled, SolverError, SolverMissing
+from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats
 from modetune.core.updating.criteria import slope
 from modetune.core.updating.estimation import Step
@@ -22,6 +22,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.between import Between
 from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
 from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.stepping import Stepping
 
 logger = logging.getLogger(__name__)
@@ -168,7 +169,7 @@ class Trials:
                 trial = self.tried(state, by, alone=chance > 0)
             except (SolverError, ModesError) as error:
                 never_solved = not old and failures == chance == chances - 1
-                if isinstance(error, SolverMissing | SolverCancelled) or never_solved:
+                if isinstance(error, CAMPAIGNS_OWN) or never_solved:
                     raise
                 failures += 1
                 level = logging.WARNING if self.evaluator.steps_run else logging.INFO

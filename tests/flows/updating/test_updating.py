@@ -272,6 +272,14 @@ def test_waiting_for_a_licence_has_an_end(bench: Any, watcher: Any) -> None:
     assert bench.runs() == 4  # after pauses of 0.01, 0.015 and 0.0225; another would be too long
 
 
+def test_a_step_without_a_licence_is_not_a_step_too_long(bench: Any, watcher: Any) -> None:
+    bench.script(dict.fromkeys(range(2, 100), "denied"))
+    campaign = bench.campaign(TRUTH, licence_wait_s=0.05)
+    with pytest.raises(LicenceDenied):
+        run(bench, watcher, campaign)
+    assert bench.runs() == 5  # the first set, and the next one with its pauses
+
+
 @pytest.mark.parametrize("shapes", [False, True])
 def test_the_solvers_own_sensitivities_are_one_job_an_iteration(
     bench: Any, watcher: Any, shapes: bool
