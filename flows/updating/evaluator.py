@@ -404,8 +404,9 @@ class Evaluator:
                 previous = track.nearest(thetas[point])
                 again = []
                 try:
+                    which = f", {point + 1} of {len(thetas)}" * (len(thetas) > 1)
                     for item in points.pop(point):
-                        with doing(title):
+                        with doing(title + which):
                             part = item.answered(outcomes[id(item)], self._before(item, previous))
                         if part is None:
                             again.append(item)

@@ -74,7 +74,7 @@ def test_many_sets_by_a_reduced_model_are_one_piece_however_many(name: str, tmp_
     assert many.states("240 sets by the reduced model") == {"Derived": 1}
     assert many.states("modal confirmation by calculix") == {"Completed": 1}
     # A set that the model does not hold for is a full solution and a piece of its own.
-    full = [heard.states("points of the design / modal by stored") for heard in (few, many)]
+    full = [heard.states("points of the design, ") for heard in (few, many)]
     assert many.begun - full[1].total() <= few.begun - full[0].total() + 2
 
 
@@ -87,6 +87,16 @@ def test_pieces_of_a_screening_are_named_by_the_point_that_they_are_for(
     assert heard.states("deck's values / modal") == {"Completed": 1}
     assert heard.states("points of the design, 1 to 3 of 5 / modal 2 of 3") == {"Completed": 1}
     assert heard.states("points of the design, 4 to 5 of 5 / modal 2 of 2") == {"Completed": 1}
+    assert not heard.states("iteration")
+
+
+@needs_ccx
+def test_solutions_of_points_by_matrices_are_named_by_the_point_too(tmp_path: Path) -> None:
+    campaign, heard = load_campaign(written(BAR, tmp_path / "bar"), [STORED]), Heard()
+    screen_campaign(campaign, ScreeningRequest("lhs", points=5), Unwatched().working, heard)
+    for point in range(1, 6):
+        name = f"points of the design, {point} of 5 / modal by stored matrices"
+        assert heard.states(name) == {"Completed": 1}
     assert not heard.states("iteration")
 
 
