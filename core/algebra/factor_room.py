@@ -169,7 +169,7 @@ def _in_files(
             f"{text}; on disk they take up to {_gb(disk)}, and the disk of {files.folder} has "
             f"{_gb(free)}; free some space, or raise {room.memory_key}"
         )
-    files.memory_mb = -((beside - room.memory_bytes) // 10**6)
+    files.memory_mb = -((beside + factors.uncounted - room.memory_bytes) // 10**6)
     return factors, (
         f"{text}: they go to disk, up to {_gb(disk)} below {files.folder.parent}, written once a "
         "factorisation and read twice a solution: expect solutions to take some two times, and "

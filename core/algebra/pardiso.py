@@ -248,10 +248,16 @@ class Pardiso:
         return FactorMemory(peak, permanent, factors)
 
     @property
+    def uncounted(self) -> int:
+        """What PARDISO holds beyond the limit of its buffers, in bytes: it counts a part of what it
+        keeps from the ordering, 0.55 to 0.6 of 0.14 to 7 GB."""
+        return self.memory.permanent // 2
+
+    @property
     def memory_on_disk(self) -> int:
         """The least memory with which factors in files can be made and used, in bytes."""
-        peak, permanent = (int(number) for number in self._handle.iparm[14:16])
-        return 1024 * max(peak, permanent + int(self._handle.iparm[62]))
+        told, buffers = self.memory, 1024 * int(self._handle.iparm[62])
+        return max(told.ordering_peak, told.permanent + self.uncounted + buffers)
 
     def _open(self, starts: Any, columns: Any, long_integers: bool) -> None:
         kind: Any = np.int64 if long_integers else np.int32
