@@ -25,7 +25,8 @@ from shutil import disk_usage
 from scipy import sparse
 
 from modetune.core.algebra.elimination_order import elimination_order
-from modetune.core.algebra.pardiso import FactorFiles, Pardiso
+from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import SolverExhausted
 
 logger = logging.getLogger(__name__)

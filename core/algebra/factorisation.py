@@ -27,8 +27,8 @@ from scipy.sparse import linalg
 
 from modetune.core.algebra import matrices
 from modetune.core.algebra.factor_room import roomy_factors
-from modetune.core.algebra.krylov import in_memory
 from modetune.core.algebra.pardiso import is_available
+from modetune.core.algebra.vector_room import in_memory
 from modetune.core.errors import ModelError
 from modetune.core.near_names import listed
 

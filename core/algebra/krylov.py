@@ -29,13 +29,11 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.blas import dgemm
 
+from modetune.core.algebra.vector_room import Room, in_memory
 from modetune.core.modes import Floats
 
 #: A product with a block (n_rows, n_columns), in Fortran order, and where to put it.
 Product = Callable[[Floats, Floats], object]
-
-#: Makes room for so many vectors: (n_rows, n_columns), in Fortran order, with any numbers.
-Room = Callable[[int, int], Floats]
 
 #: Random vectors beside shapes that are known: they hold a little of every mode.
 GUARD = 4
@@ -67,11 +65,6 @@ class RitzPairs:
     residuals: Floats
     solutions: int
     converged: bool
-
-
-def in_memory(n_rows: int, n_columns: int) -> Floats:
-    """Room for so many vectors in memory."""
-    return np.empty((n_rows, n_columns), order="F")
 
 
 def block_krylov(
@@ -192,12 +185,7 @@ def block_davidson(
         if used + theta.size > room:
             used, ritz = _restart(v, sv, t, used, ritz, last)
         w, r = (vectors[:, used : used + theta.size] for vectors in (v, sv))
-        r[...] = 0.0
-        _subtract(r, sv[:, :used], -ritz)
-        x = dgemm(1.0, v[:, :used], ritz / theta)
-        for pair in range(theta.size):  # one by one: their block would be as large as any here
-            r[:, pair] -= mass(x[:, pair])
-        del x
+        _force_residuals(v[:, :used], sv[:, :used], ritz, theta, mass, r)
         nearly(r, w)
         solutions += theta.size
         squares = np.array([x @ mass(x) for x in w.T]) / theta
@@ -207,6 +195,22 @@ def block_davidson(
         for place, own in enumerate(going_on):
             w[:, place] = w[:, own]
     raise AssertionError("the last block ends it")
+
+
+def _force_residuals(
+    v: Floats,
+    sv: Floats,
+    ritz: Floats,
+    theta: Floats,
+    mass: Callable[[Floats], Floats],
+    out: Floats,
+) -> None:
+    """(K - s M) x - M x / theta of the pairs x = v ritz, put into out; sv: K - s M times v."""
+    out[...] = 0.0
+    _subtract(out, sv, -ritz)
+    x = dgemm(1.0, v, ritz / theta)
+    for pair in range(theta.size):  # M x of all would be another block as large as any here
+        out[:, pair] -= mass(x[:, pair])
 
 
 def _restart(

@@ -25,11 +25,9 @@ import ctypes
 import math
 import os
 import sys
-import tempfile
 import threading
 import weakref
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -39,7 +37,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from modetune.core.algebra.krylov import in_memory
+from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra.vector_room import in_file, in_memory
 from modetune.core.errors import ModelError, ModetuneError, SolverExhausted
 from modetune.core.modes import Floats, Integers
 
@@ -48,7 +47,6 @@ _ONE_CALL = threading.RLock()
 _ANALYSE, _FACTORISE, _SOLVE, _FREE = 11, 22, 33, -1
 _TOO_LONG = -8
 _SYMMETRIC = -2  # real, indefinite
-_LARGEST_MB = 2**31 - 1  # MKL reads it as an int
 
 _INPUT, _MEMORY, _DISK = "input", "memory", "disk"
 _ERRORS = {
@@ -87,54 +85,6 @@ class FactorMemory:
     def single_peak(self) -> int:
         """The same of factors in single precision, by those in double precision."""
         return max(self.ordering_peak, self.permanent + self.factors // 2)
-
-
-@dataclass(slots=True, weakref_slot=True, eq=False)
-class FactorFiles:
-    """Where the factors of one matrix are kept on disk.
-
-    folder: for this matrix alone: PARDISO gives the same names to the files of all; remove: takes
-    it away; memory_mb: what PARDISO may hold beside, of which it makes buffers.
-    """
-
-    folder: Path
-    remove: Callable[[], None]
-    memory_mb: int = _LARGEST_MB
-
-    def vectors(self, n_rows: int, n_columns: int) -> Floats:
-        """Room for vectors (n_rows, n_columns) in a file here, in Fortran order, zeros at first.
-
-        The file has no name and goes with the array. Raises SolverExhausted where the disk is full.
-        """
-        size = 8 * n_rows * n_columns
-        with tempfile.TemporaryFile(dir=self.folder) as file:
-            try:
-                os.posix_fallocate(file.fileno(), 0, size)
-            except OSError as error:
-                raise SolverExhausted(
-                    f"{self.folder}: {n_columns} vectors of {n_rows} equations have no room there, "
-                    f"{size / 1e9:.3g} GB: {error.strerror}"
-                ) from error
-            room = np.memmap(file, np.float64, "r+", shape=(n_rows, n_columns), order="F")
-        return room.view(np.ndarray)
-
-    @contextmanager
-    def told(self) -> Iterator[None]:
-        """PARDISO reads of its files in the environment, anew with each call."""
-        told = {
-            "MKL_PARDISO_OOC_PATH": str(self.folder),
-            "MKL_PARDISO_OOC_MAX_CORE_SIZE": str(min(self.memory_mb, _LARGEST_MB)),
-        }
-        before = {name: os.environ.get(name) for name in told}
-        os.environ.update(told)
-        try:
-            yield
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    del os.environ[name]
-                else:
-                    os.environ[name] = value
 
 
 class Pardiso:
@@ -208,7 +158,9 @@ class Pardiso:
 
     def room_for(self, n_rows: int, n_columns: int) -> Floats:
         """Room for vectors where the factors are: in memory, or in a file; as `in_memory`."""
-        return (self.files.vectors if self.files else in_memory)(n_rows, n_columns)
+        if self.files is None:
+            return in_memory(n_rows, n_columns)
+        return in_file(self.files.folder, n_rows, n_columns)
 
     def close(self) -> None:
         """Give memory and files back now, not with the object: there is no solution after it."""
@@ -237,9 +189,10 @@ class Pardiso:
 
     @property
     def factor_entries(self) -> int:
-        """How many entries the factor L has; about, where PARDISO's own count overflows."""
+        """How many entries the factor L has: PARDISO's count, which is one modulo 2^32, as near as
+        may be to the room that the ordering has foreseen."""
         told = int(self._handle.iparm[17])
-        return told if told > 0 else self.memory.factors // (8 if self.exact else 4)
+        return told + 2**32 * max(round((self._foreseen - told) / 2**32), 0)
 
     @property
     def memory(self) -> FactorMemory:
@@ -273,6 +226,7 @@ class Pardiso:
         self._release = weakref.finalize(self, self._handle.close)
         self._release.atexit = False
         self._call(_ANALYSE)
+        self._foreseen = self.memory.factors // (8 if self.exact else 4)
 
     def _call(
         self, phase: int, rhs: NDArray[Any] | None = None, out: NDArray[Any] | None = None

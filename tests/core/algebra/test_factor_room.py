@@ -20,10 +20,11 @@ from scipy import sparse
 from modetune.core.algebra import factor_room as rooms
 from modetune.core.algebra import pardiso
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.factor_files import FactorFiles
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import upper_triangle
-from modetune.core.algebra.pardiso import FactorFiles
+from modetune.core.algebra.vector_room import in_file
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats
 
@@ -99,14 +100,13 @@ def test_modes_with_factors_in_files_are_those_with_factors_in_memory(
     least = taken_in_memory((stiffness, mass), monkeypatch)
     vectors = 8 * stiffness.shape[0] * (8 * 8 + 80)
     mapped = []
-    room_in_file = FactorFiles.vectors
 
-    def spied(self: FactorFiles, n_rows: int, n_columns: int) -> Floats:
-        found = room_in_file(self, n_rows, n_columns)
+    def spied(folder: Path, n_rows: int, n_columns: int) -> Floats:
+        found = in_file(folder, n_rows, n_columns)
         mapped.append(found.nbytes)
         return found
 
-    monkeypatch.setattr(FactorFiles, "vectors", spied)
+    monkeypatch.setattr(pardiso, "in_file", spied)
     # A quarter of the vectors is worked on in memory; the factors themselves leave it.
     with factor_room(room(tmp_path, vectors // 4 + least * 9 // 10)):
         solver = ModeSolver()
@@ -126,8 +126,7 @@ def test_modes_with_factors_in_files_are_those_with_factors_in_memory(
 def test_vectors_in_a_file_are_in_one_without_a_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = FactorFiles(tmp_path, lambda: None)
-    vectors = files.vectors(1000, 7)
+    vectors = in_file(tmp_path, 1000, 7)
     assert vectors.shape == (1000, 7)
     assert vectors.flags.f_contiguous
     vectors[:, 3] = 5.0
@@ -139,7 +138,7 @@ def test_vectors_in_a_file_are_in_one_without_a_name(
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(SolverExhausted, match=r"7 vectors of 1000 .*GB: No space left"):
-        files.vectors(1000, 7)
+        in_file(tmp_path, 1000, 7)
     assert not list(tmp_path.iterdir())
 
 
@@ -187,7 +186,6 @@ from pathlib import Path
 from tests.core.algebra import test_factor_room as t
 from modetune.core.algebra import factor_room as rooms
 from modetune.core.errors import SolverExhausted
-from modetune.core.modes import Floats
 rooms._resident = lambda: 0
 stiffness = t.block()[0]
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))

@@ -14,8 +14,9 @@ import pytest
 from scipy import sparse
 
 from modetune.core.algebra import pardiso
+from modetune.core.algebra.factor_files import FactorFiles
 from modetune.core.algebra.factorisation import filled_triangle
-from modetune.core.algebra.pardiso import FactorFiles, Pardiso
+from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import ModelError, SolverExhausted
 
 pytestmark = pytest.mark.skipif(
@@ -181,3 +182,11 @@ def test_memory_goes_with_the_object() -> None:
     # Thirty that stayed would add thirty times the size; some is the allocators' play.
     assert size > 5e6
     assert grown < 5 * size
+
+
+def test_a_count_of_entries_that_overflowed_is_made_whole() -> None:
+    factors = Pardiso(sparse.csr_array(sparse.eye_array(5)))
+    assert factors.factor_entries < 100
+    # As seen with 6,039,001 equations: 28.0 GB foreseen in single precision, 27.0 GB of files.
+    factors._handle.iparm[17], factors._foreseen = -1_843_660_065, 28_032_503_808 // 4
+    assert 4 * factors.factor_entries == pytest.approx(26_985_098_104, rel=1e-3)

@@ -18,10 +18,11 @@ from scipy import sparse
 from modetune.core.algebra import factor_room as rooms
 from modetune.core.algebra import pardiso, similar_factors
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.factor_files import FactorFiles
 from modetune.core.algebra.factor_room import FactorRoom, factor_room
 from modetune.core.algebra.krylov import GUARD, block_davidson
 from modetune.core.algebra.matrices import upper_triangle
-from modetune.core.algebra.pardiso import FactorFiles, Pardiso
+from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.algebra.similar_factors import similar_vectors
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModelError, SolverExhausted
