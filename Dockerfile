@@ -20,6 +20,7 @@ RUN python3 -m venv /opt/modetune \
 FROM debian:12-slim@sha256:88200866dfff7ea7f5cbcb6ec7c8a701889efe6fe859fe64d6990e4b07ea4171
 RUN apt-get update \
  && apt-get install -y --no-install-recommends python3 calculix-ccx libosmesa6 \
+    libmumps-headers-dev libmumps-seq-5.5 \
  && rm -rf /var/lib/apt/lists/* \
  && useradd --create-home modetune \
  && mkdir /campaigns && chown modetune /campaigns

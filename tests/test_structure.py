@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "flows": {"flows", "configs", "adapters", "core"},
 }
 #: What core may import besides the standard library.
-CORE_LIBRARIES = {"modetune", "numpy", "scipy", "h5py", "pypardiso", "pymetis", "filelock"}
+CORE_LIBRARIES = {"modetune", "numpy", "scipy", "h5py", "pypardiso", "pymetis", "cffi", "filelock"}
 
 
 def module_name(path: Path) -> str:

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Sets up what modetune needs: a virtual environment with its Python packages, and CalculiX.
+# Sets up what modetune needs: a virtual environment with its Python packages, CalculiX and MUMPS.
 # Usage: setup.sh FOLDER REQUIREMENT     (e.g. setup.sh .venv '.[dev]')
 # Debian packages are installed where root or sudo is there; else the line to run is printed.
 set -eu
@@ -37,6 +37,12 @@ if [ ! -x "$venv/bin/pip" ]; then
 fi
 if ! command -v "${MODETUNE_CCX:-ccx}" >/dev/null; then
     need calculix-ccx
+fi
+# MUMPS keeps factors on disk that memory does not hold; without it they are refused, in a sentence.
+if [ ! -e /usr/include/dmumps_c.h ] && command -v apt-get >/dev/null &&
+    { [ "$(id -u)" = 0 ] || sudo -n true 2>/dev/null; }; then
+    need libmumps-headers-dev '^libmumps-seq-[0-9.]+$' ||
+        echo "MUMPS was not installed: factors that memory does not hold will be refused" >&2
 fi
 echo "installing modetune's Python packages into $venv"
 "$venv/bin/pip" install --quiet --disable-pip-version-check --editable "$requirement"

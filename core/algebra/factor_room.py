@@ -3,11 +3,9 @@
 PARDISO tells after its symbolic phase what the factors will take. With that, what this process
 holds already and what its vectors will take, memory suffices or does not. Where it does not, and
 whoever asks can do with the factors of a similar matrix, half as much is taken in single precision.
-Where that does not fit either they go to files (what PARDISO does in two levels of parallel work
-goes in memory alone), and the vectors with them. The order of the unknowns is the same in all
-cases, and found once. Files of factors are written once a factorisation and read twice a solution,
-and all the memory that is left buffers them: with a third of what the factors take a solution was
-seen to take two times, and a factorisation two to six times, as long as in memory.
+Where that does not fit either MUMPS puts them in files, and the vectors go there with them. The
+order of the unknowns is the same in all cases, and found once. Files of factors are written once a
+factorisation and read twice a solution.
 """
 
 from __future__ import annotations
@@ -18,7 +16,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from shutil import disk_usage
 
@@ -26,8 +23,11 @@ from scipy import sparse
 
 from modetune.core.algebra.elimination_order import elimination_order
 from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra.mumps import Mumps
+from modetune.core.algebra.mumps_library import REMEDY, is_available
 from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import SolverExhausted
+from modetune.core.modes import Integers
 
 logger = logging.getLogger(__name__)
 
@@ -79,7 +79,7 @@ def roomy_factors(
     matching: bool = False,
     columns: int = 0,
     similar: int | None = None,
-) -> Pardiso:
+) -> Pardiso | Mumps:
     """A matrix with its unknowns ordered, for factors in memory or in files.
 
     upper, matching: as `Pardiso` has them; columns: vectors (n,) that will be in memory beside the
@@ -89,7 +89,7 @@ def roomy_factors(
     room = _room.get()
     ordered = _ordered(upper, matching)
     if room is None:
-        return ordered()
+        return ordered.in_memory(single=False)
     factors, said = _roomy(ordered, columns, similar, room)
     if factors.held:
         logger.info("%s", said)
@@ -105,20 +105,33 @@ def factor_forecast(
     """
     factors, said = _roomy(_ordered(upper), columns, similar, room)
     factors.close()
-    return factors.on_disk, said
+    return isinstance(factors, Mumps), said
 
 
-def _ordered(upper: sparse.csr_array, matching: bool = False) -> partial[Pardiso]:
-    """What makes factors of a matrix, in one order wherever they go."""
-    order = None if matching else elimination_order(upper)
-    return partial(Pardiso, upper, matching=matching, order=order)
+@dataclass(frozen=True, slots=True)
+class _Ordered:
+    """A matrix with the order of its unknowns, which is the same wherever its factors go."""
+
+    upper: sparse.csr_array
+    matching: bool
+    order: Integers | None
+
+    def in_memory(self, single: bool) -> Pardiso:
+        return Pardiso(self.upper, matching=self.matching, single=single, order=self.order)
+
+    def in_files(self, files: FactorFiles, single: bool) -> Mumps:
+        return Mumps(self.upper, files, single=single, order=self.order)
+
+
+def _ordered(upper: sparse.csr_array, matching: bool = False) -> _Ordered:
+    return _Ordered(upper, matching, None if matching else elimination_order(upper))
 
 
 def _roomy(
-    ordered: partial[Pardiso], columns: int, similar: int | None, room: FactorRoom
-) -> tuple[Pardiso, str]:
+    ordered: _Ordered, columns: int, similar: int | None, room: FactorRoom
+) -> tuple[Pardiso | Mumps, str]:
     held, single = _resident(), similar is not None and room.single is True
-    factors = ordered(single=single)
+    factors = ordered.in_memory(single)
     told, vector = factors.memory, 8 * factors.n
     vectors, peak = vector * (similar or 0 if single else columns), told.peak
     text = (
@@ -134,27 +147,32 @@ def _roomy(
         text = f"{text}; in single precision {_gb(peak)}, beside {_gb(held + vectors)}"
         if held + vectors + peak <= room.memory_bytes:
             said = "so they are made, and lead by products in double precision to the same modes"
-            return ordered(single=True), f"{text}: {said}"
+            return ordered.in_memory(True), f"{text}: {said}"
+    if not is_available():
+        raise SolverExhausted(
+            f"{text}: on disk they require MUMPS, which is unavailable: {REMEDY}, or raise "
+            f"{room.memory_key}"
+        )
     files = room.files()
     try:
-        in_files = partial(ordered, files=files, single=single)
-        return _in_files(in_files, room, files, held, vectors, text)
+        in_files = ordered.in_files(files, single)
     except BaseException:
         files.remove()
         raise
+    try:
+        return in_files, _said_of_files(in_files, room, held + vectors // WORKED_ON, vectors, text)
+    except SolverExhausted:
+        in_files.close()
+        raise
 
 
-def _in_files(
-    ordered: partial[Pardiso],
-    room: FactorRoom,
-    files: FactorFiles,
-    held: int,
-    vectors: int,
-    text: str,
-) -> tuple[Pardiso, str]:
-    factors, beside = ordered(), held + vectors // WORKED_ON
-    least, disk = beside + factors.memory_on_disk, factors.memory.factors + vectors
-    free = disk_usage(files.folder).free
+def _said_of_files(factors: Mumps, room: FactorRoom, beside: int, vectors: int, text: str) -> str:
+    """What is said of factors in files. Raises SolverExhausted where they have no room there.
+
+    beside, vectors: what is in memory beside them, and in files, in bytes.
+    """
+    least, disk = beside + factors.memory, factors.disk + vectors
+    free = disk_usage(factors.files.folder).free
     if least > room.memory_bytes:
         raise SolverExhausted(
             f"{text}; with factors on disk too it is {_gb(least)}; raise {room.memory_key}, take a "
@@ -167,14 +185,12 @@ def _in_files(
         )
     if disk > free:
         raise SolverExhausted(
-            f"{text}; on disk they take up to {_gb(disk)}, and the disk of {files.folder} has "
-            f"{_gb(free)}; free some space, or raise {room.memory_key}"
+            f"{text}; on disk they take up to {_gb(disk)}, and the disk of {factors.files.folder} "
+            f"has {_gb(free)}; free some space, or raise {room.memory_key}"
         )
-    files.memory_mb = -((beside + factors.uncounted - room.memory_bytes) // 10**6)
-    return factors, (
-        f"{text}: they go to disk, up to {_gb(disk)} below {files.folder.parent}, written once a "
-        "factorisation and read twice a solution: expect solutions to take some two times, and "
-        "factorisations two to six times, as long as in memory"
+    return (
+        f"{text}: they go to disk, up to {_gb(disk)} below {factors.files.folder.parent}, written "
+        "once a factorisation and read twice a solution"
     )
 
 

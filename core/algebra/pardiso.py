@@ -27,7 +27,6 @@ import os
 import sys
 import threading
 import weakref
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -37,8 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from modetune.core.algebra.factor_files import FactorFiles
-from modetune.core.algebra.vector_room import in_file, in_memory
+from modetune.core.algebra.vector_room import in_memory
 from modetune.core.errors import ModelError, ModetuneError, SolverExhausted
 from modetune.core.modes import Floats, Integers
 
@@ -48,7 +46,7 @@ _ANALYSE, _FACTORISE, _SOLVE, _FREE = 11, 22, 33, -1
 _TOO_LONG = -8
 _SYMMETRIC = -2  # real, indefinite
 
-_INPUT, _MEMORY, _DISK = "input", "memory", "disk"
+_INPUT, _MEMORY = "input", "memory"
 _ERRORS = {
     -1: (_INPUT, "its arrays are not consistent"),
     -2: (_MEMORY, "there is not enough memory"),
@@ -58,9 +56,6 @@ _ERRORS = {
     -6: (_INPUT, "its unknowns could not be ordered"),
     -7: (_INPUT, "a diagonal entry is zero"),
     _TOO_LONG: (_MEMORY, "its factors have too many entries for this library"),
-    -9: (_MEMORY, "there is not enough memory even with factors on disk"),
-    -10: (_DISK, "the files of the factors cannot be opened"),
-    -11: (_DISK, "the files of the factors cannot be read or written"),
     -12: (_INPUT, "the library lacks its interface for 64-bit integers"),
 }
 
@@ -98,7 +93,6 @@ class Pardiso:
         upper: sparse.csr_array,
         *,
         matching: bool = False,
-        files: FactorFiles | None = None,
         long_integers: bool = False,
         single: bool = False,
         order: Integers | None = None,
@@ -106,18 +100,17 @@ class Pardiso:
         """Order the unknowns of a matrix; `refactor` gives it its values.
 
         upper: (n, n), the upper triangle, sorted, with each diagonal entry; matching: scale and
-        pair unknowns by their values first, for matrices with zeros on the diagonal; files: keep
-        the factors there, not in memory; long_integers: for factors of more than 2^31 entries
-        (turned to anyhow where PARDISO asks for it); single: factors in single precision; order:
-        (n,), the unknowns from 0 in the order of their elimination, where PARDISO is not to find
-        one; it does not go with matching. Raises ModelError where upper is not such a triangle,
-        SolverExhausted where memory or disk do not suffice.
+        pair unknowns by their values first, for matrices with zeros on the diagonal; long_integers:
+        for factors of more than 2^31 entries (turned to anyhow where PARDISO asks for it); single:
+        factors in single precision; order: (n,), the unknowns from 0 in the order of their
+        elimination, where PARDISO is not to find one; it does not go with matching. Raises
+        ModelError where upper is not such a triangle, SolverExhausted where memory does not
+        suffice.
         """
-        _check_triangle(upper)
+        check_triangle(upper)
         self.n = int(upper.shape[0])
         self._order = order
-        self._settings = _settings(matching, files is not None, single, order is not None)
-        self.files = files
+        self._settings = _settings(matching, single, order is not None)
         self.exact = not single
         self._unit = 1.0
         self._values: NDArray[Any] = upper.data
@@ -133,7 +126,7 @@ class Pardiso:
             raise ModelError(f"{values.size} values for {self._values.size} entries of a matrix")
         self._values = np.ascontiguousarray(values)
         if not self.exact:
-            self._unit = _unit_of(values)
+            self._unit = unit_of(values)
             self._values = _rounded(values, self._unit)
         self._call(_FACTORISE)
 
@@ -150,32 +143,24 @@ class Pardiso:
         if given.size and self.exact:
             self._call(_SOLVE, given, x)
         elif given.size:
-            units = np.apply_along_axis(_unit_of, 0, given)
+            units = np.apply_along_axis(unit_of, 0, given)
             answer = np.empty(given.shape, dtype=np.float32, order="F")
             self._call(_SOLVE, _rounded(given, units), answer)
             np.multiply(answer, self._unit / units, out=x)
         return x
 
     def room_for(self, n_rows: int, n_columns: int) -> Floats:
-        """Room for vectors where the factors are: in memory, or in a file; as `in_memory`."""
-        if self.files is None:
-            return in_memory(n_rows, n_columns)
-        return in_file(self.files.folder, n_rows, n_columns)
+        """Room for vectors in memory, (n_rows, n_columns), as `in_memory`."""
+        return in_memory(n_rows, n_columns)
 
     def close(self) -> None:
-        """Give memory and files back now, not with the object: there is no solution after it."""
+        """Give memory back now, not with the object: there is no solution after it."""
         self._release()
 
     @property
-    def on_disk(self) -> bool:
-        """Whether the factors are in files."""
-        return self.files is not None
-
-    @property
     def held(self) -> str:
-        """How the factors are held, where that is not in double precision in memory."""
-        single = "" if self.exact else " in single precision"
-        return f"{single} on disk" if self.on_disk else single
+        """How the factors are held, where that is not in double precision."""
+        return "" if self.exact else " in single precision"
 
     @property
     def negative_pivots(self) -> int:
@@ -200,18 +185,6 @@ class Pardiso:
         peak, permanent, factors = (1024 * int(number) for number in self._handle.iparm[14:17])
         return FactorMemory(peak, permanent, factors)
 
-    @property
-    def uncounted(self) -> int:
-        """What PARDISO holds beyond the limit of its buffers, in bytes: it counts a part of what it
-        keeps from the ordering, 0.55 to 0.6 of 0.14 to 7 GB."""
-        return self.memory.permanent // 2
-
-    @property
-    def memory_on_disk(self) -> int:
-        """The least memory with which factors in files can be made and used, in bytes."""
-        told, buffers = self.memory, 1024 * int(self._handle.iparm[62])
-        return max(told.ordering_peak, told.permanent + self.uncounted + buffers)
-
     def _open(self, starts: Any, columns: Any, long_integers: bool) -> None:
         kind: Any = np.int64 if long_integers else np.int32
         order = np.zeros(1) if self._order is None else self._order + 1
@@ -221,7 +194,6 @@ class Pardiso:
             np.ascontiguousarray(columns, dtype=kind),
             self._settings.astype(kind),
             order.astype(kind),
-            self.files,
         )
         self._release = weakref.finalize(self, self._handle.close)
         self._release.atexit = False
@@ -234,7 +206,7 @@ class Pardiso:
         error = self._handle.call(phase, self._values, rhs, out)
         if error == _TOO_LONG and not self._handle.long_integers:
             before = self._handle
-            before.close(files=False)
+            before.close()
             self._open(before.starts, before.columns, long_integers=True)
             if phase != _ANALYSE:
                 self._call(phase, rhs, out)
@@ -251,7 +223,6 @@ class _Handle:
     columns: NDArray[Any]
     iparm: NDArray[Any]
     order: NDArray[Any]
-    files: FactorFiles | None = None
     addresses: NDArray[np.int64] = field(default_factory=lambda: np.zeros(64, dtype=np.int64))
     closed: bool = False
 
@@ -275,7 +246,7 @@ class _Handle:
         def number(value: int) -> Any:
             return ctypes.byref(integer(value))
 
-        with _ONE_CALL, self.files.told() if self.files else nullcontext():
+        with _ONE_CALL:
             program(
                 _pointer(self.addresses),
                 number(1),
@@ -296,18 +267,24 @@ class _Handle:
             )
         return int(error.value)
 
-    def close(self, files: bool = True) -> None:
-        """Give PARDISO's memory back, and the folder of its files."""
+    def close(self) -> None:
+        """Give PARDISO's memory back."""
         if not self.closed:
             self.closed = True
             self.call(_FREE, np.zeros(0), None, None)
-            if files and self.files:
-                self.files.remove()
 
 
 def is_available() -> bool:
     """Whether MKL is installed here."""
     return _library() is not None
+
+
+def share_blas() -> None:
+    """MKL's BLAS, where it is installed, for libraries that are opened from now on, ahead of what
+    they are linked with."""
+    library = _library()
+    if library is not None:
+        ctypes.CDLL(library._name, mode=ctypes.RTLD_GLOBAL)
 
 
 @cache
@@ -335,7 +312,7 @@ def _program(long_integers: bool) -> Any:
     return program
 
 
-def _settings(matching: bool, out_of_core: bool, single: bool, ordered: bool) -> NDArray[np.int64]:
+def _settings(matching: bool, single: bool, ordered: bool) -> NDArray[np.int64]:
     iparm = np.zeros(64, dtype=np.int64)
     # 1: own settings; 2: parallel METIS; 10: pivots below 1e-20 of the norm are lifted, zeros
     # that is, for masses and rotations make small ones; 24: factors in two levels of parallel
@@ -347,14 +324,12 @@ def _settings(matching: bool, out_of_core: bool, single: bool, ordered: bool) ->
         chosen |= {2: 2, 10: 16, 11: 1, 13: 1, 24: 0, 37: 0}
     if ordered:  # by unknowns, not by blocks of them
         chosen |= {5: 1, 37: 0}
-    if out_of_core:  # no two levels for factors on disk, and no blocks
-        chosen |= {24: 0, 37: 0, 60: 2}
     for number, value in chosen.items():
         iparm[number - 1] = value
     return iparm
 
 
-def _unit_of(values: Floats) -> float:
+def unit_of(values: Floats) -> float:
     """A power of two that brings the largest of these to about one."""
     largest = max(float(values.max()), -float(values.min()))
     return 2.0 ** -math.frexp(largest)[1] if largest > 0.0 else 1.0
@@ -365,7 +340,7 @@ def _rounded(values: Floats, units: Floats | float) -> NDArray[np.float32]:
     return np.multiply(values, units, out=single, casting="same_kind")
 
 
-def _check_triangle(upper: sparse.csr_array) -> None:
+def check_triangle(upper: sparse.csr_array) -> None:
     n = upper.shape[0]
     if upper.shape != (n, n) or n == 0 or upper.dtype != np.float64:
         raise ModelError(f"a real square matrix was expected, but {upper.dtype} {upper.shape} came")
@@ -388,11 +363,6 @@ def _error_of(error: int, handle: _Handle) -> ModetuneError:
     text = f"{of}: {words} (PARDISO error {error})"
     if kind == _MEMORY:
         return SolverExhausted(f"{text}; free memory, take a smaller model, or factors on disk")
-    if kind == _DISK:
-        folder = handle.files.folder if handle.files else "their folder"
-        return SolverExhausted(
-            f"{text}; look at {folder} and its free space, free some, or allow more memory"
-        )
     if error in (-4, -7):
         return ModelError(f"{text}: it is singular")
     return ModelError(text)

@@ -246,9 +246,9 @@ def estimate_shift(pencil: Pencil) -> float:
     start = with_random(np.zeros((pencil.n_with_mass, 0)), min(BLOCK, pencil.n_with_mass))
     pairs = largest_pairs(pencil, start, BLOCK, 0.0, 2)
     eigenvalues = 1.0 / np.maximum(pairs.inverted, 1e-300) + least
-    elastic = eigenvalues[eigenvalues > -STRAINED * least]  # parts may move rigidly by themselves
-    if elastic.size == eigenvalues.size:
+    if eigenvalues[0] > -least:  # nothing moves rigidly, and the first mode is as far away or more
         return least
+    elastic = eigenvalues[eigenvalues > -STRAINED * least]  # parts may move rigidly by themselves
     first = float(elastic[0] if elastic.size else abs(eigenvalues[-1]))
     return min(SHIFT * first, least)
 

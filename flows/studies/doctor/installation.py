@@ -15,6 +15,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
+from modetune.core.algebra import mumps_library
 from modetune.core.errors import ModetuneError
 from modetune.core.storage.files import check_writable
 from modetune.core.storage.locks import FileLock
@@ -49,6 +50,7 @@ def look_around(tell: Tell, working: Callable[[str], None]) -> None:
         ("Python", _python),
         ("packages", lambda: _packages("")),
         *((f"extra {name}", lambda name=name: _packages(name)) for name in EXTRAS),
+        ("factors on disk", _mumps),
         ("cores, memory", _machine),
         ("disk", _disk),
         ("site file", _site),
@@ -102,6 +104,12 @@ def _packages(extra: str) -> Found:
     if missing:
         return "not available", f"{', '.join(missing)} not installed", remedy
     return "passed", said, ""
+
+
+def _mumps() -> Found:
+    if mumps_library.is_available():
+        return "passed", "MUMPS, for models whose factors memory does not hold", ""
+    return "not available", "MUMPS is not installed", mumps_library.REMEDY
 
 
 def _machine() -> Found:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import gc
-import os
 import resource
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import sparse
 
 from modetune.core.algebra import pardiso
-from modetune.core.algebra.factor_files import FactorFiles
 from modetune.core.algebra.factorisation import filled_triangle
 from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import ModelError, SolverExhausted
@@ -109,7 +104,6 @@ def test_values_of_another_pattern_are_refused() -> None:
     [
         (-2, SolverExhausted, "not enough memory"),
         (-8, SolverExhausted, "too many entries"),
-        (-11, SolverExhausted, "free space"),
         (-4, ModelError, "it is singular"),
         (-3, ModelError, "ordered"),
         (-77, ModelError, "unknown"),
@@ -140,28 +134,6 @@ def test_factors_too_long_for_short_integers_are_made_with_long_ones(
     factors = Pardiso(upper)
     factors.refactor(upper.data)
     np.testing.assert_allclose(matrix @ factors.solve(np.ones(100)), 1.0, rtol=1e-12)
-
-
-def test_factors_of_several_matrices_are_kept_in_files_of_their_own(tmp_path: Path) -> None:
-    matrices = [grid(40), 3.0 * grid(30)]
-    environment = dict(os.environ)
-    kept = []
-    for place, matrix in enumerate(matrices):
-        folder = tmp_path / str(place)
-        folder.mkdir()
-        upper = filled_triangle(matrix)
-        remove = functools.partial(shutil.rmtree, folder)
-        kept.append(Pardiso(upper, files=FactorFiles(folder, remove, 100)))
-        kept[-1].refactor(upper.data)
-        assert sum(file.stat().st_size for file in folder.iterdir()) > 8 * kept[-1].factor_entries
-    for matrix, factors in zip(matrices, kept, strict=True):  # after both were factorised
-        ones = np.ones(matrix.shape[0])
-        np.testing.assert_allclose(matrix @ factors.solve(ones), 1.0, rtol=1e-11)
-    kept.clear()
-    del factors
-    gc.collect()
-    assert not list(tmp_path.iterdir())
-    assert dict(os.environ) == environment
 
 
 def test_memory_goes_with_the_object() -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from modetune.core.storage.store import Store
 from modetune.flows.jobs.scratch import factor_files
 files = factor_files(Store(Path(sys.argv[1])))
-(files.folder / "mkl_pardiso_lnz.bin").write_bytes(b"0" * 1000)
+(files.folder / "factors_mumps_0").write_bytes(b"0" * 1000)
 print(files.folder, flush=True)
 if len(sys.argv) > 2:
     time.sleep(600)

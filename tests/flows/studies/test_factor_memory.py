@@ -71,7 +71,7 @@ def test_check_tells_where_the_factors_go_and_at_what_price(
     tight = told(part, 0.99 * (in_memory + beside))
     on_disk = tight.level == "doubtful"
     if on_disk:  # of small models, what is kept in any case leaves next to nothing to spare
-        assert "factorisations two to six times" in tight.what
+        assert "written once a factorisation" in tight.what
         assert tight.remedy
     else:
         assert "with factors on disk too" in tight.what
