@@ -28,7 +28,10 @@ FILE = "profile.json"
 IMPORTING, START, REST = "importing", "start of Python", "rest"
 #: What is done, and the files of modetune in which it is.
 PARTS = (
-    ("factorisation", ("core/algebra/pardiso.py", "core/algebra/factorisation.py")),
+    (
+        "factorisation",
+        ("core/algebra/pardiso.py", "core/algebra/mumps.py", "core/algebra/factorisation.py"),
+    ),
     ("modes from matrices", ("core/algebra/",)),
     ("reduced models", ("core/updating/reduced", "core/updating/matrix_samples.py")),
     ("parameter matrices", ("core/updating/parameter_matrices.py",)),
