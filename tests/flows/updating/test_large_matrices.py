@@ -36,9 +36,10 @@ print(held() - before)
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the C library is another one")
 def test_arrays_that_were_freed_are_not_held() -> None:
-    stays = [
-        int(subprocess.check_output([sys.executable, "-c", PROGRAM, *given]))
-        for given in ([], ["returned"])
-    ]
-    assert stays[0] > 100e6  # else it would be of no use
-    assert stays[1] < 10e6
+    # Now and then the thread's heap has no room where it lies, and gives its pages back anyhow.
+    assert max(what_stays() for _ in range(3)) > 100e6  # else it would be of no use
+    assert what_stays("returned") < 10e6
+
+
+def what_stays(*given: str) -> int:
+    return int(subprocess.check_output([sys.executable, "-c", PROGRAM, *given]))
