@@ -110,7 +110,8 @@ def factor_forecast(
 
 @dataclass(frozen=True, slots=True)
 class _Ordered:
-    """A matrix with the order of its unknowns, which is the same wherever its factors go."""
+    """A matrix with the order of its unknowns, the same wherever its factors go; with matching
+    PARDISO finds its own."""
 
     upper: sparse.csr_array
     matching: bool
@@ -120,7 +121,8 @@ class _Ordered:
         return Pardiso(self.upper, matching=self.matching, single=single, order=self.order)
 
     def in_files(self, files: FactorFiles, single: bool) -> Mumps:
-        return Mumps(self.upper, files, single=single, order=self.order)
+        order = elimination_order(self.upper) if self.matching else self.order
+        return Mumps(self.upper, files, single=single, order=order)
 
 
 def _ordered(upper: sparse.csr_array, matching: bool = False) -> _Ordered:

@@ -175,9 +175,9 @@ class Mumps:
         told, library = self._told, self._library
         told.n, told.nnz = self.n, self._rows.size
         told.irn, told.jcn = library.pointer(self._rows), library.pointer(self._columns)
-        # 7: order given, or chosen by MUMPS; 8: scaled already; 22: factors in files; 24: pivots as
-        # good as zero are counted.
-        chosen = {7: 7, 8: 0, 14: _SPARE[0], 22: 1, 24: 1}
+        # 7: order given, or found by MUMPS's own PORD; 8: scaled already; 22: factors in files; 24:
+        # pivots as good as zero are counted.
+        chosen = {7: 4, 8: 0, 14: _SPARE[0], 22: 1, 24: 1}
         if order is not None:
             self._position = np.empty(self.n, dtype=np.int32)
             self._position[order] = np.arange(1, self.n + 1)
