@@ -36,9 +36,10 @@ print(held() - before)
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the C library is another one")
 def test_arrays_that_were_freed_are_not_held() -> None:
-    # Now and then the thread's heap has no room where it lies, and gives its pages back anyhow.
-    assert max(what_stays() for _ in range(3)) > 100e6  # else it would be of no use
     assert what_stays("returned") < 10e6
+    # Some settings of glibc make it give all back by itself, and now and then a thread's heap does.
+    if (held := max(what_stays() for _ in range(3))) < 100e6:
+        pytest.skip(f"this C library held {held / 1e6:.0f} MB of 168 by itself")
 
 
 def what_stays(*given: str) -> int:
