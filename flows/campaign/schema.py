@@ -183,9 +183,10 @@ class UpdateSection(Section):
     `between: keep` it is 0.002 unless given."""
     confirm: Literal["auto", "modes", "matrices"] = "auto"
     """What ends updating by stored matrices: `modes`, a modal job of the solver at the final
-    values; `matrices`, the matrices that it assembles there, whose modes are found anew and
-    counted: it takes half the time, but the solver's own eigensolution is not seen; `auto`,
-    matrices where a modal job is expected to take ten seconds or more."""
+    values; `matrices`, the matrices that it assembles there, whose modes are found anew and counted
+    where memory or disk have room for it: it takes half the time, but the solver's own
+    eigensolution is not seen; `auto`, matrices where a modal job is expected to take ten seconds or
+    more."""
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
     """Steps that are taken at most."""
     step_limit: Positive = 0.2

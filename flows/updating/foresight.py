@@ -29,7 +29,7 @@ from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import doing
 from modetune.flows.jobs.work import Work, meanwhile
 from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.by_matrices import MATRICES, ByMatrices, ByReduced
+from modetune.flows.updating.by_matrices import ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import REDUCED
@@ -144,8 +144,11 @@ class ReducedForesight:
         if all(part.solved_by == state.case.solver.program.name for state, part in pairs):
             return None
         for state, _ in pairs:
-            if isinstance(state.finder, ByMatrices) and not _by_assembling(state, state.finder):
-                state.finder.release()  # the factors' memory is the solver's now
+            finder = state.finder
+            if isinstance(finder, ByMatrices) and not confirms_by_matrices(
+                state.campaign, finder.solver
+            ):
+                finder.release()  # the factors' memory is the solver's now
         parts = [
             part
             if part.solved_by == state.case.solver.program.name
@@ -183,11 +186,12 @@ class ReducedForesight:
     def _by_solver(
         self, title: str, state: CaseState, part: CaseEvaluation, analysis: ModalAnalysis
     ) -> CaseEvaluation:
-        if isinstance(state.finder, ByMatrices) and _by_assembling(state, state.finder):
-            found = self._by_assembled(title, state, state.finder, part, analysis)
+        finder = state.finder
+        if isinstance(finder, ByMatrices) and confirms_by_matrices(state.campaign, finder.solver):
+            found = self._by_assembled(title, state, finder, part, analysis)
             if found is not None:
                 return found
-            state.finder.release()
+            finder.release()
         job = Job(state.campaign.parameters.values(part.theta), analysis)
         name = state.case.solver.program.name
         work = Work(f"modal confirmation by {name}", (job,), state.engine)
@@ -214,12 +218,12 @@ class ReducedForesight:
         try:
             own = state.engine.key(job)
             with doing(title):
-                key, modal = finder.stored().assembled(part.theta, analysis, own, begun)
+                key, modal, counted = finder.stored().assembled(part.theta, analysis, own, begun)
         except (ModelError, UnlikeMatrices) as error:
             logger.warning("%s: its own modes are looked at", error)
             return None
-        counted = "not counted" if state.engine.policy.single_factors else "counted"
-        said = f"{name}'s matrices, {modal.eigenvalues.size} modes {counted}"
+        said = "counted" if counted else "not counted"
+        said = f"{name}'s matrices, {modal.eigenvalues.size} modes {said}"
         found = state.compared(part.theta, key, modal, part, said)
         apart = float(np.max(np.abs(found.errors - part.errors)))
         if apart > CONFIRMED:
@@ -249,17 +253,6 @@ class ReducedForesight:
         if foreseen is None or not np.allclose(foreseen.theta, theta, rtol=0.0, atol=1e-12):
             return None
         return foreseen
-
-
-def _by_assembling(state: CaseState, finder: ByMatrices) -> bool:
-    """Whether matrices that the solver assembles are to confirm a case's modes.
-
-    Where the factors had no room the count's would not have it either: then only if it is asked.
-    """
-    asked = state.campaign.update.confirm == "matrices"
-    return asked or (
-        finder.name == MATRICES and confirms_by_matrices(state.campaign, finder.solver)
-    )
 
 
 def _length(theta: Floats, previous: Evaluation) -> float:

@@ -100,8 +100,6 @@ def confirms_by_matrices(campaign: Campaign, own: BySolver, run_s: float = np.na
     """
     if campaign.update.confirm != "auto":
         return campaign.update.confirm == "matrices"
-    if campaign.case.eigensolver == "mixed_precision":
-        return False  # a count takes factors in double precision, for which there is no room
     if np.isnan(run_s):
         run_s = modes_forecast(campaign, own, UPDATING).run_s
     return run_s >= SPARED_S

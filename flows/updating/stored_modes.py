@@ -25,6 +25,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.matrices import MatrixResult, symmetric
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.correlation.clusters import rotation_onto
+from modetune.core.errors import SolverExhausted
 from modetune.core.modes import CLOSE, Floats
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.derivative_vectors import MOST_FORCES
@@ -103,38 +104,53 @@ class MatrixModes:
         analysis: ModalAnalysis,
         job: str,
         begun: Callable[[], Callable[[], MatrixResult]],
-    ) -> tuple[str, ModalResult]:
-        """As `modal`, of the matrices that the solver assembles at a set, and counted.
+    ) -> tuple[str, ModalResult, bool]:
+        """As `modal`, of the matrices that the solver assembles at a set, and whether counted.
 
         job: the key of its job, begun: as of `Solutions.assembled`. The search begins with the
         modes by the matrices of all values. Factors in single precision count nothing: where the
-        campaign wants these, modes are not. Raises ModelError where the count says that modes are
-        missing.
+        campaign wants these, or has no room for others, modes are not. Raises ModelError where the
+        count says that modes are missing.
         """
-        counted = self.engine.policy.single_factors is not True
         start = self._newest or next(iter(self._first.values()), None)
-        asked: Json = {
-            "assembled modes": MODES_VERSION,
-            "matrices": job,
-            "from": self._shift if start is None else start.key,
-            "n_modes": analysis.n_modes,
-            "nodes": list(analysis.nodes),
-            **({} if counted else {"counted": False}),
-        }
-        key = content_key(canonical_json(asked))
 
-        def compute() -> ModalResult:
-            n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
-            item = ModalSet(key, self.source.written(theta), n_modes, start)
-            solved, more = self._solutions.assembled(item, begun, counted)
-            self.engine.store.drop(job)  # as large as the model, and not asked for again
-            self._solutions.forget()
-            found = solved.eigenvalues, solved.shapes, *more
-            return modes_at(self._model.observer, *found, analysis)
+        def asked(counted: bool) -> Json:
+            return {
+                "assembled modes": MODES_VERSION,
+                "matrices": job,
+                "from": self._shift if start is None else start.key,
+                "n_modes": analysis.n_modes,
+                "nodes": list(analysis.nodes),
+                **({} if counted else {"counted": False}),
+            }
 
-        name = "modes of assembled matrices" + ", counted" * counted
-        found = self._derived(asked, compute, ModalResult, name)
-        return key, self.engine.solver.by_hand(found)
+        keys = {counted: content_key(canonical_json(asked(counted))) for counted in (True, False)}
+
+        def found(counted: bool) -> tuple[str, ModalResult, bool]:
+            def compute() -> ModalResult:
+                n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
+                item = ModalSet(keys[counted], self.source.written(theta), n_modes, start)
+                solved, more = self._solutions.assembled(item, begun, counted)
+                self.engine.store.drop(job)  # as large as the model, and not asked for again
+                self._solutions.forget()
+                return modes_at(
+                    self._model.observer, solved.eigenvalues, solved.shapes, *more, analysis
+                )
+
+            name = "modes of assembled matrices" + ", counted" * counted
+            modal = self._derived(asked(counted), compute, ModalResult, name)
+            return keys[counted], self.engine.solver.by_hand(modal), counted
+
+        single = self.engine.policy.single_factors
+        if single or keys[False] in self.engine.store:
+            return found(counted=False)
+        try:
+            return found(counted=True)
+        except SolverExhausted as error:
+            if single is False:
+                raise
+            logger.warning("modes at the end are not counted: %s", error)
+            return found(counted=False)
 
     def release(self) -> None:
         """What is kept for later searches leaves the store: there are none."""

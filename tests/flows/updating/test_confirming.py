@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from modetune.core.algebra import pencil
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.errors import SolverExhausted
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
@@ -95,6 +97,46 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
     monkeypatch.setattr(modes_choice, "SPARED_S", 100.0)
     again = record_of(file, tmp_path / "modes", watcher)
     assert (again.best.solved_by, again.runs.modal) == ("calculix", 0)
+
+
+@pytest.mark.parametrize("case", [long_bar, cymbal, tuning_fork])
+def test_without_room_for_a_count_matrices_confirm_uncounted(
+    case: Callable[[], Case],
+    tmp_path: Path,
+    watcher: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    file, auto = written(case(), tmp_path / "part"), "model.eigensolver=auto"
+    monkeypatch.setattr(modes_choice, "RUN_S", 1e3)
+    real, counts = ModeSolver.solve, list[bool]()
+
+    def solve(self: ModeSolver, *given: Any) -> Any:
+        counts.append(given[-1])
+        if counts[-1]:
+            raise SolverExhausted("no room")
+        return real(self, *given)
+
+    counted = record_of(file, tmp_path / "counted", watcher, auto)
+    assert re.fullmatch(r"calculix's matrices, \d+ modes counted", counted.best.solved_by)
+    monkeypatch.setattr(ModeSolver, "solve", solve)
+    record = record_of(file, tmp_path / "without", watcher, auto)
+    assert re.fullmatch(r"calculix's matrices, \d+ modes not counted", record.best.solved_by)
+    assert "modes at the end are not counted: no room" in caplog.text
+    assert counts.count(True) == 1
+    assert record.status == counted.status
+    assert record.runs.sensitivity == counted.runs.sensitivity  # one job at the end all the same
+    np.testing.assert_array_equal(record.updated, counted.updated)
+    np.testing.assert_allclose(
+        record.best.computed.frequencies_hz, counted.best.computed.frequencies_hz, rtol=1e-8
+    )
+    # Once more nothing is run or searched, and nothing more is claimed.
+    counts.clear()
+    again = record_of(file, tmp_path / "without", watcher, auto)
+    assert again.best.solved_by == record.best.solved_by
+    assert (again.runs.sensitivity, again.runs.modal, counts) == (0, 0, [])
+    with pytest.raises(SolverExhausted, match="no room"):  # double precision is asked for by name
+        record_of(file, tmp_path / "named", watcher)
 
 
 @pytest.mark.parametrize("columns", [0.5, 100.0], ids=["own factors", "kept factors"])
