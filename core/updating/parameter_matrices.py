@@ -27,11 +27,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy import sparse
 
 from modetune.core.algebra.matrices import MatrixResult, places_in, projected, union, upper_product
+from modetune.core.algebra.vector_room import put_in_file
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 
@@ -107,6 +109,40 @@ class ParameterMatrices:
         """The matrices at these values (n_parameters,); all share one pattern, arrays included."""
         stiffness = self._at(self.base.upper_stiffness, self.stiffness, theta)
         return replace(self.base, upper_stiffness=stiffness, upper_mass=self.mass_at(theta))
+
+    @property
+    def n_bytes(self) -> int:
+        """What their numbers take, without the pattern that matrices at all values share."""
+        own = (self.base.upper_stiffness.data, self.base.upper_mass.data)
+        parts = (
+            array for part in (*self.stiffness, *self.mass) for array in (part.places, part.values)
+        )
+        return sum(array.nbytes for array in (*own, *parts))
+
+    def in_files(self, folder: Path) -> ParameterMatrices:
+        """The same with their numbers in files of a folder, which go with them.
+
+        They are read from one end to the other for each set. Raises SolverExhausted where the disk
+        is full.
+        """
+
+        def whole(upper: sparse.csr_array) -> sparse.csr_array:
+            data = put_in_file(folder, upper.data)
+            return sparse.csr_array((data, upper.indices, upper.indptr), shape=upper.shape)
+
+        def each(parts: tuple[ParameterMatrix, ...]) -> tuple[ParameterMatrix, ...]:
+            return tuple(
+                replace(
+                    part,
+                    places=put_in_file(folder, part.places),
+                    values=put_in_file(folder, part.values.T).T,
+                )
+                for part in parts
+            )
+
+        stiffness, mass = whole(self.base.upper_stiffness), whole(self.base.upper_mass)
+        base = replace(self.base, upper_stiffness=stiffness, upper_mass=mass)
+        return replace(self, base=base, stiffness=each(self.stiffness), mass=each(self.mass))
 
     def mass_at(self, theta: Floats) -> sparse.csr_array:
         """The mass' upper triangle alone."""

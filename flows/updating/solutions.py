@@ -43,6 +43,8 @@ logger = logging.getLogger(__name__)
 #: Unknowns from which full solutions that others begin with are in the store meanwhile: those of
 #: smaller models are found again in a few times what it takes to keep them.
 KEPT_FROM = 50_000
+#: Share of the memory that the matrices of all values may take, beside those of a set.
+IN_MEMORY = 0.1
 #: What a campaign that goes on makes first, for people who watch.
 AGAIN = "what the search begins with, once more"
 
@@ -128,8 +130,17 @@ class StoredModel:
 
     @cached_property
     def matrices(self) -> ParameterMatrices:
-        """For all values."""
-        return self.source.last_matrices(self.campaign.start, range(len(self.source.parameters)))
+        """For all values; in files where they would take much of the memory that factors need."""
+        columns = range(len(self.source.parameters))
+        found = self.source.last_matrices(self.campaign.start, columns)
+        engine = self.source.engine
+        if found.n_bytes <= IN_MEMORY * engine.memory_bytes:
+            return found
+        files = engine.room.files()
+        try:
+            return found.in_files(files.folder)
+        finally:
+            files.remove()  # what is in them goes with the matrices
 
     def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
         """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""

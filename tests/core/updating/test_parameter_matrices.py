@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import mmap
+import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +15,8 @@ from scipy import sparse
 
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.matrices import MatrixResult, projected, symmetric, upper_product
-from modetune.core.errors import ModelError
+from modetune.core.errors import ModelError, SolverExhausted
+from modetune.core.modes import Floats
 from modetune.core.updating.matrix_samples import differences
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
@@ -214,6 +219,44 @@ def test_matrices_are_the_sum_of_powers_and_their_derivatives() -> None:
             )
     assert affine.is_linear(0)
     assert not affine.is_linear(1)
+
+
+def test_numbers_in_files_are_those_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    affine = random_affine()
+    outside = affine.in_files(tmp_path)
+    assert not list(tmp_path.iterdir())  # files have no names
+    assert outside.n_bytes == affine.n_bytes
+    for theta in (affine.reference, np.array([1.3, 1.1])):
+        for one, other in zip(
+            (*matrices_at(affine, theta), *affine.change(theta, 1)),
+            (*matrices_at(outside, theta), *outside.change(theta, 1)),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(one.toarray(), other.toarray())
+    part = outside.stiffness[1]
+    for array in (outside.base.upper_stiffness.data, part.places, part.values):
+        assert isinstance(based(array), mmap.mmap)
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(SolverExhausted, match=r"entries of matrices .*GB: No space left"):
+        affine.in_files(tmp_path)
+
+
+def matrices_at(affine: ParameterMatrices, theta: Floats) -> tuple[sparse.csr_array, ...]:
+    found = affine.at(theta)
+    return found.upper_stiffness, found.upper_mass
+
+
+def based(array: Any) -> Any:
+    """What has the memory of an array."""
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return array
 
 
 def test_products_with_an_upper_triangle_are_those_of_the_whole() -> None:

@@ -23,9 +23,11 @@ from modetune.core.errors import CampaignError, SolverExhausted
 from modetune.core.parameters import Parameter, Quantity, Values
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.store import Store
+from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.work import solved
+from modetune.flows.updating import solutions
 from modetune.flows.updating.finders import by_solver
 from modetune.flows.updating.foresight import ReducedForesight
 from modetune.flows.updating.modes_choice import Demand, modes_forecast, modes_source
@@ -567,6 +569,28 @@ def test_a_limit_of_memory_holds_whoever_finds_the_modes(
         assert update(file, tmp_path, watcher, *limit).iterations
     assert "more than the 0.001 GB that may be taken (`run.memory_gb`" in caplog.text
     assert not list((tmp_path / "store").glob("jobs/factors-*"))
+
+
+def test_matrices_of_all_values_in_files_lead_to_the_same_bits(
+    bar_file: Path,
+    bar_stored: CampaignRecord,
+    tmp_path: Path,
+    watcher: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(solutions, "IN_MEMORY", 0.0)
+    put, real = list[Path](), ParameterMatrices.in_files
+
+    def in_files(self: ParameterMatrices, folder: Path) -> ParameterMatrices:
+        put.append(folder)
+        return real(self, folder)
+
+    monkeypatch.setattr(ParameterMatrices, "in_files", in_files)
+    record = update(bar_file, tmp_path, watcher, STORED)
+    assert len(put) == 1  # once a campaign, in a folder of the store
+    assert put[0].parent == tmp_path / "store" / "jobs"
+    assert not put[0].exists()
+    np.testing.assert_array_equal(record.updated, bar_stored.updated)
 
 
 def test_factors_in_single_precision_lead_to_the_same_answer(tmp_path: Path, watcher: Any) -> None:
