@@ -144,6 +144,7 @@ def _roomy(
     if held + vectors + peak <= room.memory_bytes:
         return factors, f"{text}: they stay in memory"
     factors.close()
+    held = _resident()  # what ordering took may have gone back to the system by now
     if similar is not None and room.single is None:
         single, vectors, peak = True, vector * similar, told.single_peak
         text = f"{text}; in single precision {_gb(peak)}, beside {_gb(held + vectors)}"
