@@ -33,6 +33,7 @@ from benchmarks.plain import PlainModel
 from benchmarks.problem import LAUNCHERS, Problem, set_up, write_problem
 from benchmarks.ways import campaign, modetune, told
 
+from modetune.configs.launcher.launcher import LEAST_DOF, MOST_DOF
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.factor_files import FactorFiles
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
@@ -158,6 +159,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--double", action="store_true", help="compare with double precision")
     parser.add_argument("--campaign", action="store_true", help="update the ten moduli too")
     chosen = parser.parse_args(arguments)
+    if wrong := [n for n in chosen.freedoms if not LEAST_DOF <= n <= MOST_DOF]:
+        parser.error(f"the launcher is made with {LEAST_DOF} to {MOST_DOF}, not {wrong[0]}")
     limits, results = Limits(int(chosen.memory_gb * 1e9), chosen.double), []
     calculix()
     with tempfile.TemporaryDirectory(prefix="modetune-bench-") as name:
