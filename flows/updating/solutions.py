@@ -16,8 +16,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
 
 from scipy import sparse
 
@@ -25,7 +27,8 @@ from modetune.core.algebra.eigen import KEPT, ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.solved_modes import SolvedModes
-from modetune.core.errors import ModesError, ModetuneError
+from modetune.core.algebra.vector_room import put_in_file
+from modetune.core.errors import ModesError, ModetuneError, SolverExhausted
 from modetune.core.modes import Floats, Integers
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.matrix_samples import differences
@@ -40,10 +43,12 @@ from modetune.flows.updating.observed_modes import observer_of, solved_energies
 
 logger = logging.getLogger(__name__)
 
+T = TypeVar("T")
+
 #: Unknowns from which full solutions that others begin with are in the store meanwhile: those of
 #: smaller models are found again in a few times what it takes to keep them.
 KEPT_FROM = 50_000
-#: Share of the memory that the matrices of all values may take, beside those of a set.
+#: Share of the memory that the matrices of all values, or a basis, may take.
 IN_MEMORY = 0.1
 #: What a campaign that goes on makes first, for people who watch.
 AGAIN = "what the search begins with, once more"
@@ -133,14 +138,20 @@ class StoredModel:
         """For all values; in files where they would take much of the memory that factors need."""
         columns = range(len(self.source.parameters))
         found = self.source.last_matrices(self.campaign.start, columns)
-        engine = self.source.engine
-        if found.n_bytes <= IN_MEMORY * engine.memory_bytes:
-            return found
-        files = engine.room.files()
+        return found if found.n_bytes <= self.in_memory else self.in_files(found.in_files)
+
+    @property
+    def in_memory(self) -> float:
+        """What large arrays may take in memory, bytes."""
+        return IN_MEMORY * self.source.engine.memory_bytes
+
+    def in_files(self, put: Callable[[Path], T]) -> T:
+        """What puts arrays in files of a folder; these have no names, and go with the arrays."""
+        files = self.source.engine.room.files()
         try:
-            return found.in_files(files.folder)
+            return put(files.folder)
         finally:
-            files.remove()  # what is in them goes with the matrices
+            files.remove()
 
     def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
         """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
@@ -226,7 +237,7 @@ class Solutions:
     ) -> tuple[SolvedModes, tuple[Floats, int]]:
         """Modes of the matrices that the solver assembles at a set, and of these modes energies
         (n_modes,) and how many are rigid. begun: has it begin, and gives what waits for its end;
-        count: whether it is proved that none is missing.
+        count: whether it is to be proved that none is missing, for which there may be no room.
 
         Where the matrices differ from those of all values by the rounding of their text alone they
         have the same modes, which are looked for while the solver is at it, if its job leaves
@@ -238,17 +249,31 @@ class Solutions:
         beside = self.engine.cores_beside
         if self.engine.policy.memory_bytes:  # what a campaign names is the job's alone
             self._solver, self._factors, beside = ModeSolver(count=False), None, 0
+            self._newest = self._first = self._basis = None
+            start = replace(start, basis=None)
         if not beside:
             wait()
         try:
-            found = self._solved(item, start, there, count, beside)[1]
+            found = self._counted(item, start, there, count, beside)
         except ModetuneError:
             wait()
             raise
         here = wait()
         if any(upper.nnz for upper in differences(there, here)):
-            there, found = here, self._solved(item, start, here, count)[1]
+            there, found = here, self._counted(item, start, here, found.counted)
         return found, solved_energies(self.model.campaign, there, found)
+
+    def _counted(
+        self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool, beside: int = 0
+    ) -> SolvedModes:
+        """As `_solved`, uncounted where a count has no room and may be left out."""
+        try:
+            return self._solved(item, start, here, count, beside)[1]
+        except SolverExhausted as error:
+            if not count or self.engine.policy.single_factors is False:
+                raise
+            logger.warning("modes at the end are not counted: %s", error)
+            return self._solved(item, start, here, False, beside)[1]
 
     def lent(self) -> ModeSolver:
         """What solves the model, to whoever leaves other factors in it."""
@@ -307,7 +332,10 @@ class Solutions:
                     solved.previous,
                     exact=own and self._solver.inverts_exactly,
                 )
-            self._basis = ReducedBasis(around, solved.n_rigid, solved.factors, *made)
+            reduced, vectors = made
+            if vectors.nbytes > self.model.in_memory:
+                vectors = self.model.in_files(lambda folder: put_in_file(folder, vectors.T).T)
+            self._basis = ReducedBasis(around, solved.n_rigid, solved.factors, reduced, vectors)
         return self._basis
 
     def _beginning(self, item: ModalSet) -> SearchStart:

@@ -25,7 +25,6 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.matrices import MatrixResult, symmetric
 from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.correlation.clusters import rotation_onto
-from modetune.core.errors import SolverExhausted
 from modetune.core.modes import CLOSE, Floats
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.derivative_vectors import MOST_FORCES
@@ -59,6 +58,10 @@ REDUCED_VERSION = 6
 RANGE_VERSION = 4
 #: The same of exact derivatives.
 DERIVATIVES_VERSION = 1
+
+
+class NotCounted(Exception):
+    """Modes were found for which a count had no room."""
 
 
 class MatrixModes:
@@ -126,11 +129,19 @@ class MatrixModes:
 
         keys = {counted: content_key(canonical_json(asked(counted))) for counted in (True, False)}
 
+        uncounted: list[tuple[SolvedModes, tuple[Floats, int]]] = []
+
+        def solved_there(counted: bool) -> tuple[SolvedModes, tuple[Floats, int]]:
+            n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
+            item = ModalSet(keys[counted], self.source.written(theta), n_modes, start)
+            return self._solutions.assembled(item, begun, counted)
+
         def found(counted: bool) -> tuple[str, ModalResult, bool]:
             def compute() -> ModalResult:
-                n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
-                item = ModalSet(keys[counted], self.source.written(theta), n_modes, start)
-                solved, more = self._solutions.assembled(item, begun, counted)
+                solved, more = uncounted.pop() if uncounted else solved_there(counted)
+                if counted and not solved.counted:
+                    uncounted.append((solved, more))
+                    raise NotCounted
                 self.engine.store.drop(job)  # as large as the model, and not asked for again
                 self._solutions.forget()
                 return modes_at(
@@ -141,15 +152,11 @@ class MatrixModes:
             modal = self._derived(asked(counted), compute, ModalResult, name)
             return keys[counted], self.engine.solver.by_hand(modal), counted
 
-        single = self.engine.policy.single_factors
-        if single or keys[False] in self.engine.store:
+        if self.engine.policy.single_factors or keys[False] in self.engine.store:
             return found(counted=False)
         try:
             return found(counted=True)
-        except SolverExhausted as error:
-            if single is False:
-                raise
-            logger.warning("modes at the end are not counted: %s", error)
+        except NotCounted:
             return found(counted=False)
 
     def release(self) -> None:

@@ -18,6 +18,7 @@ from modetune.adapters.calculix.parametric_deck import EditedCalculix
 from modetune.adapters.calculix.solver import JOB, CalculixProgram, calculix_solver
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Rendered
 from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.core.algebra import vector_room
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.errors import CampaignError, SolverExhausted
 from modetune.core.parameters import Parameter, Quantity, Values
@@ -571,7 +572,7 @@ def test_a_limit_of_memory_holds_whoever_finds_the_modes(
     assert not list((tmp_path / "store").glob("jobs/factors-*"))
 
 
-def test_matrices_of_all_values_in_files_lead_to_the_same_bits(
+def test_matrices_and_bases_in_files_lead_to_the_same_bits(
     bar_file: Path,
     bar_stored: CampaignRecord,
     tmp_path: Path,
@@ -585,8 +586,16 @@ def test_matrices_of_all_values_in_files_lead_to_the_same_bits(
         put.append(folder)
         return real(self, folder)
 
+    bases = list[tuple[int, ...]]()
+
+    def put_in_file(folder: Path, array: Any) -> Any:
+        bases.append(array.shape)
+        return vector_room.put_in_file(folder, array)
+
     monkeypatch.setattr(ParameterMatrices, "in_files", in_files)
+    monkeypatch.setattr(solutions, "put_in_file", put_in_file)
     record = update(bar_file, tmp_path, watcher, STORED)
+    assert bases  # those of reduced models too
     assert len(put) == 1  # once a campaign, in a folder of the store
     assert put[0].parent == tmp_path / "store" / "jobs"
     assert not put[0].exists()
