@@ -16,6 +16,7 @@ import json
 import shutil
 import sys
 import tempfile
+import threading
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -54,6 +55,9 @@ MATRICES = tuple(
 )
 #: An eigenvalue below this share of the largest one found, with its sign changed, is not rounding.
 NEGATIVE = 1e-6
+#: One thread at a time: NumPy has Python parse the heads of arrays, and Python 3.11 failed at that
+#: ("AST constructor recursion depth mismatch") where jobs side by side were read at once.
+_HEADERS = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +117,7 @@ def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Floats]:
     try:
         with open_regular(path) as stream:
             check_archive(path)
-            with np.load(stream, allow_pickle=False) as file:
+            with _HEADERS, np.load(stream, allow_pickle=False) as file:
                 return {name: file[name] for name in names}
     except (OSError, *NO_ARRAYS) as error:
         raise NoResult(f"the result {path} is missing, cut or damaged: {error}") from error
