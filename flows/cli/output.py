@@ -10,7 +10,6 @@ from rich.text import Text
 
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
-from modetune.flows.campaign.terminal import terminal
 from modetune.flows.report.tables import Table, show
 from modetune.flows.studies.ending import StudyEnd, near
 
@@ -32,6 +31,8 @@ def print_end(end: StudyEnd, as_json: bool) -> None:
         with writing(end.json_file) as part:
             part.write_text(json.dumps(result, indent=1), encoding="utf-8")
     if end.shown is not None and not as_json:
+        from modetune.flows.campaign.terminal import terminal
+
         end.shown(terminal())
     else:
         lines = (Text(line, style="red" if line in end.doubts else "") for line in end.lines)
