@@ -42,7 +42,7 @@ from typer.models import ArgumentInfo, OptionInfo
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
-from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.ending import StudyEnd, near
 from modetune.flows.studies.requests import FILE_OR_WORDS
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ class CampaignOptions(StudyOptions):
     def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
         from modetune.flows.report.page import check_page
 
-        progress.working(f"reading {self.campaign_file.name}")
+        progress.working(f"reading {near(self.campaign_file)}")
         page, figures = places(self)
         check_page(page)
         campaign = campaign or self.load()
@@ -202,7 +202,7 @@ class DeckOptions(StudyOptions):
         from modetune.flows.report.page import check_page
         from modetune.flows.updating.modal_run import parse_values
 
-        progress.working(f"{study}: reading {self.model.name}")
+        progress.working(f"{study}: reading {near(self.model)}")
         check_page(places(self)[0])
         changed = with_model(self.settings, self.solver, self.units)
         campaign = campaign or looked_at(self.model, changed, self.test_files)

@@ -12,7 +12,7 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
-from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.ending import StudyEnd, near
 from modetune.flows.studies.requests import ModelState
 from modetune.flows.studies.study import (
     ModelPath,
@@ -75,7 +75,7 @@ class CheckOptions(StudyOptions):
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.campaign.sketch import looked_at
 
-        progress.working(f"reading {self.campaign_file.name}")
+        progress.working(f"reading {near(self.campaign_file)}")
         changed = with_model(self.settings, self.solver, self.units)
         if campaign is None and self.against is not None:
             campaign = load_campaign(self.campaign_file, changed)

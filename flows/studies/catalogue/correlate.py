@@ -14,7 +14,7 @@ from modetune.core.near_names import listed
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, frame, json_object, table_of
-from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.ending import StudyEnd, near
 from modetune.flows.studies.requests import MassReduction, ModelState
 from modetune.flows.studies.study import (
     Figures,
@@ -75,8 +75,10 @@ class CorrelateOptions(StudyOptions):
     figures: Figures = None
 
     def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
-        names = [names_of(files) for files in (self.first, self.second) if files]
-        progress.working(f"comparing {' with '.join(names)}")
+        sides = (
+            ", ".join(str(near(path)) for path in files) for files in (self.first, self.second)
+        )
+        progress.working(f"comparing {' with '.join(filter(None, sides))}")
         if not self.second and self.second_at:
             raise CampaignError("--second-at is of a second campaign, and none is named")
         return Opened(self.first[0].stem, progress, charted=self.figures is not None)
@@ -94,11 +96,6 @@ class CorrelateOptions(StudyOptions):
 
         sides = (self.first, self.at), (self.second, self.second_at)
         return [source(Path(",".join(map(str, files))), at or ()) for files, at in sides if files]
-
-
-def names_of(files: Sequence[Path]) -> str:
-    """The names of files, with commas."""
-    return ", ".join(path.name for path in files)
 
 
 @study(CorrelateOptions)
