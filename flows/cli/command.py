@@ -56,12 +56,16 @@ def command_of(
 def run_study(study: Study, parameters: Mapping[str, Any], no_prefect: bool) -> StudyEnd:
     """Run a study with its progress on standard error. Raises the errors of the study."""
     from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.server.run import carried_out
-    from modetune.flows.updating.display import ConsoleProgress
+    from modetune.flows.jobs.progress import JobProgress
 
-    with ConsoleProgress(terminal(stderr=True)).shown() as progress:
+    console = terminal(stderr=True)
+    with JobProgress(console).shown() as jobs:
+        jobs.working(study.beginning(parameters))  # the imports below take a moment
+        from modetune.flows.server.run import carried_out
+        from modetune.flows.updating.display import ConsoleProgress
+
         door: Literal["off", "start"] = "off" if no_prefect else "start"
-        return carried_out(study, parameters, progress, prefect=door)
+        return carried_out(study, parameters, ConsoleProgress(console, jobs), prefect=door)
 
 
 def parse_study(line: str) -> tuple[Study, dict[str, Any]]:

@@ -131,12 +131,17 @@ class StudyOptions:
 
     settings: Settings = field(default=None, kw_only=True)
 
-    def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         """Load and check what the study works on.
 
         campaign: one that Python has loaded already. Raises CampaignError, ModelError,
         StorageUnavailable.
         """
+        raise NotImplementedError
+
+    @property
+    def beginning(self) -> str:
+        """What is done first, for people."""
         raise NotImplementedError
 
     @property
@@ -151,10 +156,14 @@ class CampaignOptions(StudyOptions):
 
     campaign_file: CampaignPath
 
-    def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
+    @property
+    def beginning(self) -> str:
+        return f"reading {near(self.campaign_file)}"
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         from modetune.flows.report.page import check_page
 
-        progress.working(f"reading {near(self.campaign_file)}")
+        progress.working(self.beginning)
         page, figures = places(self)
         check_page(page)
         campaign = campaign or self.load()
@@ -197,12 +206,16 @@ class DeckOptions(StudyOptions):
     solver: SolverChoice = None
     units: UnitsChoice = None
 
-    def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
+    @property
+    def beginning(self) -> str:
+        return f"reading {near(self.model)}"
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         from modetune.flows.campaign.sketch import looked_at
         from modetune.flows.report.page import check_page
         from modetune.flows.updating.modal_run import parse_values
 
-        progress.working(f"{study}: reading {near(self.model)}")
+        progress.working(self.beginning)
         check_page(places(self)[0])
         changed = with_model(self.settings, self.solver, self.units)
         campaign = campaign or looked_at(self.model, changed, self.test_files)
@@ -469,6 +482,10 @@ class Study:
         """Whether a solver may run with these parameters. Raises CampaignError."""
         return self._opening(parameters).solves
 
+    def beginning(self, parameters: Mapping[str, Any]) -> str:
+        """What is done first, for people: said before anything heavy is imported."""
+        return self._opening(parameters).beginning
+
     @contextmanager
     def opened(
         self, parameters: Mapping[str, Any], progress: Progress, campaign: Campaign | None = None
@@ -478,7 +495,7 @@ class Study:
         campaign: one that Python has loaded already. Raises CampaignError, ModelError,
         StorageUnavailable.
         """
-        yield self._opening(parameters).open(self.name, progress, campaign)
+        yield self._opening(parameters).open(progress, campaign)
 
     def call(self, on: Opened, parameters: Mapping[str, Any]) -> StudyEnd:
         """Run the study and write its page and figures. Raises the errors of its function."""

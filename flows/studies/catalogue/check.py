@@ -65,7 +65,11 @@ class CheckOptions(StudyOptions):
         typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
     ] = None
 
-    def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
+    @property
+    def beginning(self) -> str:
+        return f"reading {near(self.campaign_file)}"
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         if self.record is not None and self.against is None:
             raise CampaignError(
                 "--record requires a baseline to compare with; name one with --against"
@@ -75,7 +79,7 @@ class CheckOptions(StudyOptions):
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.campaign.sketch import looked_at
 
-        progress.working(f"reading {near(self.campaign_file)}")
+        progress.working(self.beginning)
         changed = with_model(self.settings, self.solver, self.units)
         if campaign is None and self.against is not None:
             campaign = load_campaign(self.campaign_file, changed)

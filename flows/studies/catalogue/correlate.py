@@ -74,11 +74,13 @@ class CorrelateOptions(StudyOptions):
     units: UnitsChoice = None
     figures: Figures = None
 
-    def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
-        sides = (
-            ", ".join(str(near(path)) for path in files) for files in (self.first, self.second)
-        )
-        progress.working(f"comparing {' with '.join(filter(None, sides))}")
+    @property
+    def beginning(self) -> str:
+        sides = (", ".join(str(near(path)) for path in side) for side in (self.first, self.second))
+        return f"comparing {' with '.join(filter(None, sides))}"
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        progress.working(self.beginning)
         if not self.second and self.second_at:
             raise CampaignError("--second-at is of a second campaign, and none is named")
         return Opened(self.first[0].stem, progress, charted=self.figures is not None)

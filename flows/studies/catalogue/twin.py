@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.flows.report.tables import Table
-from modetune.flows.studies.ending import StudyEnd, near
+from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.study import At, CampaignOptions, Opened, study
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ class TwinOptions(CampaignOptions):
 
     at: At = None
 
-    def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
-        progress.working(f"reading {near(self.campaign_file)}")
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        progress.working(self.beginning)
         return Opened(self.campaign_file.stem, progress)
 
 

@@ -30,10 +30,10 @@ class UpdateOptions(CampaignOptions):
     ] = None
     runs: Runs = Path("runs")
 
-    def open(self, study: str, progress: Progress, campaign: Campaign | None) -> Opened:
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         if campaign is not None and self.starts is not None:
             raise CampaignError("the campaign is loaded already; give `update.starts` to load")
-        return super().open(study, progress, campaign)
+        return super().open(progress, campaign)
 
     def load(self) -> Campaign:
         from modetune.flows.campaign.campaign import load_campaign
