@@ -39,15 +39,13 @@ from modetune.flows.studies.correlate.correlate import (
     correlate,
     orthogonality,
 )
+from modetune.flows.studies.requests import MassReduction
 from modetune.flows.updating.baseline import State
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.modal_run import parse_values
 from modetune.flows.updating.running import job_engine
 
 SourceKind = Literal["campaign", "deck", "record", "test"]
-#: How a mass matrix is reduced to the sensors.
-Reduced = Literal["guyan", "serep"]
-METHODS: tuple[Reduced, ...] = ("guyan", "serep")
 #: Kinds that have a model to be solved.
 MODELS = ("campaign", "deck")
 
@@ -120,7 +118,7 @@ def correlate_sources(
     second: ComparedSource | None,
     state: State = "updated",
     settings: Sequence[str] = (),
-    method: Reduced | None = None,
+    method: MassReduction | None = None,
     watcher: JobWatcher | None = None,
 ) -> Correlation:
     """Compare two sources, or a campaign or record with its own test.
@@ -274,7 +272,7 @@ def _read(item: ComparedSource, state: State) -> Side:
 
 
 def _orthogonality(
-    found: Correlation, model: Model, method: Reduced, watcher: JobWatcher | None
+    found: Correlation, model: Model, method: MassReduction, watcher: JobWatcher | None
 ) -> Orthogonality:
     """One matrix job; common degrees of freedom that can move are masters."""
     full, names = full_model(model.campaign, model.values, watcher), list(found.dofs)
