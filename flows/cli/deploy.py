@@ -1,15 +1,19 @@
-"""`modetune deploy`: an update or a study of a campaign on a Prefect server."""
+"""`modetune deploy`: a study of a campaign on a Prefect server."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from modetune.flows.cli.options import AsJson
 from modetune.flows.cli.server import POOL, CronLine, Name, Pool, StudyLine, TimeZone, serving
 from modetune.flows.studies.study import CampaignPath, Runs, Settings
+
+if TYPE_CHECKING:
+    from modetune.flows.studies.study import Study
 
 
 def deploy(
@@ -23,32 +27,45 @@ def deploy(
     runs: Runs = Path("runs"),
     as_json: AsJson = False,
 ) -> None:
-    """Put an update, or a study, of the campaign on a Prefect server, to be run by a worker, on a
-    schedule or when asked."""
-    from modetune.flows.cli.studies import read_study
-
-    asked = read_study(study, campaign_file)
-    campaign = asked.campaign(campaign_file, settings or [])
-    name = name or campaign.name
-    with serving() as server, server.api() as api:
+    """Put a study of the campaign on a Prefect server, to be run by a worker, on a schedule or when
+    asked."""
+    chosen, parameters, own_name = deployable(study, campaign_file, settings, runs)
+    name = name or own_name
+    with serving() as server:
         from modetune.flows.server import deployment
 
         schedule = deployment.Schedule(cron, timezone)
-        deployment.deploy(api, campaign, (asked.name, asked.options), runs, name, schedule, pool)
-        told = {
+        deployment.deploy(chosen, parameters, name, schedule, pool)
+        summary = {
             "status": "deployed",
-            "deployment": f"{asked.name}/{name}",
+            "deployment": f"{chosen.name}/{name}",
             "pool": pool,
             "cron": cron,
             "timezone": timezone if cron else None,
             "server": server.pages,
         }
     if as_json:
-        typer.echo(json.dumps(told))
+        typer.echo(json.dumps(summary))
         return
     when = f"at `{cron}` ({timezone})" if cron else "when asked"
     typer.echo(
-        f"deployed as {told['deployment']} on {told['server']}; it runs {when}, once a worker is "
-        "there:\n"
-        f"  modetune worker --pool {pool}"
+        f"deployed as {summary['deployment']} on {server.pages}; it runs {when}, once a worker is "
+        f"there:\n  modetune worker --pool {pool}"
     )
+
+
+def deployable(
+    line: str, campaign_file: Path, settings: list[str] | None, runs: Path
+) -> tuple[Study, dict[str, Any], str]:
+    """Return a study as typed, its parameters and the campaign's name. Raises CampaignError."""
+    from modetune.flows.cli.command import parse_study
+    from modetune.flows.updating.updating import Unwatched
+
+    study, options = parse_study(line)
+    first, *others = study.fields
+    typed = {first.name: campaign_file, "settings": settings or [], **options}
+    if any(item.name == "runs" for item in others):
+        typed["runs"] = runs
+    checked = study.checked(typed)
+    with study.opened(checked, Unwatched()) as on:
+        return study, {key: checked[key] for key in typed}, on.name

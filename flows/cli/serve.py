@@ -1,13 +1,23 @@
-"""`modetune serve`: an update or a study of a campaign on a schedule, from this process."""
+"""`modetune serve`: a study of a campaign on a schedule, from this process."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import typer
 
+from modetune.flows.cli.deploy import deployable
 from modetune.flows.cli.options import stoppable
-from modetune.flows.cli.server import CronLine, Name, StudyLine, TimeZone, WithoutLogin, serving
+from modetune.flows.cli.server import (
+    POLL,
+    CronLine,
+    Name,
+    StudyLine,
+    TimeZone,
+    WithoutLogin,
+    serving,
+)
 from modetune.flows.studies.study import CampaignPath, Runs, Settings
 
 
@@ -21,28 +31,23 @@ def serve(
     runs: Runs = Path("runs"),
     without_login: WithoutLogin = False,
 ) -> None:
-    """Run the campaign on a schedule from this process, until Ctrl-C."""
-    from modetune.flows.cli.studies import read_study
-
-    asked = read_study(study, campaign_file)
-    campaign = asked.campaign(campaign_file, settings or [])
-    name = name or campaign.name
-    said = "the schedule is paused; the same command goes on with it"
-    with stoppable(said), serving() as server:
+    """Deploy the campaign and work for its own pool in this process, until Ctrl-C."""
+    chosen, parameters, own_name = deployable(study, campaign_file, settings, runs)
+    name = name or own_name
+    os.environ.update(POLL)
+    paused = "the schedule is paused; the same command continues it"
+    with stoppable(paused), serving() as server:
         from modetune.flows.server import deployment
-        from modetune.flows.server.worker import Worker, check_login
+        from modetune.flows.server.worker import check_login, work
 
         if not without_login:
-            check_login(server)
+            check_login(server.address.url)
         pool, schedule = f"serve-{name}", deployment.Schedule(cron, timezone)
-        with server.api() as api:
-            told = asked.name, asked.options
-            kept = deployment.deploy(api, campaign, told, runs, name, schedule, pool)
+        identity = deployment.deploy(chosen, parameters, name, schedule, pool)
         when = f"at `{cron}` ({timezone})" if cron else "when asked"
-        typer.echo(f"serving {asked.name}/{name} {when}; pages at {server.pages}; Ctrl-C ends it")
-        keeper = Worker(server, pool, 1)
+        typer.echo(f"serving {chosen.name}/{name} {when}; pages at {server.pages}; Ctrl-C ends it")
+        folders = [campaign_file.parent, *chosen.paths(chosen.checked(parameters))]
         try:
-            keeper.work(once=False)
+            work(server, pool, folders, limit=1, without_login=without_login)
         finally:
-            with keeper.server.api() as api:
-                deployment.pause(api, kept)
+            deployment.pause(identity)

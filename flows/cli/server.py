@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
@@ -22,8 +23,7 @@ StudyLine = Annotated[
     str,
     typer.Option(
         "--study",
-        help="What is run, as it is typed without the campaign: update, 'screen --method morris', "
-        "sample, validate, localise, check, pretest, correlate.",
+        help="Study and its options, as typed without the campaign: 'screen --method morris'.",
     ),
 ]
 TimeZone = Annotated[str, typer.Option("--timezone", help="Of the schedule, e.g. Europe/Berlin.")]
@@ -39,6 +39,8 @@ WithoutLogin = Annotated[
 ]
 #: The work pool that is meant where none is named.
 POOL = "modetune"
+#: How often Prefect's worker asks for runs that are due, in seconds.
+POLL = {"PREFECT_WORKER_QUERY_SECONDS": "5", "PREFECT_WORKER_HEARTBEAT_SECONDS": "10"}
 
 
 @server_app.command("status")
@@ -72,7 +74,10 @@ def server_stop() -> None:
 
 @contextmanager
 def serving() -> Iterator[SharedServer]:
-    """A server that answers, in use for as long as this lasts. Raises ModetuneError."""
+    """A server that answers, in use while this lasts, with Prefect as its client.
+
+    Raises ModetuneError.
+    """
     from modetune.flows.jobs.prefect_server import use_server
 
     server = use_server()
@@ -80,6 +85,7 @@ def serving() -> Iterator[SharedServer]:
         found = server.wait(waiting=_show_wait)
         if found != "ready":
             raise ModetuneError(server.describe(found))
+        os.environ.update(server.settings())  # before Prefect is imported
         yield server
     finally:
         server.close()

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from modetune.flows.cli.options import stoppable
-from modetune.flows.cli.server import POOL, Pool, WithoutLogin, serving
+from modetune.flows.cli.server import POLL, POOL, Pool, WithoutLogin, serving
 
 
 def worker(
     pool: Pool = POOL,
+    folder: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Campaigns and run folders must be below it; may be repeated; the current one by "
+            "default."
+        ),
+    ] = None,
     limit: Annotated[
         int | None, typer.Option(min=1, help="Campaigns at the same time; any number by default.")
     ] = None,
@@ -19,12 +28,20 @@ def worker(
     without_login: WithoutLogin = False,
 ) -> None:
     """Run deployed campaigns of a work pool on this machine, until Ctrl-C."""
-    said = "the worker has ended; runs that are due wait for the next one"
-    with stoppable(said), serving() as server:
-        from modetune.flows.server.worker import Worker, check_login
+    os.environ.update(POLL)
+    with stoppable("the worker has ended; runs that are due wait for the next one"):
+        with serving() as server:
+            from modetune.flows.server.worker import check_login, work
 
-        if not without_login:
-            check_login(server)
-        if not once:
-            typer.echo(f"working for pool {pool} of {server.pages}; Ctrl-C ends it")
-        Worker(server, pool, limit).work(once)
+            if not without_login:
+                check_login(server.address.url)
+            if not once:
+                typer.echo(f"working for pool {pool} of {server.pages}; Ctrl-C ends it")
+            work(
+                server,
+                pool,
+                folder or [Path()],
+                limit=limit,
+                once=once,
+                without_login=without_login,
+            )

@@ -363,10 +363,25 @@ def is_keeper(pid: int) -> bool:
     return False
 
 
+def _free_port(home: Path) -> int:
+    """Return the port of the server before, so that its clients find the new one, or any other."""
+    before = read_address(home)
+    ports = [urlsplit(before.url).port or 0, 0] if before is not None else [0]
+    for port in ports:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the server does
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                if port:
+                    continue  # another process has it
+                raise
+            return int(probe.getsockname()[1])
+    raise AssertionError("the system has no free port")
+
+
 def _start(home: Path) -> Address:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = _free_port(home)
     module = "modetune.flows.jobs.prefect_server"
     with (home / "server.log").open("wb") as log, Path(os.devnull).open("rb") as nothing:
         keeper = os.posix_spawn(  # not Popen, which warns of a child that outlives it
@@ -420,17 +435,14 @@ def keep(home: Path, port: int) -> None:
     try:
         _wait_for_idleness(home, f"http://127.0.0.1:{port}/api", server)
     finally:
-        _end(home, server)
+        _end(server)
 
 
-def _end(home: Path, server: subprocess.Popen[bytes]) -> None:
-    """End the server and remove its address, unless another server has written its own."""
+def _end(server: subprocess.Popen[bytes]) -> None:
+    """End the server; its address is kept for the next one."""
     assert server.stdin is not None
     server.stdin.close()
     server.wait()
-    address = read_address(home)
-    if address is not None and address.pid == os.getpid():
-        (home / "server.json").unlink(missing_ok=True)
 
 
 def _wait_for_idleness(home: Path, url: str, server: subprocess.Popen[bytes]) -> None:
@@ -450,7 +462,7 @@ def _wait_for_idleness(home: Path, url: str, server: subprocess.Popen[bytes]) ->
             if _in_use(home):
                 used = time.monotonic()
             elif time.monotonic() - used > limit:
-                _end(home, server)
+                _end(server)
                 return
     sys.stderr.write(f"Prefect's server ended unexpectedly with code {server.returncode}\n")
 

@@ -44,14 +44,20 @@ def send_heartbeat(client: ServerClient, run: str, seconds: float = 4.0) -> None
     client.post("/events", [event], seconds)
 
 
-def mark_crashed(client: ServerClient, run: str, message: str) -> None:
-    """Mark a run as crashed unless it has ended. Raises ServerRefused."""
-    state = {"type": "CRASHED", "name": "Crashed", "message": message}
+def _end(client: ServerClient, run: str, before: str) -> None:
+    """Mark a silent run as crashed, as cancelled where that was asked, unless it has ended."""
+    message = f"no heartbeat for {SILENT_S:.0f} s: its process, or its machine, is gone"
+    # From Cancelling the server accepts no other final state.
+    kind = "CANCELLED" if before == "CANCELLING" else "CRASHED"
+    state = {"type": kind, "name": kind.capitalize(), "message": message}
     client.post(f"/flow_runs/{run}/set_state", {"state": state})
 
 
 class SilentRuns:
-    """Runs of one server, and when each of them last sent a heartbeat."""
+    """Runs of one server, and when each of them last sent a heartbeat.
+
+    A run that never sent one counts from when it was first seen.
+    """
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[object, float]] = {}
@@ -68,11 +74,10 @@ class SilentRuns:
             before, since = last.get(run["id"], (sign, now))
             self._last[run["id"]] = sign, since if sign == before else now
             if sign == before and now - since > SILENT_S:
-                silent.append(str(run["id"]))
-        for run_id in silent:
-            message = f"no heartbeat for {SILENT_S:.0f} s: its process, or its machine, is gone"
-            mark_crashed(client, run_id, message)
-        return silent
+                silent.append(run)
+        for run in silent:
+            _end(client, run["id"], run["state_type"])
+        return [str(run["id"]) for run in silent]
 
 
 def _heartbeats(client: ServerClient, runs: list[Any]) -> dict[str, object]:
