@@ -224,12 +224,14 @@ def use_server(start: bool = True) -> SharedServer | None:
     start: whether to start it; without, a server that is configured or runs, else None. Raises
     StorageUnavailable where the folder of the shared server cannot be written.
     """
-    configured = configured_server()
-    if configured is not None:
-        return configured
+    return configured_server() or (
+        shared_server() if start or running_address(server_home()) is not None else None
+    )
+
+
+def shared_server() -> SharedServer:
+    """Use the shared server, started where it does not run. Raises StorageUnavailable."""
     home = server_home()
-    if not start and running_address(home) is None:
-        return None
     remedy = f"name another place with {HOME_VARIABLE}, or use --no-prefect"
     with storage_errors(home / "server.json", remedy):
         make_private(home)

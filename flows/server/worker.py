@@ -43,7 +43,7 @@ from prefect.settings import (
 from prefect.workers.base import BaseJobConfiguration, BaseWorker, BaseWorkerResult
 
 from modetune.core.errors import ModetuneError
-from modetune.flows.jobs.prefect_server import SharedServer, use_server
+from modetune.flows.jobs.prefect_server import SharedServer, shared_server
 from modetune.flows.jobs.server_client import ServerClient, ServerRefused
 from modetune.flows.jobs.silent_runs import SilentRuns, send_heartbeat
 
@@ -130,8 +130,9 @@ class CampaignWorker(BaseWorker[FixedConfiguration, Any, Ended]):
     async def get_and_submit_flow_runs(self) -> list[FlowRun]:
         """Start runs that are due, and look for silent ones; wait for a server that is gone."""
         try:
-            found = await super().get_and_submit_flow_runs()
+            # First, because Prefect's client retries for a minute where a server is gone.
             await anyio.to_thread.run_sync(self._look)
+            found = await super().get_and_submit_flow_runs()
         except (httpx.HTTPError, OSError, ServerRefused) as error:
             await self._gone(error)
             return []
@@ -266,7 +267,7 @@ def restarted(server: SharedServer) -> SharedServer:
     if server.answer() == "ready":
         return server
     server.close()
-    found = use_server()
+    found = shared_server()
     found.wait()
     return found
 
