@@ -1,74 +1,78 @@
 """The verbs of the command line for Python: the same names, the same work, results to look at.
 
-Each takes a campaign, or the path of its file, and gives a result with frames (pandas), figures
-(matplotlib) and a repr of a few lines. Nothing is shown and Prefect is not used unless asked.
-`modetune` gives all of them: `import modetune; run = modetune.update("campaign.yaml")`.
+Each takes a campaign, or the path of its file, and returns a result with frames (pandas), figures
+(matplotlib) and a repr of a few lines. `modetune` gives all of them: `import modetune; run =
+modetune.update("campaign.yaml")`.
+
+The verbs that run a study have these arguments in common. settings: KEY.KEY: VALUE over the
+campaign file. progress: print what is being computed on standard error. prefect: start a Prefect
+server where none runs; without it a server is used that is configured or running, none with
+MODETUNE_NO_PREFECT=1. runs: where run folders go. figures: a folder for figures; page: an HTML
+file. solver, units: of a deck. All raise CampaignError, ModelError, SolverError, ModesError and
+StoreError.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
-from modetune.core.updating.direct import Filling
-from modetune.core.updating.results import ModalResult
-from modetune.flows.campaign.campaign import Campaign, load_campaign, load_model
+from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.objects import write_campaign
-from modetune.flows.campaign.sketch import looked_at
 from modetune.flows.campaign.terminal import terminal
-from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
-from modetune.flows.studies.condensation.direct import (
-    DirectCorrection,
-    DirectMethod,
-    correct_directly,
-)
-from modetune.flows.studies.condensation.expand import Expansions, expand_shapes
-from modetune.flows.studies.condensation.reduce import ModelReduction, reduce_model
-from modetune.flows.studies.correlate.correlate import Correlation
-from modetune.flows.studies.correlate.sides import correlate_sources, source
+from modetune.flows.server.run import carried_out
+from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
 from modetune.flows.studies.identify.operational import OperationalModes, identified
 from modetune.flows.studies.identify.reading import SpectraSettings, read_functions
 from modetune.flows.studies.init.draft import Draft
 from modetune.flows.studies.init.text import init_campaign
-from modetune.flows.studies.localise.localise import Localisation, place_of
-from modetune.flows.studies.localise.localise import localise as localise_error
-from modetune.flows.studies.pretest.running import Pretest, run_pretest
 from modetune.flows.studies.requests import (
-    PretestSettings,
+    Directions,
+    DirectMethod,
+    ExpansionMethod,
+    Filling,
+    MassReduction,
+    ModelState,
+    PlacementMethod,
     ReductionMethod,
-    ReductionRequest,
-    SamplingRequest,
-    ScatterRequest,
     ScreeningMethod,
-    ScreeningRequest,
 )
-from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.running import sample_campaign
-from modetune.flows.studies.scatter.record import ScatterRecord
-from modetune.flows.studies.scatter.running import scatter_campaign
-from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import screen_campaign
-from modetune.flows.studies.validate.leave_out import Validation
-from modetune.flows.studies.validate.leave_out import leave_one_out as judge_left_out
-from modetune.flows.studies.validate.leave_out import validate as judge_held_out
+from modetune.flows.studies.study import split_files
 from modetune.flows.updating.display import ConsoleProgress
-from modetune.flows.updating.modal_run import model_modes, parse_values
-from modetune.flows.updating.prefect import shown
 from modetune.flows.updating.run import CampaignRun, read_run
-from modetune.flows.updating.starts import update_from_starts
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.updating import Progress, Unwatched
+
+if TYPE_CHECKING:
+    from modetune.core.updating.results import ModalResult
+    from modetune.flows.studies.check.judging import PreCheckReport
+    from modetune.flows.studies.condensation.direct import DirectCorrection
+    from modetune.flows.studies.condensation.expand import Expansions
+    from modetune.flows.studies.condensation.reduce import ModelReduction
+    from modetune.flows.studies.correlate.correlate import Correlation
+    from modetune.flows.studies.cross_solver.cross_solver import Twin
+    from modetune.flows.studies.localise.localise import Localisation
+    from modetune.flows.studies.pretest.running import Pretest
+    from modetune.flows.studies.sample.record import PosteriorRecord
+    from modetune.flows.studies.scatter.record import ScatterRecord
+    from modetune.flows.studies.screen.record import Screening
+    from modetune.flows.studies.validate.leave_out import Validation
 
 StrPath = str | Path
 #: A campaign, the path of its file, or its keys with arrays in place of files.
 CampaignLike = Campaign | StrPath | Mapping[str, Any]
 #: KEY.KEY: VALUE over the campaign file, or the same as the command line has it.
 Settings = Mapping[str, Any] | Sequence[str]
+#: One path, or several.
+Paths = StrPath | Sequence[StrPath]
+#: Values of parameters relative to the deck, by name; the initial ones unless named.
+At = Mapping[str, float] | None
 
 
 def load(
@@ -81,31 +85,24 @@ def load(
     and dofs. It is written as a campaign file into a folder, `.modetune/campaigns/NAME` unless
     named. settings: {"update.max_iterations": 5}. Raises CampaignError with all problems.
     """
-    return _load(campaign, settings, folder, load_campaign)
+    return load_campaign(_campaign_path(campaign, folder), _texts(settings))
 
 
 def update(
     campaign: CampaignLike,
     runs: StrPath = "runs",
     *,
+    starts: int | None = None,
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
 ) -> CampaignRun:
     """Update a campaign's model until it agrees with its test, from all its `update.starts`.
 
-    Leaves record, updated deck and report in `runs/NAME`. progress: lines on standard error.
-    prefect: show the run on a Prefect server's pages. Raises SolverError, ModesError, StoreError.
+    Leaves record, updated deck and report in `runs/NAME`. starts: in place of `update.starts`.
     """
-    campaign = campaign_of(campaign, settings)
-    folder = Path(runs) / campaign.name
-    with _watched(progress) as watcher:
-        if not prefect:
-            return update_from_starts(campaign, folder, watcher)
-        with shown(campaign.name) as pages:
-            run = update_from_starts(campaign, folder, watcher, pages)
-            pages.ended(run.record, run.folder)
-            return run
+    found: CampaignRun = _found("update", locals())
+    return found
 
 
 def init(
@@ -128,33 +125,45 @@ def init(
 
 def modes(
     campaign: CampaignLike,
-    at: Mapping[str, float] | None = None,
+    at: At = None,
     *,
     number: int | None = None,
+    solver: str | None = None,
+    units: str | None = None,
     settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
 ) -> ModalResult:
     """The modes of a campaign's model or of a deck, rigid ones included, at the sensors and the
     nodes that are shown.
 
-    at: parameters' values relative to the deck, by name; the initial ones unless named. number: how
-    many modes. Raises CampaignError, SolverError, StoreError.
+    number: how many modes.
     """
-    loaded = _looked_at(campaign, settings)
-    return model_modes(loaded, _values(loaded, at), number)
+    found: ModalResult = _found("modes", locals())
+    return found
 
 
 def check(
     campaign: CampaignLike,
-    test: StrPath | Sequence[StrPath] = (),
+    test: Paths = (),
     *,
     run: bool = True,
+    solver: str | None = None,
+    units: str | None = None,
+    summary: StrPath | None = None,
+    junit: StrPath | None = None,
     settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
 ) -> PreCheckReport:
     """Judge campaign, test and model before updating, or a deck, alone or with a test's files.
 
-    run: with one modal run beside the test.
+    run: with one modal run beside the test. summary, junit: files for CI, in Markdown and XML.
     """
-    return check_campaign(_looked_at(campaign, settings, test), run=run)
+    given = locals()
+    given["no_run"] = not given.pop("run")
+    found: PreCheckReport = _found("check", given)
+    return found
 
 
 def screen(
@@ -163,18 +172,23 @@ def screen(
     *,
     points: int | None = None,
     choose: int | None = None,
+    levels: int | None = None,
     seed: int = 1,
+    out: StrPath | None = None,
+    figures: StrPath | None = None,
+    page: StrPath | None = None,
+    runs: StrPath = "runs",
     settings: Settings = (),
     progress: bool = False,
+    prefect: bool = False,
 ) -> Screening:
-    """Which parameters the test can tell, and which to update.
+    """Which parameters the test determines, and which to update; leaves `screening.h5`.
 
-    points: evaluation points at most; choose: how many parameters are proposed. Raises
-    CampaignError, SolverError, ModesError, StoreError.
+    points: evaluation points at most; choose: how many parameters are proposed; levels: of each
+    parameter, for morris and factorial; out: a campaign file with the proposed parameters alone.
     """
-    request = ScreeningRequest(method, points, seed, None, choose)
-    with _watched(progress) as watcher:
-        return screen_campaign(campaign_of(campaign, settings), request, watcher.working)
+    found: Screening = _found("screen", locals())
+    return found
 
 
 def sample(
@@ -182,19 +196,25 @@ def sample(
     *,
     record: StrPath | CampaignRun | None = None,
     points: int | None = None,
+    walkers: int | None = None,
+    steps: int = 2000,
+    checks: int | None = None,
     seed: int = 1,
+    figures: StrPath | None = None,
+    page: StrPath | None = None,
+    runs: StrPath = "runs",
     settings: Settings = (),
     progress: bool = False,
+    prefect: bool = False,
 ) -> PosteriorRecord:
-    """The posterior of a campaign's parameters.
+    """The posterior of a campaign's parameters; leaves `posterior.h5`.
 
-    record: an update that it starts from; points: solver runs over the range. Raises CampaignError
-    (the surrogate stays too poor), SolverError, ModesError, StoreError.
+    record: an update that it starts from; points: solver runs over the range; walkers, steps: of
+    the sampler; checks: samples that are solved for. Raises CampaignError where the surrogate stays
+    too poor.
     """
-    earlier = _run_of(record).record if record is not None else None
-    request = SamplingRequest(points=points, seed=seed)
-    with _watched(progress) as watcher:
-        return sample_campaign(campaign_of(campaign, settings), request, watcher.working, earlier)
+    found: PosteriorRecord = _found("sample", locals())
+    return found
 
 
 def scatter(
@@ -202,22 +222,25 @@ def scatter(
     *,
     of: Sequence[str] = (),
     measurement_deviation: float | None = None,
+    record: StrPath | CampaignRun | None = None,
     points: int | None = None,
     seed: int = 1,
+    figures: StrPath | None = None,
+    page: StrPath | None = None,
+    runs: StrPath = "runs",
     settings: Settings = (),
     progress: bool = False,
+    prefect: bool = False,
 ) -> ScatterRecord:
-    """The scatter of a campaign's parameters behind that of its repeated tests.
+    """The scatter of a campaign's parameters behind that of its repeated tests; leaves
+    `scatter.h5`.
 
     of: names of those that differ from test to test, all where none is named;
-    measurement_deviation: of a frequency by the measurement alone, relative. Raises CampaignError,
-    SolverError, ModesError, StoreError.
+    measurement_deviation: of a frequency by the measurement alone, relative; record: an update that
+    it starts from.
     """
-    request = ScatterRequest(tuple(of), measurement_deviation, points, seed)
-    with _watched(progress) as watcher:
-        return scatter_campaign(
-            campaign_of(campaign, settings), request, watcher.working, watcher=watcher
-        )
+    found: ScatterRecord = _found("scatter", locals())
+    return found
 
 
 def validate(
@@ -226,118 +249,178 @@ def validate(
     leave_one_out: bool = False,
     settings: Settings = (),
     progress: bool = False,
+    prefect: bool = False,
 ) -> Validation:
     """Judge an update by what it was not made from, before and after.
 
-    By what the campaign holds out, or by each used mode in turn. Raises CampaignError, SolverError,
-    ModesError, StoreError.
+    By what the campaign holds out, or by each used mode in turn.
     """
-    judge = judge_left_out if leave_one_out else judge_held_out
-    with _watched(progress) as watcher:
-        return judge(campaign_of(campaign, settings), watcher.working)
+    found: Validation = _found("validate", locals())
+    return found
 
 
 def localise(
     campaign: CampaignLike,
     *,
-    record: StrPath | None = None,
+    record: StrPath | CampaignRun | None = None,
     configuration: str | None = None,
+    figures: StrPath | None = None,
     settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
 ) -> Localisation:
     """Where the model is wrong, at the campaign's start or where an update left it.
 
-    configuration: which one, where the campaign has several. Raises SolverError, ModesError.
+    configuration: which one, where the campaign has several.
     """
-    place = place_of(
-        campaign_of(campaign, settings), None if record is None else Path(record), configuration
-    )
-    return localise_error(place.campaign, place.theta)
+    found: Localisation = _found("localise", locals())
+    return found
 
 
-def pretest(campaign: StrPath | Mapping[str, Any], **asked: Any) -> Pretest:
+def pretest(
+    campaign: CampaignLike,
+    *,
+    modes: Sequence[int] = (),
+    sensors: int | None = None,
+    method: PlacementMethod = "effective_independence",
+    candidates: StrPath = "surface",
+    directions: Directions = "xyz",
+    triaxial: bool = False,
+    distance: float | None = None,
+    exciters: int = 1,
+    by_mass: bool = False,
+    out: StrPath | None = None,
+    picture: StrPath | None = None,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> Pretest:
     """Places for sensors and exciters from the model alone.
 
-    asked: fields of PretestSettings: modes, sensors, method, candidates, directions, triaxial,
-    distance, exciters, by_mass. Raises CampaignError, ModesError, SolverError.
+    modes: numbers of elastic modes, from 1; sensors: how many; candidates: surface, all, or a file
+    of nodes; triaxial: three directions at a place are one sensor; distance: between sensors, the
+    deck's length; by_mass: weight shapes by the mass at each candidate; out: the sensors as points
+    of a test (CSV); picture: a PNG.
     """
-    try:
-        settings = PretestSettings(**asked)
-    except TypeError as error:
-        raise CampaignError(f"pretest: {error}") from None
-    return run_pretest(_load(campaign, (), None, load_model), settings)
+    found: Pretest = _found("pretest", locals())
+    return found
 
 
 def correlate(
-    first: StrPath,
-    second: StrPath | None = None,
+    first: Paths,
+    second: Paths | None = None,
     *,
-    state: Literal["updated", "initial"] = "updated",
+    state: ModelState = "updated",
     settings: Settings = (),
-    orthogonality: Literal["guyan", "serep"] | None = None,
+    orthogonality: MassReduction | None = None,
+    at: At = None,
+    second_at: At = None,
+    solver: str | None = None,
+    units: str | None = None,
+    out: StrPath | None = None,
+    figures: StrPath | None = None,
+    progress: bool = False,
+    prefect: bool = False,
 ) -> Correlation:
     """Pairs, MAC and COMAC of two campaigns, decks, records or tests; of one, beside its own test.
 
-    state: which model of a record. Raises CampaignError, SolverError, StoreError.
+    state: which model of a record; at, second_at: parameters of the campaigns; out: a CSV file.
     """
-    sides = source(Path(first)), source(Path(second)) if second is not None else None
-    return correlate_sources(*sides, state, _texts(settings), orthogonality)
+    found: Correlation = _found("correlate", locals())
+    return found
 
 
 def expand(
     campaign: CampaignLike,
-    test: StrPath | Sequence[StrPath] = (),
-    method: str | None = None,
+    test: Paths = (),
+    method: ExpansionMethod | None = None,
     *,
     modes: int | None = None,
-    at: Mapping[str, float] | None = None,
+    at: At = None,
+    out: StrPath | None = None,
+    paraview: StrPath | None = None,
+    figures: StrPath | None = None,
+    page: StrPath | None = None,
+    solver: str | None = None,
+    units: str | None = None,
     settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
 ) -> Expansions:
     """The test's shapes at all nodes of a campaign's model or a deck, by all methods or one.
 
-    modes: elastic modes of SEREP's basis, chosen by held-out sensors unless named; at: values of
-    parameters. Raises CampaignError, SolverError, StoreError.
+    modes: elastic modes of SEREP's basis, chosen by held-out sensors unless named; out: a test
+    file; paraview: a folder.
     """
-    loaded = _looked_at(campaign, settings, test)
-    return expand_shapes(loaded, _values(loaded, at), method, modes)
+    found: Expansions = _found("expand", locals())
+    return found
 
 
 def reduce(
     campaign: CampaignLike,
     method: ReductionMethod = "guyan",
-    masters: Sequence[str] = (),
+    masters: Sequence[str] | StrPath = (),
     *,
-    test: StrPath | Sequence[StrPath] = (),
+    test: Paths = (),
     modes: int | None = None,
-    at: Mapping[str, float] | None = None,
+    at: At = None,
+    out: StrPath | None = None,
+    page: StrPath | None = None,
+    solver: str | None = None,
+    units: str | None = None,
     settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
 ) -> ModelReduction:
-    """A model condensed to masters ("12.z", "13"), or to its test's sensors.
+    """A model condensed to masters ("12.z", "13", or a file of them), or to its test's sensors.
 
-    modes: how many are compared, kept by SEREP or added by Craig and Bampton. Raises CampaignError,
-    ModelError, SolverError, StoreError.
+    modes: how many are compared, kept by SEREP or added by Craig and Bampton; out: a file of
+    matrices.
     """
-    loaded = _looked_at(campaign, settings, test)
-    asked = ReductionRequest(method, ",".join(masters), modes)
-    return reduce_model(loaded, _values(loaded, at), asked)
+    found: ModelReduction = _found("reduce", locals())
+    return found
 
 
 def direct(
     campaign: CampaignLike,
-    test: StrPath | Sequence[StrPath] = (),
+    test: Paths = (),
     method: DirectMethod = "berman",
     filling: Filling = "kidder",
     *,
     mass_normalised: bool = False,
-    at: Mapping[str, float] | None = None,
+    at: At = None,
+    out: StrPath | None = None,
+    page: StrPath | None = None,
+    solver: str | None = None,
+    units: str | None = None,
     settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
 ) -> DirectCorrection:
     """A model's stiffness and mass corrected as whole matrices, and what that breaks in them.
 
-    mass_normalised: whether the test's shapes are of unit modal mass in the model's own unit.
-    Raises CampaignError, ModesError, ModelError, SolverError, StoreError.
+    mass_normalised: whether the test's shapes are of unit modal mass in the model's own unit; out:
+    a file of matrices.
     """
-    loaded = _looked_at(campaign, settings, test)
-    return correct_directly(loaded, _values(loaded, at), method, filling, mass_normalised)
+    found: DirectCorrection = _found("direct", locals())
+    return found
+
+
+def twin(
+    campaign: CampaignLike,
+    solvers: str = "nastran,calculix",
+    *,
+    at: At = None,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> Twin:
+    """The modes of one model by several solvers, compared with those of the first.
+
+    solvers: their names with commas.
+    """
+    found: Twin = _found("twin", locals())
+    return found
 
 
 def identify(
@@ -375,57 +458,66 @@ def read_record(path: StrPath) -> CampaignRun:
     return read_run(Path(path))
 
 
-def campaign_of(campaign: CampaignLike, settings: Settings = ()) -> Campaign:
-    """A campaign as it is, or loaded. Raises CampaignError."""
+def _found(name: str, given: dict[str, Any]) -> Any:
+    """The result of a study; given: the arguments of its verb, by their names."""
+    study = find_study(name)
+    first = study.fields[0].name
+    loaded, settings = None, given.pop("settings")
+    if "campaign" in given:
+        campaign = given.pop("campaign")
+        if given.get("test") and not isinstance(campaign, str | Path):
+            raise CampaignError("a test requires the path of a deck or of a campaign file")
+        if isinstance(campaign, Campaign):
+            if settings:
+                raise CampaignError("the campaign is loaded already; give the settings to load")
+            loaded, settings = campaign, campaign.settings
+        given[first] = _campaign_path(campaign, None)
+    watched: AbstractContextManager[Progress] = (
+        ConsoleProgress(terminal(stderr=True)).shown()
+        if given.pop("progress")
+        else nullcontext(Unwatched())
+    )
+    door = _door(given.pop("prefect"))
+    parameters = {"settings": _texts(settings)} | {
+        key: _parameter(key, value) for key, value in given.items()
+    }
+    with watched as progress:
+        return carried_out(study, parameters, progress, prefect=door, campaign=loaded).found
+
+
+def _door(start: bool) -> Literal["start", "find", "off"]:
+    """Which server a verb uses: one that it may start, one that is there, or none."""
+    if os.environ.get("MODETUNE_NO_PREFECT", "").lower() in ("1", "true", "t", "yes", "y", "on"):
+        return "off"
+    return "start" if start else "find"
+
+
+def _parameter(name: str, value: Any) -> Any:
+    """An argument of a verb as its study has it."""
+    if name in ("at", "second_at"):
+        return [f"{key}={float(number)!r}" for key, number in (value or {}).items()]
+    if name in ("test", "first", "second"):
+        one = isinstance(value, str | Path)
+        return split_files(str(value)) if one else _paths(value or ())
+    if name == "masters" and not isinstance(value, str | Path):
+        return ",".join(value)
+    return value.folder if isinstance(value, CampaignRun) else value
+
+
+def _campaign_path(campaign: CampaignLike, folder: StrPath | None) -> Path:
+    """The file of a campaign, which is written first where it consists of objects."""
     if isinstance(campaign, Campaign):
-        if settings:
-            raise CampaignError("the campaign is loaded already; give the settings to load")
-        return campaign
-    return load(campaign, settings)
-
-
-def _looked_at(
-    campaign: CampaignLike, settings: Settings, test: StrPath | Sequence[StrPath] = ()
-) -> Campaign:
-    """A campaign, which may lack test and parameters, or that of a deck. Raises CampaignError."""
-    if isinstance(campaign, str | Path):
-        return looked_at(Path(campaign), _texts(settings), _paths(test))
-    if test:
-        raise CampaignError("a test stands beside the path of a deck or of a campaign file")
-    return campaign_of(campaign, settings)
-
-
-def _values(campaign: Campaign, at: Mapping[str, float] | None) -> dict[str, float]:
-    asked = [f"{name}={float(value)!r}" for name, value in (at or {}).items()]
-    return parse_values(campaign, asked)
-
-
-def _paths(paths: StrPath | Sequence[StrPath]) -> list[Path]:
-    return [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
-
-
-def _load(
-    campaign: StrPath | Mapping[str, Any],
-    settings: Settings,
-    folder: StrPath | None,
-    load: Callable[[Path, list[str]], Campaign],
-) -> Campaign:
+        return campaign.file
     if isinstance(campaign, Mapping):
-        path = write_campaign(campaign, None if folder is None else Path(folder))
-    else:
-        path = Path(campaign)
-    return load(path, _texts(settings))
+        return write_campaign(campaign, None if folder is None else Path(folder))
+    return Path(campaign)
+
+
+def _paths(paths: Paths) -> list[Path]:
+    return [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
 
 
 def _texts(settings: Settings) -> list[str]:
     if isinstance(settings, Mapping):
         return [f"{key}={value}" for key, value in settings.items()]
     return list(settings)
-
-
-def _run_of(record: StrPath | CampaignRun) -> CampaignRun:
-    return record if isinstance(record, CampaignRun) else read_record(record)
-
-
-def _watched(progress: bool) -> AbstractContextManager[Any]:
-    return ConsoleProgress(terminal(stderr=True)).shown() if progress else nullcontext(Unwatched())

@@ -129,6 +129,8 @@ class SiteRun(Section):
     """What Slurm is told."""
     dask: DaskSection = DaskSection()
     """The Dask cluster."""
+    prefect: bool = True
+    """Prefect coordinates the run; off: a plain thread pool."""
 
 
 class RunSection(SiteRun):

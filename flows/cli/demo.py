@@ -15,10 +15,11 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
+from modetune.flows.cli.command import run_study
 from modetune.flows.cli.options import AsJson, begun, stoppable
-from modetune.flows.cli.update import run_update
-from modetune.flows.cli.update import show as show_update
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.studies.catalogue import find_study
+from modetune.flows.studies.ending import near
 
 if TYPE_CHECKING:
     from modetune.configs.claims import Beside, Claim
@@ -42,7 +43,10 @@ def demo(
     """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
     with begun(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
+        from modetune.flows.campaign.terminal import terminal
+        from modetune.flows.updating.display import show_run
         from modetune.flows.updating.recording import summary
+        from modetune.flows.updating.run import CampaignRun
 
         if case not in DEMOS:
             raise CampaignError(f"there is no demo {case!r}{suggestion(case, DEMOS)}")
@@ -53,16 +57,16 @@ def demo(
         if case == "lab":
             _identify_modes(folder)
     with stoppable():
-        run = run_update(folder / campaign, [], folder / "runs", with_prefect=case == "garteur")
+        parameters = {"campaign_file": folder / campaign, "runs": folder / "runs"}
+        end = run_study(find_study("update"), parameters, no_prefect=case != "garteur")
+        run = end.found
+        assert isinstance(run, CampaignRun)
         found = judge(run, folder)
     if as_json:
-        typer.echo(
-            json.dumps(
-                {**summary(run.record, run.folder), **json_object(found, "claims tables figures")}
-            )
-        )
+        case_summary = json_object(found, "claims tables figures")
+        typer.echo(json.dumps({**summary(run.record, near(run.folder)), **case_summary}))
     else:
-        show_update(run)
+        show_run(terminal(), run)
         _show(found)
     holds = all(claim.holds for claim in found.claims)
     raise typer.Exit(0 if run.record.status == "converged" and holds else 3)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import typer
 
-from modetune.flows.cli.options import AsJson, CampaignPath, Runs, Settings
+from modetune.flows.cli.options import AsJson
 from modetune.flows.cli.server import POOL, CronLine, Name, Pool, StudyLine, TimeZone, serving
+from modetune.flows.studies.study import CampaignPath, Runs, Settings
 
 
 def deploy(

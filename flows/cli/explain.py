@@ -12,8 +12,8 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, StorePlace, store_and_campaign
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def explain(
                 else "; a campaign file as --store tells of jobs that are still to be run"
             )
         )
-    tell_end(_told(found), [f"{heading:9}{text}" for heading, text in _lines(found)], as_json)
+    print_result(_told(found), [f"{heading:9}{text}" for heading, text in _lines(found)], as_json)
 
 
 def nearest_line(found: Nearest | None) -> str:

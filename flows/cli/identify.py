@@ -12,9 +12,10 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
-from modetune.flows.cli.options import AsJson, Figures, begun, stoppable
+from modetune.flows.cli.options import AsJson, begun, stoppable
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import Column, json_object, table_of
+from modetune.flows.studies.study import Figures
 
 if TYPE_CHECKING:
     from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
@@ -87,7 +88,7 @@ def identify(
     about |= json_object(found, "auto_mac", status="identified", modes=modes, notes=notes, out=out)
     table = table_of("Identified modes", modes, IdentifiedMode)
     lines += [*(f"note: {note}" for note in notes), *(f"written: {path}" for path in files)]
-    tell_end(about, [table, *lines], as_json)
+    print_result(about, [table, *lines], as_json)
 
 
 def _settings(

@@ -9,16 +9,10 @@ import typer
 
 from modetune.core.near_names import listed
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
-from modetune.flows.cli.options import (
-    AsJson,
-    SolverChoice,
-    UnitsChoice,
-    begun,
-    stoppable,
-    with_model,
-)
+from modetune.flows.cli.options import AsJson, begun, stoppable
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
+from modetune.flows.studies.study import SolverChoice, UnitsChoice, with_model
 
 if TYPE_CHECKING:
     from modetune.flows.studies.init.draft import Draft
@@ -45,7 +39,7 @@ def init(
         from modetune.flows.studies.init.text import init_campaign
 
         draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)
-    tell_end(told(draft), _lines(draft), as_json)
+    print_result(told(draft), _lines(draft), as_json)
 
 
 def told(draft: Draft) -> dict[str, Json]:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from modetune.core.errors import CampaignError
-from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import Column, json_object, table_of
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def inspect(
     modes = table_of("", _modes(inspection), MeasuredMode)
     notes = [f"note: {note}" for note in told["notes"]]
     written = [f"written: {path}" for path in told["written"]]
-    tell_end(told, [*_lines(told), modes, *notes, *written], as_json)
+    print_result(told, [*_lines(told), modes, *notes, *written], as_json)
 
 
 def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path]:

@@ -17,17 +17,20 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections.abc import Callable
 from importlib import import_module
 from inspect import cleandoc
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from modetune import __version__
 from modetune.core.errors import ModetuneError
+from modetune.flows.studies.catalogue import STUDIES, find_study
 
-#: In the order of a campaign's life, under the headings of `--help`; each is in the module of its
-#: name.
+#: In the order of a campaign's life, under the headings of `--help`. A study's command is derived
+#: from its definition, any other is in the module of its name.
 COMMANDS = {
     "The test": ("pretest", "inspect", "identify", "sensors"),
     "Model and test, before updating": (
@@ -72,17 +75,29 @@ def command_line(asked: str = "") -> typer.Typer:
     alone = any(asked in names for names in COMMANDS.values())
     for heading, names in COMMANDS.items():
         for name in (asked,) * (asked in names) if alone else names:
-            module = import_module(f"modetune.flows.cli.{name}")
-            group = getattr(module, f"{name}_app", None)
-            if group is not None:
-                app.add_typer(group, name=name, rich_help_panel=heading)
+            command = _command(name)
+            if isinstance(command, typer.Typer):
+                app.add_typer(command, name=name, rich_help_panel=heading)
                 continue
-            command = getattr(module, name)
             paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
             # Typer keeps line ends: a paragraph is broken anew at the terminal's width.
             told = "\n\n".join(" ".join(part.split()) for part in paragraphs)
             app.command(rich_help_panel=heading, help=told)(command)
     return app
+
+
+def _command(name: str) -> Callable[..., None] | typer.Typer:
+    """A command, or the group of commands of this name."""
+    if name in STUDIES:
+        from modetune.flows.cli.command import command_of
+        from modetune.flows.cli.update import show_dry_run
+
+        return command_of(find_study(name), show_dry_run if name == "update" else None)
+    module = import_module(f"modetune.flows.cli.{name}")
+    found: Callable[..., None] | typer.Typer = getattr(module, f"{name}_app", None) or getattr(
+        module, name
+    )
+    return found
 
 
 def __getattr__(name: str) -> typer.Typer:
@@ -134,6 +149,7 @@ def main() -> None:
 
 
 def _fail(reason: str, code: int) -> None:
+    reason = reason.replace(f"{Path.cwd()}{os.sep}", "")  # paths as people type them
     typer.echo(f"modetune: {reason}", err=True)
     if "--json" in sys.argv:
         typer.echo(json.dumps({"status": "failed", "reason": reason, "exit_code": code}))

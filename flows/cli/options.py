@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have, and how Ctrl-C ends those that keep jobs."""
+"""Options that several commands have besides those of studies, and how Ctrl-C ends commands."""
 
 from __future__ import annotations
 
@@ -18,46 +18,13 @@ if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.updating.prefect import Pages
 
-CampaignPath = Annotated[Path, typer.Argument(help="Campaign file (YAML).")]
-ModelPath = Annotated[Path, typer.Argument(help="Campaign file (YAML), or a deck.")]
-TestPath = Annotated[
-    Path | None,
-    typer.Argument(
-        help="Test in place of the campaign's own; several files of one test with commas."
-    ),
-]
-SolverChoice = Annotated[
-    str | None,
-    typer.Option(
-        "--solver",
-        help="Of a deck: calculix, nastran, mystran, matrices; else the first that is here and "
-        "takes it.",
-    ),
-]
-UnitsChoice = Annotated[
-    str | None,
-    typer.Option(
-        "--units",
-        help="Of a deck: m-kg-s, mm-t-s, in-slinch-s, ft-slug-s; else guessed from its materials "
-        "and told.",
-    ),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="KEY.KEY=VALUE over the campaign file; may be repeated."),
-]
-At = Annotated[
-    list[str] | None,
-    typer.Option(help="NAME=VALUE of a parameter, relative to the deck; may be repeated."),
-]
-Runs = Annotated[Path, typer.Option(help="Where run folders go.")]
-Figures = Annotated[Path | None, typer.Option(help="Folder for figures (PNG).")]
-Page = Annotated[
-    Path | None, typer.Option(help="HTML page with its tables and charts, one file (.html).")
-]
 NoPrefect = Annotated[
     bool,
-    typer.Option("--no-prefect", envvar="MODETUNE_NO_PREFECT", help="Without Prefect's pages."),
+    typer.Option(
+        "--no-prefect",
+        envvar="MODETUNE_NO_PREFECT",
+        help="Without Prefect: a thread pool runs the jobs.",
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
 
@@ -99,29 +66,6 @@ def on_pages(pages: Pages) -> Iterator[None]:
         yield
     finally:
         _given.reset(token)
-
-
-@contextmanager
-def paged(flow: str, name: str, without: bool) -> Iterator[Pages | None]:
-    """The pages of a run on Prefect's server, unless it goes without; those of the run that a
-    server started where this is its process. Their address goes to standard error."""
-    given = _given.get()
-    if given is not None or without:
-        yield given
-        return
-    from modetune.flows.updating.prefect import shown
-
-    def tell(address: str) -> None:
-        typer.echo(f"this run's page: {address}", err=True)
-
-    with shown(name, flow=flow, address=tell) as pages:
-        yield pages
-
-
-def with_model(settings: list[str] | None, solver: str | None, units: str | None) -> list[str]:
-    """Settings with those of `--solver` and `--units`."""
-    named = {"model.solver": solver, "model.units": units}
-    return [*(settings or []), *(f"{key}={value}" for key, value in named.items() if value)]
 
 
 @contextmanager

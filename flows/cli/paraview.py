@@ -12,9 +12,10 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
-from modetune.flows.cli.options import AsJson, Settings, stoppable
+from modetune.flows.cli.options import AsJson, stoppable
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
+from modetune.flows.studies.study import Settings
 
 if TYPE_CHECKING:
     from modetune.flows.studies.paraview.paraview import Series
@@ -63,7 +64,7 @@ def paraview(
     lines = [f"{x.state:8}  {x.file}  {x.n_modes} modes{_cost(x)}" for x in written]
     lines += [f"fields    {fields}"] if fields is not None else []
     lines += ["the campaign has not been run, so there is no updated model yet"] if unrun else []
-    tell_end(json_object(status="good", series=series, fields=fields), lines, as_json)
+    print_result(json_object(status="good", series=series, fields=fields), lines, as_json)
 
 
 def told_series(item: Series) -> dict[str, Json]:

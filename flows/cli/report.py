@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from modetune.core.near_names import named
-from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, begun
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
 
 
@@ -40,4 +40,5 @@ def report(
 
             pictures = save_all(dict(campaign_charts(known)), figures, form)
     told = json_object(known, "name", status="good", page=page, figures=pictures)
-    tell_end(told, [f"report  {page}", *(f"figure  {picture}" for picture in pictures)], as_json)
+    lines = [f"report  {page}", *(f"figure  {picture}" for picture in pictures)]
+    print_result(told, lines, as_json)

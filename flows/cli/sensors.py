@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
-from modetune.flows.cli.options import AsJson, CampaignPath, Settings, begun
+from modetune.flows.cli.options import AsJson, begun
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.study import CampaignPath, Settings
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.mapping import Mapping, SensorRow
@@ -48,7 +49,7 @@ def sensors(
         save_sensor_picture(picture, mapping, campaign.case.solver.deck.mesh())
     drawn = [f"picture: {picture}"] if picture is not None else []
     parts: list[Table | str] = [sensor_table(mapping), *sensor_lines(mapping), *drawn]
-    tell_end(told_sensors(mapping, picture), parts, as_json)
+    print_result(told_sensors(mapping, picture), parts, as_json)
 
 
 def sensor_table(mapping: Mapping) -> Table:

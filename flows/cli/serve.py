@@ -6,8 +6,9 @@ from pathlib import Path
 
 import typer
 
-from modetune.flows.cli.options import CampaignPath, Runs, Settings, stoppable
+from modetune.flows.cli.options import stoppable
 from modetune.flows.cli.server import CronLine, Name, StudyLine, TimeZone, WithoutLogin, serving
+from modetune.flows.studies.study import CampaignPath, Runs, Settings
 
 
 def serve(

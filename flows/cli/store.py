@@ -19,8 +19,8 @@ import typer
 
 from modetune.core.errors import CampaignError, StoreDamaged
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import tell_end
 from modetune.flows.cli.options import AsJson, StorePlace, stoppable, store_and_campaign
+from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import Column, table_of
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def store_ls(
     told: Json = {"store": str(place.folder), "results": list(map(_told, found))}
     none = [] if found else [f"{place.folder} has no such result"]
     rows = [_row(entry, time.time()) for entry in found]
-    tell_end(told, [table_of("", rows, EntryRow), *none], as_json)
+    print_result(told, [table_of("", rows, EntryRow), *none], as_json)
 
 
 @store_app.command("size")
@@ -130,7 +130,7 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
         for name, (files, size, wall_s) in sorted_sums
     ]
     said = f"{place.folder} holds {shown_size(total)}"
-    tell_end(told, [table_of("", rows, SumRow), said], as_json)
+    print_result(told, [table_of("", rows, SumRow), said], as_json)
 
 
 @store_app.command("check")
@@ -147,7 +147,7 @@ def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
     aside = [f"set aside: {place.folder / 'damaged' / path.name}" for path in damaged]
     keys: list[Json] = [path.name.partition(".")[0] for path in damaged]
     told: Json = {"store": str(place.folder), "whole": whole, "damaged": keys}
-    tell_end(told, [f"{whole} whole, {len(damaged)} damaged", *aside], as_json)
+    print_result(told, [f"{whole} whole, {len(damaged)} damaged", *aside], as_json)
     if damaged:
         raise typer.Exit(StoreDamaged.exit_code)
 
@@ -265,7 +265,7 @@ def _tell_removed(folder: Path, gone: Sequence[StoreFile], dry_run: bool, as_jso
         lines.append(f"{count:7} {what}: {shown_size(size)}")
     said = "would be freed" if dry_run else "freed"
     lines.append(f"{shown_size(total)} {said} in {folder}" if gone else "nothing to remove")
-    tell_end(done, lines, as_json)
+    print_result(done, lines, as_json)
 
 
 def _row(entry: IndexedEntry, now_s: float) -> EntryRow:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from modetune.core.errors import CampaignError
+from modetune.flows.cli.command import command_of
 from modetune.flows.cli.options import on_pages
+from modetune.flows.studies.catalogue import find_study
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
@@ -32,7 +33,7 @@ NOT_THERE = ("settings", "runs", "as_json", "no_prefect", "dry_run")
 WRONG: Any = typer.BadParameter.__bases__[0]
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 for study in STUDIES:
-    app.command()(getattr(import_module(f"modetune.flows.cli.{study}"), study))
+    app.command()(command_of(find_study(study)))
 
 
 @dataclass(frozen=True, slots=True)

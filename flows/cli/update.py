@@ -1,113 +1,29 @@
-"""`modetune update`: a campaign's model updated until it agrees with its test.
-
-Heavy packages are imported where they are needed.
-"""
+"""`modetune update --dry-run`: what an update would run."""
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from modetune.core.storage.keys import Json
 from modetune.flows.cli.explain import SHORT, nearest_line, told_job
-from modetune.flows.cli.options import (
-    AsJson,
-    CampaignPath,
-    NoPrefect,
-    Runs,
-    Settings,
-    begun,
-    paged,
-    stoppable,
-)
 from modetune.flows.report.tables import json_object
+from modetune.flows.studies.catalogue import find_study
 
 if TYPE_CHECKING:
     from modetune.flows.updating.dry_run import DryRun, PlannedJob
-    from modetune.flows.updating.forecast import Forecast
-    from modetune.flows.updating.run import CampaignRun
 
 
-def update(
-    campaign_file: CampaignPath,
-    settings: Settings = None,
-    runs: Runs = Path("runs"),
-    no_prefect: NoPrefect = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run.")] = False,
-    starts: Annotated[
-        int | None, typer.Option(help="Update from so many starts; as `--set update.starts=N`.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Update the campaign's model until it agrees with its test."""
-    changed = settings or []
-    if starts is not None:
-        changed = [*changed, f"update.starts={starts}"]
-    with stoppable():
-        if dry_run:
-            show_dry_run(campaign_file, changed, runs, as_json)
-            return
-        run = run_update(campaign_file, changed, runs, not no_prefect)
-    if as_json:
-        from modetune.flows.updating.recording import summary
-
-        typer.echo(json.dumps(with_forecast(summary(run.record, run.folder), run.forecast)))
-    else:
-        show(run)
-    raise typer.Exit(0 if run.record.status == "converged" else 3)
-
-
-def run_update(
-    campaign_file: Path, settings: list[str], runs: Path, with_prefect: bool
-) -> CampaignRun:
-    """Run a campaign, with its progress on standard error."""
-    from modetune.flows.campaign.terminal import terminal
-
-    with begun(f"reading {campaign_file}"):  # a large deck takes a moment, as do imports
-        from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.updating.display import ConsoleProgress
-        from modetune.flows.updating.running import is_same
-        from modetune.flows.updating.starts import update_from_starts
-
-        campaign = load_campaign(campaign_file, settings)
-        campaign.solver_version()
-    with ConsoleProgress(terminal(stderr=True)).shown() as progress:
-        folder = runs / campaign.name
-        progress.keep(folder)
-        with paged("update", campaign.name, not with_prefect) as pages:
-            same = pages is not None and pages.deployed and is_same(campaign, folder)
-            run = update_from_starts(campaign, folder, progress, pages, progress.forecast)
-            if pages is not None:
-                spent = run.record.runs
-                pages.ended(run.record, folder, same and not spent.modal + spent.sensitivity)
-            return run
-
-
-def show(run: CampaignRun) -> None:
-    """Show on standard output what a campaign ended with."""
-    from modetune.flows.campaign.terminal import terminal
-    from modetune.flows.updating.display import show_run
-
-    show_run(terminal(), run)
-
-
-def with_forecast(told: dict[str, Json], forecast: Forecast | None) -> dict[str, Json]:
-    """A summary and what the campaign was expected to cost before it started."""
-    from modetune.flows.updating.forecast import told_forecast
-
-    return {**told, "forecast": told_forecast(forecast) if forecast else None}
-
-
-def show_dry_run(campaign_file: Path, settings: list[str], runs: Path, as_json: bool) -> None:
-    """Say what an update would run."""
-    from modetune.flows.campaign.campaign import load_campaign
+def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
+    """Print what an update with these parameters would run. Raises CampaignError, StoreError."""
     from modetune.flows.updating.dry_run import dry_run
+    from modetune.flows.updating.updating import Unwatched
 
-    campaign = load_campaign(campaign_file, settings)
-    found = dry_run(campaign, runs / campaign.name)
+    with find_study("update").opened(parameters, Unwatched()) as on:
+        found = dry_run(on.campaign, on.folder)
     if as_json:
         typer.echo(json.dumps(_told_dry_run(found)))
         return

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from modetune.flows.cli.options import CampaignPath, Runs, stoppable
+from modetune.flows.cli.options import stoppable
+from modetune.flows.studies.study import CampaignPath, Runs
 
 
 def view(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
 from typer import Option
@@ -19,12 +20,30 @@ ScreeningMethod = Literal["local", "morris", "sobol", "lhs", "factorial"]
 ReductionMethod = Literal["guyan", "irs", "iterated_irs", "serep", "craig_bampton"]
 PlacementMethod = Literal["effective_independence", "auto_mac", "kinetic_energy", "information"]
 Directions = Literal["xyz", "normal"]
+ExpansionMethod = Literal["serep", "kidder", "static", "irs", "spline"]
+DirectMethod = Literal["berman", "baruch", "error_matrix"]
+#: How unmeasured unknowns are filled.
+Filling = Literal["kidder", "static", "serep", "model"]
+#: How a mass matrix is reduced to the sensors.
+MassReduction = Literal["guyan", "serep"]
+#: Which model of a record.
+ModelState = Literal["updated", "initial"]
 SetsOverRange = Annotated[
     int | None, Option(help="Sets over the range; as many may follow near the posterior.")
 ]
 SeedOfAll = Annotated[int, Option(help="Seed of all random numbers.")]
 #: More of anything than this is a slip of the hand.
 MOST = 100_000
+#: Marks an option whose text is either words or the name of a file.
+FILE_OR_WORDS = "file or words"
+
+
+def is_file(text: str) -> bool:
+    """Whether a text names a file; a list of words may be too long for a name."""
+    try:
+        return Path(text).is_file()
+    except OSError:
+        return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +141,7 @@ class ReductionRequest:
             help="Unknowns that are kept: 12.z,13,20-25.xyz, or a file with them; default: the "
             "test's sensors."
         ),
+        FILE_OR_WORDS,
     ] = ""
     modes: Annotated[
         int | None,
@@ -161,7 +181,9 @@ class PretestSettings:
         Option(help="effective_independence, auto_mac, kinetic_energy or information."),
     ] = "effective_independence"
     candidates: Annotated[
-        str, Option(help="surface, all, or a file with a node number in front of each line.")
+        str,
+        Option(help="surface, all, or a file with a node number in front of each line."),
+        FILE_OR_WORDS,
     ] = "surface"
     directions: Annotated[Directions, Option(help="xyz, or normal: out of the surface.")] = "xyz"
     triaxial: Annotated[

@@ -63,11 +63,14 @@ def iteration_line(record: IterationRecord) -> str:
 
 
 class ConsoleProgress:
-    """Progress on a terminal: the jobs that run with the time left, and a sentence an iteration."""
+    """Progress on a terminal: the jobs that run with the time left, and a sentence an iteration.
 
-    def __init__(self, console: Console) -> None:
+    jobs: a display of jobs that is shown already.
+    """
+
+    def __init__(self, console: Console, jobs: JobProgress | None = None) -> None:
         self.console = console
-        self._jobs = JobProgress(console)
+        self._jobs = jobs or JobProgress(console)
         self._told = False
 
     @contextlib.contextmanager

@@ -76,7 +76,7 @@ class Forecast:
 NOTHING = Cost(0, 0, 0.0, 0.0, 0.0)
 
 
-class Forecaster:
+class Forecaster(Progress):
     """Watches a campaign in somebody's place and tells what is still to come."""
 
     def __init__(

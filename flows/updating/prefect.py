@@ -274,7 +274,7 @@ def shown(
         raise
 
 
-class PagesProgress:
+class PagesProgress(Progress):
     """A campaign's progress that its pages hear of too."""
 
     def __init__(self, watcher: Progress, pages: Pages, tolerances: Tolerances) -> None:

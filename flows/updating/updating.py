@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,7 +24,15 @@ from modetune.flows.updating.tried_starts import OtherStarts, TriedStarts
 
 
 class Progress(Protocol):
-    """Who watches a campaign, as far as it has a method for it."""
+    """The watcher of a study; its own methods do nothing."""
+
+    def keep(self, folder: Path) -> None:
+        """Keep the progress of the jobs in a file of a run folder too."""
+        return
+
+    def forecast(self, forecast: Any) -> None:
+        """A `Forecast` of the jobs that are still to come, before the start and later."""
+        return
 
     def working(self, text: str) -> None:
         """What is being computed now."""

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         sample,
         scatter,
         screen,
+        twin,
         update,
         validate,
     )
@@ -63,6 +64,7 @@ __all__ = [
     "sample",
     "scatter",
     "screen",
+    "twin",
     "update",
     "validate",
 ]

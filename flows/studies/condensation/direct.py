@@ -12,7 +12,7 @@ sensors first (`modetune reduce --out FILE.yaml`), as the field does.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 import numpy as np
 from scipy import linalg, sparse
@@ -28,7 +28,6 @@ from modetune.core.modes import Floats, Integers, ModeSet, Normalisation, mode_s
 from modetune.core.parameters import Values
 from modetune.core.updating.direct import (
     DirectUpdate,
-    Filling,
     LowRankChange,
     ReferenceModes,
     direct_matrix_update,
@@ -44,10 +43,8 @@ from modetune.flows.studies.condensation.model import (
     relative,
     sensor_names,
 )
+from modetune.flows.studies.requests import DirectMethod, Filling
 
-DirectMethod = Literal["berman", "baruch", "error_matrix"]
-METHODS: tuple[DirectMethod, ...] = get_args(DirectMethod)
-FILLINGS: tuple[Filling, ...] = get_args(Filling)
 #: Unknowns of a model whose full matrices are still handled at ease: 70 MB each.
 MOST = 3000
 #: As in reductions: below this part of the highest eigenvalue looked at a mode is rigid.

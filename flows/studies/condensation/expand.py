@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import get_args
 
 import numpy as np
 from scipy import sparse
@@ -49,6 +50,7 @@ from modetune.flows.studies.condensation.model import (
     relative,
     sensor_names,
 )
+from modetune.flows.studies.requests import ExpansionMethod
 from modetune.flows.updating.running import job_engine
 
 #: Parts that the test points are held out in.
@@ -57,7 +59,7 @@ PARTS = 10
 ALONG = 1e-6
 #: What is said where more than half of the motion at held-out sensors is wrong.
 POOR = "; no motion at all would have 100 %: do not believe it between the sensors"
-METHODS = ("serep", "kidder", "static", "irs", "spline")
+METHODS = get_args(ExpansionMethod)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from modetune.core.updating.results import MatrixResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
+from modetune.flows.studies.requests import is_file
 from modetune.flows.updating.running import job_engine
 
 Dofs = list[tuple[int, int]]
@@ -124,7 +125,7 @@ def masters_of(campaign: Campaign, given: str) -> Dofs:
     """
     path = Path(given)
     items = [(f"--masters {given!r}", part.strip()) for part in given.split(",")]
-    if path.is_file():
+    if is_file(given):
         try:
             lines = read_regular(path).decode("utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:

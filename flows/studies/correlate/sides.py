@@ -38,15 +38,13 @@ from modetune.flows.studies.correlate.correlate import (
     correlate,
     orthogonality,
 )
+from modetune.flows.studies.requests import MassReduction
 from modetune.flows.updating.baseline import State
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.modal_run import parse_values
 from modetune.flows.updating.running import job_engine
 
 SourceKind = Literal["campaign", "deck", "record", "test"]
-#: How a mass matrix is reduced to the sensors.
-Reduced = Literal["guyan", "serep"]
-METHODS: tuple[Reduced, ...] = ("guyan", "serep")
 #: Kinds that have a model to be solved.
 MODELS = ("campaign", "deck")
 
@@ -119,7 +117,7 @@ def correlate_sources(
     second: ComparedSource | None,
     state: State = "updated",
     settings: Sequence[str] = (),
-    method: Reduced | None = None,
+    method: MassReduction | None = None,
 ) -> Correlation:
     """Compare two sources, or a campaign or record with its own test.
 
@@ -268,7 +266,9 @@ def _read(item: ComparedSource, state: State) -> Side:
     return Side(item.path.name, "test", test.numbers, test.modes, measured.geometry)
 
 
-def _orthogonality(found: Correlation, model: Model, method: Reduced) -> Orthogonality:
+def _orthogonality(
+    found: Correlation, model: Model, method: MassReduction
+) -> Orthogonality:
     """One matrix job; common degrees of freedom that can move are masters."""
     full, names = full_model(model.campaign, model.values), list(found.dofs)
     sensors = model.campaign.case.sensors

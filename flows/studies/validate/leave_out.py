@@ -26,7 +26,7 @@ from modetune.core.correlation.held_out import HeldOut, join_held_out, together
 from modetune.core.errors import CampaignError, ModesError, SolverError
 from modetune.core.modes import Floats, mode_name
 from modetune.core.storage.files import check_writable
-from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
@@ -38,7 +38,7 @@ from modetune.flows.updating.modes_choice import STEPS, UPDATING, Demand
 from modetune.flows.updating.poses import settled
 from modetune.flows.updating.running import solving_engine
 from modetune.flows.updating.small_matrices import one_thread
-from modetune.flows.updating.updating import Updating
+from modetune.flows.updating.updating import Progress, Updating
 
 logger = logging.getLogger(__name__)
 
@@ -281,7 +281,7 @@ def _judged(fold: Fold, record: CampaignRecord) -> Fold:
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _Told(Progress):
     """Progress of one update among several: what it does now, under its name."""
 
     name: str
@@ -289,6 +289,3 @@ class _Told:
 
     def working(self, text: str) -> None:
         self.tell(f"{self.name}: {text}")
-
-    def iteration(self, record: IterationRecord) -> None:
-        pass

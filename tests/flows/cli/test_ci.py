@@ -213,7 +213,7 @@ def test_what_the_pre_check_found_is_a_summary_and_tests(repository: Path) -> No
     said = typed(repository, "check campaign.yaml --summary no/s.md")
     assert (said.returncode, said.stderr) == (
         2,
-        "reading campaign.yaml\nmodes at the start\nmodetune: no/s.md: No such file or directory\n",
+        "reading campaign.yaml\nmodetune: no/s.md: No such file or directory\n",
     )
 
 

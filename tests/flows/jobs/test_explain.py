@@ -252,12 +252,13 @@ def test_a_dry_run_is_told_in_lines_and_as_an_object(
 ) -> None:
     campaign = bench.campaign(TRUTH)
     monkeypatch.setattr("modetune.flows.campaign.campaign.load_campaign", lambda *_: campaign)
-    show_dry_run(Path("c.yaml"), [], bench.folder, as_json=False)
+    parameters = {"campaign_file": "c.yaml", "runs": bench.folder}
+    show_dry_run(parameters, as_json=False)
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("run   ")
     assert said[0].endswith("iteration 0 / modal")
     assert said[1].strip() == "nothing is stored that it could be compared with"
-    show_dry_run(Path("c.yaml"), [], bench.folder, as_json=True)
+    show_dry_run(parameters, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert (told["status"], told["runs"], told["jobs"][0]["stored"]) == ("would run", 1, False)
     assert bench.runs() == 0

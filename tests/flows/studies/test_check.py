@@ -29,8 +29,9 @@ from modetune.core.parameters import Quantity
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.mapping import SensorRow
 from modetune.flows.campaign.schema import SensitivitySection, UpdateSection
-from modetune.flows.cli.check import check as check_command
-from modetune.flows.cli.check import told
+from modetune.flows.cli.command import command_of
+from modetune.flows.studies.catalogue import find_study
+from modetune.flows.studies.catalogue.check import check_summary
 from modetune.flows.studies.check.findings import Finding, worst
 from modetune.flows.studies.check.judging import NO_RUN, PreCheckReport, check_campaign, judged
 from modetune.flows.studies.check.measured_modes import data_findings
@@ -751,7 +752,7 @@ def test_a_solver_that_fails_is_told_with_all_the_rest(bench: Any) -> None:
 
 def command(monkeypatch: pytest.MonkeyPatch, campaign: Any, *options: str) -> Any:
     app = typer.Typer()
-    app.command()(check_command)
+    app.command()(command_of(find_study("check")))
     monkeypatch.setattr("modetune.flows.campaign.sketch.looked_at", lambda *_: campaign)
     return CliRunner().invoke(app, ["c.yaml", *options])
 
@@ -767,7 +768,7 @@ def test_the_command_ends_with_zero_and_tells_one_object(
     assert (found["solver_runs"]["modal"], found["solver_runs"]["reused"]) == (1, 0)
     assert [mode["elastic_mode"] for mode in found["modes"]] == [1, 2, 3, 4, 5]
     assert found["facts"]["mass_kg"] == pytest.approx(9.0)  # the chain's masses added up
-    again = told(campaign, check_campaign(campaign))
+    again = check_summary(campaign, check_campaign(campaign))
     ran, answered = found.pop("solver_runs"), again.pop("solver_runs")
     assert isinstance(answered, dict)
     assert set(ran) == set(answered)

@@ -25,8 +25,9 @@ from modetune.core.errors import CampaignError, ModesError, ModetuneError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import MeasuredModes, ModeSet, dof_name, mode_set
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.cli.correlate import correlate as correlate_command
+from modetune.flows.cli.command import command_of
 from modetune.flows.report.matplotlib_charts import matplotlib_figure, save_all
+from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.correlate.correlate import Side, correlate
 from modetune.flows.studies.correlate.figures import correlation_charts, heat_chart
 from modetune.flows.studies.correlate.sides import correlate_sources, source
@@ -415,7 +416,7 @@ def test_two_sensors_of_one_motion_are_told(
 
 def command(*arguments: str) -> Any:
     app = typer.Typer()
-    app.command()(correlate_command)
+    app.command()(command_of(find_study("correlate")))
     return CliRunner().invoke(app, list(arguments))
 
 

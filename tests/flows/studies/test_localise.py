@@ -20,10 +20,11 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.surface import Surface
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.cli.localise import localise as localise_command
+from modetune.flows.cli.command import command_of
 from modetune.flows.jobs.job import Job
 from modetune.flows.report.form_verdict import record_verdict, verdict_summary
 from modetune.flows.report.matplotlib_charts import save, save_all
+from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.localise.error_maps import OTHER_MASS, OTHER_STIFFNESS
 from modetune.flows.studies.localise.figures import localisation_figures, on_surface, surface_figure
 from modetune.flows.studies.localise.localise import Localisation, localise, place_of
@@ -44,7 +45,7 @@ needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (cc
 def app() -> typer.Typer:
     app = typer.Typer()
     app.callback()(lambda: None)
-    app.command()(localise_command)
+    app.command()(command_of(find_study("localise")))
     return app
 
 

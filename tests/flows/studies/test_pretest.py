@@ -23,9 +23,10 @@ from modetune.core.modes import Floats
 from modetune.core.planning.placement import judge
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import ModelFile
-from modetune.flows.cli.pretest import pretest as pretest_command
-from modetune.flows.cli.pretest import told_pretest
+from modetune.flows.cli.command import command_of
 from modetune.flows.report.mesh_picture import can_draw
+from modetune.flows.studies.catalogue import find_study
+from modetune.flows.studies.catalogue.pretest import pretest_summary
 from modetune.flows.studies.pretest.running import run_pretest
 from modetune.flows.studies.requests import PretestSettings, parse_modes
 from tests.adapters.solved import needs_ccx
@@ -71,7 +72,7 @@ def strip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def call(*arguments: object) -> Any:
     app = typer.Typer()
     app.callback()(lambda: None)
-    app.command()(pretest_command)
+    app.command()(command_of(find_study("pretest")))
     return CliRunner().invoke(app, ["pretest", *map(str, arguments)])
 
 
@@ -416,7 +417,7 @@ def test_the_coarse_aircraft_is_measured_at_its_ends(
     # It hangs from its fuselage, which is 50 mm wide.
     assert all(abs(point.place[1]) <= 25.0 for point in found.suspension[:2])
     assert np.max([item.shares for item in found.exciters], axis=0).min() > 0.2
-    told = told_pretest(found)
+    told = pretest_summary(found)
     assert json.loads(json.dumps(told)) == told
 
 

@@ -13,7 +13,8 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Values
-from modetune.flows.cli.check import check
+from modetune.flows.cli.command import command_of
+from modetune.flows.studies.catalogue import find_study
 from modetune.flows.updating.baseline import Band, check_deck, check_record, read_agreement
 from modetune.flows.updating.running import update_campaign
 from tests.flows.conftest import ChainDeck, recased
@@ -142,12 +143,19 @@ def test_the_command_ends_with_three_and_tells_each_mode(
     bench: Any, baseline: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     campaign = campaign_of_deck(bench, {"k1": 1.2, "k2": 0.8, "m3": 1.4})
+    check = command_of(find_study("check"))
     monkeypatch.setattr("modetune.flows.campaign.campaign.load_campaign", lambda *_: campaign)
     with pytest.raises(typer.Exit) as ended:
-        check(Path("c.yaml"), against=baseline, no_prefect=True, as_json=True)
+        check(campaign_file=Path("c.yaml"), against=baseline, no_prefect=True, as_json=True)
     assert ended.value.exit_code == 3
     told = json.loads(capsys.readouterr().out)
     assert told["status"] == "worse"
     assert not all(mode["within"] for mode in told["modes"])
-    check(Path("c.yaml"), against=baseline, frequency_band=1.0, mac_band=1.0, no_prefect=True)
+    check(
+        campaign_file=Path("c.yaml"),
+        against=baseline,
+        frequency_band=1.0,
+        mac_band=1.0,
+        no_prefect=True,
+    )
     assert capsys.readouterr().out.splitlines()[-1] == "within the band"

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.study import Opened, RunOptions, study
+from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.requests import SamplingRequest
+from modetune.flows.studies.study import Opened, RunOptions, study
 
 Record = Annotated[
     Path | None,
@@ -18,7 +18,7 @@ Record = Annotated[
 
 
 @study(RunOptions)
-def sample(on: Opened, asked: SamplingRequest, record: Record = None) -> StudyEnd:
+def sample(on: Opened, request: SamplingRequest, record: Record = None) -> StudyEnd:
     """Sample the parameters' posterior: how sure they are, bounds, bends and second answers seen.
 
     Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.
@@ -31,15 +31,18 @@ def sample(on: Opened, asked: SamplingRequest, record: Record = None) -> StudyEn
     from modetune.flows.studies.sample.telling import findings, posterior_table, summary, told
 
     earlier = read_record(record) if record is not None else None
-    found = sample_campaign(on.campaign, asked, on.working, earlier, on.pages)
+    found = sample_campaign(on.campaign, request, on.working, earlier)
     POSTERIOR.write(on.folder / POSTERIOR.file, found)
     judged = findings(found)
+    doubts = [finding.text for finding in judged if finding.red]
     return StudyEnd(
+        found,
         found.points_by or "sampled",
         told(found),
         [posterior_table(found)],
         [*summary(found), *(finding.text for finding in judged)],
         [on.folder / POSTERIOR.file],
         posterior_figures(found) if on.charted else {},
-        [finding.text for finding in judged if finding.red],
+        doubts,
+        exit_code=3 if doubts else 0,
     )

@@ -5,121 +5,127 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modetune.core.errors import CampaignError
-from modetune.core.near_names import listed, named
+from modetune.core.near_names import listed
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.options import (
-    AsJson,
+from modetune.flows.report.tables import Column, Table, frame, json_object, table_of
+from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.requests import MassReduction, ModelState
+from modetune.flows.studies.study import (
     Figures,
-    NoPrefect,
+    Opened,
     SolverChoice,
+    StudyOptions,
     UnitsChoice,
-    begun,
-    paged,
-    stoppable,
+    split_files,
+    study,
     with_model,
 )
-from modetune.flows.report.tables import Column, Table, frame, json_object, table_of
 
 if TYPE_CHECKING:
+    from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.studies.correlate.correlate import Correlation, Orthogonality
+    from modetune.flows.studies.correlate.sides import ComparedSource
+    from modetune.flows.updating.updating import Progress
 
 #: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
 WORST, SHOWN = 10, 14
 
-First = Annotated[
-    Path,
-    typer.Argument(
-        help="Campaign file, deck, campaign.h5 (or its folder), or test file; several files of "
-        "one test with commas."
-    ),
-]
-Second = Annotated[
-    Path | None,
-    typer.Argument(help="What it is compared with; a campaign's or record's own test if left out."),
-]
-At = Annotated[
-    list[str] | None,
-    typer.Option(help="NAME=VALUE of a parameter of the first campaign; may be repeated."),
-]
-SecondAt = Annotated[
-    list[str] | None, typer.Option(help="The same of the second campaign; may be repeated.")
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="KEY.KEY=VALUE over the campaign files; may be repeated."),
-]
-OfRecord = Annotated[str, typer.Option(help="Which model of a record: updated, or initial.")]
+OfRecord = Annotated[ModelState, typer.Option(help="Which model of a record: updated, or initial.")]
 Reduced = Annotated[
-    str | None,
+    MassReduction | None,
     typer.Option(help="Cross-orthogonality, by a mass matrix that guyan or serep reduces."),
 ]
 Out = Annotated[Path | None, typer.Option(help="CSV of the pairs; NAME_sensors.csv beside it.")]
 
 
+@dataclass(frozen=True)
+class CorrelateOptions(StudyOptions):
+    """Options of the comparison of two sets of modes, which it loads itself."""
+
+    first: Annotated[
+        tuple[Path, ...],
+        typer.Argument(
+            help="Campaign file, deck, campaign.h5 (or its folder), or test file; several files "
+            "of one test with commas."
+        ),
+        split_files,
+    ]
+    second: Annotated[
+        tuple[Path, ...],
+        typer.Argument(
+            help="What it is compared with; a campaign's or record's own test if left out."
+        ),
+        split_files,
+    ] = ()
+    at: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=VALUE of a parameter of the first campaign; may be repeated."),
+    ] = None
+    second_at: Annotated[
+        list[str] | None, typer.Option(help="The same of the second campaign; may be repeated.")
+    ] = None
+    solver: SolverChoice = None
+    units: UnitsChoice = None
+    figures: Figures = None
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        if not self.second and self.second_at:
+            raise CampaignError("--second-at is of a second campaign, and none is named")
+        return Opened(self.first[0].stem, progress, charted=self.figures is not None)
+
+    @property
+    def solves(self) -> bool:
+        from modetune.flows.studies.correlate.sides import MODELS
+
+        return any(item.kind in MODELS for item in self.sources)
+
+    @property
+    def sources(self) -> list[ComparedSource]:
+        """What is compared, one or two. Raises CampaignError."""
+        from modetune.flows.studies.correlate.sides import source
+
+        sides = (self.first, self.at), (self.second, self.second_at)
+        return [source(Path(",".join(map(str, files))), at or ()) for files, at in sides if files]
+
+
+@study(CorrelateOptions)
 def correlate(
-    first: First,
-    second: Second = None,
-    at: At = None,
-    second_at: SecondAt = None,
-    solver: SolverChoice = None,
-    units: UnitsChoice = None,
-    settings: Settings = None,
+    on: Opened,
+    options: CorrelateOptions,
     state: OfRecord = "updated",
     orthogonality: Reduced = None,
-    figures: Figures = None,
     out: Out = None,
-    no_prefect: NoPrefect = False,
-    as_json: AsJson = False,
-) -> None:
+) -> StudyEnd:
     """Compare modes: pairs, frequencies, MAC, COMAC, scale factors, and the worst sensors.
 
     A campaign alone is its model beside its test. Any two of campaigns, decks, records and tests
     can be compared; a test stands first beside a model.
     """
-    with begun(f"comparing {first}{f' with {second}' if second else ''}"):
-        from modetune.flows.studies.correlate.figures import correlation_charts
-        from modetune.flows.studies.correlate.sides import (
-            METHODS,
-            MODELS,
-            correlate_sources,
-            source,
-        )
-        from modetune.flows.updating.baseline import State
+    from modetune.flows.studies.correlate.figures import correlation_charts
+    from modetune.flows.studies.correlate.sides import correlate_sources
 
-    method = named("--orthogonality", orthogonality, METHODS) if orthogonality else None
-    if second is None and second_at:
-        raise CampaignError("--second-at is of a second campaign, and none is named")
-    sources = source(first, at or ()), source(second, second_at or ()) if second else None
-    solves = any(item is not None and item.kind in MODELS for item in sources)
-    with stoppable(), paged("correlate", first.stem, no_prefect or not solves) as pages:
-        found = correlate_sources(
-            *sources,
-            named("--state", state, get_args(State)),
-            with_model(settings, solver, units),
-            method,
-            pages,
-        )
-        end = StudyEnd(
-            "; ".join(_lines(found)),
-            told(found),
-            _tables(found),
-            _lines(found),
-            [] if out is None else _write(found, out),
-            {} if figures is None else correlation_charts(found),
-        )
-        files = end.reported(("correlate", first.stem), pages, figures=figures)
-    end.tell(files, as_json)
+    first, *second = options.sources
+    settings = with_model(options.settings, options.solver, options.units)
+    found = correlate_sources(first, second[0] if second else None, state, settings, orthogonality)
+    return StudyEnd(
+        found,
+        "; ".join(_lines(found)),
+        correlation_summary(found),
+        _tables(found),
+        _lines(found),
+        [] if out is None else _write(found, out),
+        correlation_charts(found) if on.charted else {},
+    )
 
 
-def told(found: Correlation) -> dict[str, Json]:
-    """The `--json` object of `modetune correlate`."""
+def correlation_summary(found: Correlation) -> dict[str, Json]:
+    """Return the JSON object of a correlation."""
     from modetune.core.modes import dof_name
 
     sides = (

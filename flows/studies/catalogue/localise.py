@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.options import Figures
-from modetune.flows.cli.study import CampaignOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.study import CampaignOptions, Figures, Opened, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +32,7 @@ NODES = 200
 
 @dataclass(frozen=True)
 class LocaliseOptions(CampaignOptions):
-    """Of the localisation alone: figures."""
+    """Options of the localisation, which draws figures."""
 
     figures: Figures = None
 
@@ -59,7 +58,7 @@ def localise(
 
     place = place_of(on.campaign, record, configuration)
     on.working("modes and sensitivities")
-    found = find(place.campaign, place.theta, on.pages)
+    found = find(place.campaign, place.theta)
     charts: Mapping[str, Chart | Figure] = {}
     if on.charted:
         from modetune.flows.studies.localise.figures import localisation_figures
@@ -68,11 +67,13 @@ def localise(
         title = f"{on.campaign.name}: where the {model} model is wrong"
         case = place.campaign.case
         charts = localisation_figures(title, found, case.solver.deck.mesh(), case.surface)
-    return StudyEnd(found.sentence, told(found), tables(found), _lines(found), charts=charts)
+    return StudyEnd(
+        found, found.sentence, summary(found), tables(found), _lines(found), charts=charts
+    )
 
 
-def told(found: Localisation) -> dict[str, Json]:
-    """The `--json` object of `modetune localise`."""
+def summary(found: Localisation) -> dict[str, Json]:
+    """Return the JSON object of a localisation."""
     from modetune.flows.report.form_verdict import told_form
 
     values = zip(found.parameters, found.theta.tolist(), strict=True)

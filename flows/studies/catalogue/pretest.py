@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.study import CampaignOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.ending import StudyEnd, near
 from modetune.flows.studies.requests import PretestSettings
+from modetune.flows.studies.study import CampaignOptions, Opened, study
 
 if TYPE_CHECKING:
     from modetune.core.planning.placement import Quality
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PretestOptions(CampaignOptions):
-    """Of a campaign that may lack test and parameters."""
+    """Options of a study of a campaign that may lack test and parameters."""
 
     campaign_file: Annotated[
         Path, typer.Argument(help="Campaign file (YAML); test and parameters may be missing.")
     ]
 
-    def loaded(self) -> Campaign:
+    def load(self) -> Campaign:
         from modetune.flows.campaign.campaign import load_model
 
         return load_model(self.campaign_file, self.settings or [])
@@ -40,7 +40,7 @@ class PretestOptions(CampaignOptions):
 @study(PretestOptions)
 def pretest(
     on: Opened,
-    asked: PretestSettings,
+    request: PretestSettings,
     out: Annotated[
         Path | None, typer.Option(help="Write the sensors as points of a test (CSV).")
     ] = None,
@@ -58,14 +58,15 @@ def pretest(
         from modetune.flows.studies.pretest.figures import save_pretest_picture
 
         check_picture(picture, mesh)
-    found = run_pretest(on.campaign, asked, on.pages)
+    found = run_pretest(on.campaign, request)
     if out is not None:
         write_sensor_file(out, found, on.campaign.case.units)
     if picture is not None:
         save_pretest_picture(picture, found, mesh)
     return StudyEnd(
+        found,
         "; ".join(quality_lines(found)),
-        told_pretest(found, out, picture),
+        pretest_summary(found, out, picture),
         _tables(found),
         _lines(found),
         [path for path in (out, picture) if path is not None],
@@ -73,10 +74,10 @@ def pretest(
     )
 
 
-def told_pretest(
+def pretest_summary(
     found: Pretest, out: Path | None = None, picture: Path | None = None
 ) -> dict[str, Json]:
-    """The `--json` object of `modetune pretest`."""
+    """Return the JSON object of a pretest."""
     from modetune.flows.studies.pretest.file import sensor_dofs
 
     return json_object(
@@ -107,8 +108,8 @@ def told_pretest(
         ],
         parameters=found.knowledge,
         solver_runs=found.runs,
-        sensor_file=out,
-        picture=picture,
+        sensor_file=near(out) if out else None,
+        picture=near(picture) if picture else None,
     )
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.study import CampaignOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object
+from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.study import CampaignOptions, Opened, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.validate.leave_out import Validation
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @study(CampaignOptions)
 def validate(
     on: Opened,
-    one_out: Annotated[
+    leave_one_out: Annotated[
         bool, typer.Option("--leave-one-out", help="Update without each used mode in turn.")
     ] = False,
 ) -> StudyEnd:
@@ -28,34 +28,36 @@ def validate(
     the store is written. Exit code 3 where something that was held out got worse.
     """
     from modetune.flows.report.mode_tables import held_out_lines, held_out_table
-    from modetune.flows.studies.validate.leave_out import leave_one_out
+    from modetune.flows.studies.validate.leave_out import leave_one_out as by_each_mode
     from modetune.flows.studies.validate.leave_out import validate as by_held_out
 
-    judge = leave_one_out if one_out else by_held_out
-    found = judge(on.campaign, on.working, on.pages)
+    judge = by_each_mode if leave_one_out else by_held_out
+    found = judge(on.campaign, on.working)
     worse = held_out_lines(found.held_out)
     worse += [f"{fold.name} the update failed: {fold.reason}" for fold in found.failed]
     end = f"{found.status}: {found.sentence}"
     cost = f"{len(found.folds)} updates; {found.runs.sentence}; {found.wall_s:.1f} s"
     return StudyEnd(
+        found,
         found.sentence,
-        told(found, one_out),
+        summary(found, leave_one_out),
         [held_out_table(found.held_out), *_parameters(found)],
         [*worse, end, cost],
         doubts=[] if found.status == "good" else [*worse, end],
         status=found.status,
+        exit_code=0 if found.status == "good" else 3,
     )
 
 
-def told(found: Validation, one_out: bool) -> dict[str, Json]:
-    """The `--json` object of `modetune validate`."""
+def summary(found: Validation, leave_one_out: bool) -> dict[str, Json]:
+    """Return the JSON object of a validation."""
     from modetune.flows.report.mode_tables import held_out_rows
 
     spread = zip(found.parameters, *found.spread, strict=True)
     return json_object(
         found,
         "status name",
-        leave_one_out=one_out,
+        leave_one_out=leave_one_out,
         held_out=held_out_rows(found.held_out),
         updates=[
             json_object(

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.options import Figures
-from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.requests import ExpansionMethod
+from modetune.flows.studies.study import Figures, ModelOptions, Opened, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.condensation.expand import Expansions
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExpandOptions(ModelOptions):
-    """Of the expansion alone: figures."""
+    """Options of the expansion, which draws figures."""
 
     figures: Figures = None
 
@@ -29,7 +29,7 @@ class ExpandOptions(ModelOptions):
 def expand(
     on: Opened,
     method: Annotated[
-        str | None,
+        ExpansionMethod | None,
         typer.Option(
             help="serep, kidder, static, irs or spline; default: all, and the one of the least "
             "error at held-out sensors is written."
@@ -54,14 +54,14 @@ def expand(
     )
 
     check_files(on.campaign, out, paraview)
-    found = expand_shapes(on.campaign, on.values, method, modes, on.pages)
+    found = expand_shapes(on.campaign, on.values, method, modes)
     written = write_files(on.campaign, found, out, paraview)
     lines = [f"{item.method}: {item.unavailable}" for item in found.methods if item.unavailable]
     if found.left_out:
         lines.append(f"held in place in the model, so left out: {', '.join(found.left_out)}")
     charts = {"held_out": error_chart(found)}
     lines.append(found.sentence)
-    return StudyEnd(found.sentence, told(found), [_table(found)], lines, written, charts)
+    return StudyEnd(found, found.sentence, summary(found), [_table(found)], lines, written, charts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +92,8 @@ def _rows(found: Expansions) -> list[ExpandedRow]:
     ]
 
 
-def told(found: Expansions) -> dict[str, Json]:
-    """The `--json` object of `modetune expand`."""
+def summary(found: Expansions) -> dict[str, Json]:
+    """Return the JSON object of an expansion."""
     return json_object(
         found,
         "best left_out frequencies_hz",

@@ -2,48 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modetune.core.errors import CampaignError
-from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd, tell_end
-from modetune.flows.cli.options import (
-    AsJson,
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.requests import ModelState
+from modetune.flows.studies.study import (
     ModelPath,
-    NoPrefect,
-    Settings,
+    Opened,
     SolverChoice,
+    StudyOptions,
     UnitsChoice,
-    begun,
-    paged,
-    stoppable,
+    study,
     with_model,
 )
-from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.report.ci_files import CheckOutcome
     from modetune.flows.studies.check.findings import Finding
     from modetune.flows.studies.check.judging import PreCheckReport
     from modetune.flows.studies.check.model import ModelFacts
-    from modetune.flows.updating.baseline import Band, State
+    from modetune.flows.updating.baseline import Band
+    from modetune.flows.updating.updating import Progress
 
 MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
 
-Against = Annotated[
-    Path | None, typer.Option(help="A campaign.h5 whose errors the model must not exceed.")
-]
-Record = Annotated[
-    Path | None,
-    typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
-]
 BaselineState = Annotated[
-    str, typer.Option(help="Which model of the baseline: updated, or initial.")
+    ModelState, typer.Option(help="Which model of the baseline: updated, or initial.")
 ]
 FrequencyBand = Annotated[
     float, typer.Option(min=0.0, help="How much larger a relative frequency error may be.")
@@ -51,17 +46,50 @@ FrequencyBand = Annotated[
 MacBand = Annotated[float, typer.Option(min=0.0, max=1.0, help="How much smaller a MAC may be.")]
 
 
-def check(
-    campaign_file: ModelPath,
+@dataclass(frozen=True)
+class CheckOptions(StudyOptions):
+    """Options of the pre-check of a campaign or a deck, or of the comparison with a baseline."""
+
+    campaign_file: ModelPath
     test: Annotated[
         list[Path] | None, typer.Argument(help="Beside a deck: the files of its test.")
-    ] = None,
-    solver: SolverChoice = None,
-    units: UnitsChoice = None,
-    settings: Settings = None,
-    no_run: Annotated[bool, typer.Option("--no-run", help="Judge without a solver run.")] = False,
-    against: Against = None,
-    record: Record = None,
+    ] = None
+    solver: SolverChoice = None
+    units: UnitsChoice = None
+    no_run: Annotated[bool, typer.Option("--no-run", help="Judge without a solver run.")] = False
+    against: Annotated[
+        Path | None, typer.Option(help="A campaign.h5 whose errors the model must not exceed.")
+    ] = None
+    record: Annotated[
+        Path | None,
+        typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
+    ] = None
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        if self.record is not None and self.against is None:
+            raise CampaignError(
+                "--record requires a baseline to compare with; name one with --against"
+            )
+        if self.against is not None and self.no_run and self.record is None:
+            raise CampaignError("--against needs a solver run; with --record nothing is run")
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.campaign.sketch import looked_at
+
+        changed = with_model(self.settings, self.solver, self.units)
+        if campaign is None and self.against is not None:
+            campaign = load_campaign(self.campaign_file, changed)
+        campaign = campaign or looked_at(self.campaign_file, changed, self.test or [])
+        return Opened(campaign.name, progress, campaign)
+
+    @property
+    def solves(self) -> bool:
+        return self.record is None and not self.no_run
+
+
+@study(CheckOptions)
+def check(
+    on: Opened,
+    options: CheckOptions,
     state: BaselineState = "updated",
     frequency_band: FrequencyBand = 0.01,
     mac_band: MacBand = 0.05,
@@ -71,60 +99,45 @@ def check(
     junit: Annotated[
         Path | None, typer.Option(help="Write what was found as a JUnit report (XML).")
     ] = None,
-    no_prefect: NoPrefect = False,
-    as_json: AsJson = False,
-) -> None:
+) -> StudyEnd:
     """Judge campaign, test and model before updating, at the cost of what updating begins with.
 
     Without a campaign file: a deck alone, or with the files of its test. With --against the model
     is solved at the deck's values and compared with a baseline.
     """
-    changed = with_model(settings, solver, units)
-    if against is not None or record is not None:
-        if no_run and record is None:
-            raise CampaignError("--against needs a solver run; with --record nothing is run")
-        from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.updating.baseline import Band, State
+    if options.against is not None:
+        from modetune.flows.updating.baseline import Band
 
-        if against is None:
-            raise CampaignError(
-                "--record requires a baseline to compare with; name one with --against"
-            )
-        with stoppable():
-            end, outcome = _compared(
-                load_campaign(campaign_file, changed),
-                (against, record),
-                named("--state", state, get_args(State)),
-                Band(frequency_band, mac_band),
-                no_prefect or record is not None,
-            )
-        outcome.write(summary, junit)
-        end.tell((), as_json)
-        return
-    with begun(f"reading {campaign_file}"):
-        from modetune.flows.campaign.sketch import looked_at
+        band = Band(frequency_band, mac_band)
+        end, outcome = _compared(on.campaign, options.against, options.record, state, band)
+    else:
         from modetune.flows.studies.check.judging import check_campaign
 
-        campaign = looked_at(campaign_file, changed, test or [])
-    with (
-        stoppable(),
-        begun("modes at the start"),
-        paged("check", campaign.name, no_prefect or no_run) as pages,
-    ):
-        report = check_campaign(campaign, run=not no_run, watcher=pages)
-        if pages is not None:
-            good = report.exit_code == 0
-            pages.done(_end(report), _tables(report), status=report.level, good=good)
-    _outcome(campaign.name, report).write(summary, junit)
-    if as_json:
-        tell_end(told(campaign, report), (), as_json)
-    else:
-        _show(campaign, report)
-    raise typer.Exit(report.exit_code)
+        on.working("modes at the start")
+        report = check_campaign(on.campaign, run=not options.no_run)
+        end, outcome = _judged(on.campaign, report), _outcome(on.name, report)
+    outcome.write(summary, junit)
+    return end
 
 
-def told(campaign: Campaign, report: PreCheckReport) -> dict[str, Json]:
-    """The `--json` object of `modetune check`."""
+def _judged(campaign: Campaign, report: PreCheckReport) -> StudyEnd:
+    """The end of a pre-check."""
+    wrong = [_finding(item) for item in report.findings if item.level == "wrong"]
+    return StudyEnd(
+        report,
+        _end(report),
+        check_summary(campaign, report),
+        _tables(report),
+        written=None,
+        doubts=wrong,
+        status=report.level,
+        exit_code=report.exit_code,
+        shown=partial(_show, campaign, report),
+    )
+
+
+def check_summary(campaign: Campaign, report: PreCheckReport) -> dict[str, Json]:
+    """Return the JSON object of a pre-check."""
     model = campaign.case.solver.deck.summary
     return json_object(
         report,
@@ -157,13 +170,10 @@ def _told_facts(facts: ModelFacts) -> dict[str, Json]:
     )
 
 
-def _show(campaign: Campaign, report: PreCheckReport) -> None:
+def _show(campaign: Campaign, report: PreCheckReport, console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from modetune.flows.campaign.terminal import terminal
-
-    console = terminal()
     model = campaign.case.solver.deck.summary
     head = (
         f"{campaign.name}: model {model.name} ({len(model.node_ids)} nodes, "
@@ -217,39 +227,38 @@ def _energy_table(report: PreCheckReport) -> Table:
 
 
 def _compared(
-    campaign: Campaign, files: tuple[Path, Path | None], state: State, band: Band, no_prefect: bool
+    campaign: Campaign, baseline: Path, record: Path | None, state: ModelState, band: Band
 ) -> tuple[StudyEnd, CheckOutcome]:
-    """A campaign's model beside a baseline's; files: the baseline, and a record in place of it."""
+    """Compare a campaign's model, or that of a record, with a baseline's."""
     from modetune.flows.report.ci_files import CheckOutcome, Judged
     from modetune.flows.updating.baseline import ModeCheck, check_deck, check_record
 
-    baseline, record = files
-    with paged("check", campaign.name, no_prefect) as pages:
-        found = (
-            check_deck(campaign, baseline, state, band, pages)
-            if record is None
-            else check_record(campaign, record, baseline, state, band)
-        )
-        outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
-        table = table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
-        said = "within the band" if found.within else f"worse than the baseline: {found.reason}"
-        end = StudyEnd(
-            said,
-            json_object(
-                found,
-                "reason modes remarks",
-                status="within" if found.within else "worse",
-                state=state,
-                frequency_band=band.frequency,
-                mac_band=band.mac,
-                solver_runs=found.runs,
-            ),
-            [table],
-            [*found.remarks, said],
-            doubts=[] if found.within else [said],
-            status="within the band" if found.within else "worse",
-        )
-        end.reported(("check", campaign.name), pages)
+    found = (
+        check_deck(campaign, baseline, state, band)
+        if record is None
+        else check_record(campaign, record, baseline, state, band)
+    )
+    outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
+    table = table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
+    said = "within the band" if found.within else f"worse than the baseline: {found.reason}"
+    end = StudyEnd(
+        found,
+        said,
+        json_object(
+            found,
+            "reason modes remarks",
+            status="within" if found.within else "worse",
+            state=state,
+            frequency_band=band.frequency,
+            mac_band=band.mac,
+            solver_runs=found.runs,
+        ),
+        [table],
+        [*found.remarks, said],
+        doubts=[] if found.within else [said],
+        status="within the band" if found.within else "worse",
+        exit_code=0 if found.within else 3,
+    )
     judged = [Judged(f"mode {mode.label}", ", ".join(mode.reasons)) for mode in found.modes]
     if not judged:  # a mode was lost
         judged = [Judged("modes", found.reason)]

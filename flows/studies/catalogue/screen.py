@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.study import Opened, RunOptions, study
+from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.requests import ScreeningRequest
+from modetune.flows.studies.study import Opened, RunOptions, study
 
 Out = Annotated[
     Path | None, typer.Option(help="Campaign file with the proposed parameters alone (YAML).")
@@ -17,7 +17,7 @@ Out = Annotated[
 
 
 @study(RunOptions)
-def screen(on: Opened, asked: ScreeningRequest, out: Out = None) -> StudyEnd:
+def screen(on: Opened, request: ScreeningRequest, out: Out = None) -> StudyEnd:
     """Screen candidate parameters, and propose which of them to update, with a reason for each.
 
     Leaves screening.h5 in the campaign's run folder, and with --json screening.json. The same
@@ -31,12 +31,13 @@ def screen(on: Opened, asked: ScreeningRequest, out: Out = None) -> StudyEnd:
 
     if out is not None:
         check_out(on.campaign.file, out)
-    found = screen_campaign(on.campaign, asked, on.working, on.pages)
+    found = screen_campaign(on.campaign, request, on.working)
     written = [on.folder / SCREENING.file]
     SCREENING.write(written[0], found)
     if out is not None:
         written.append(write_proposal(on.campaign.file, found, out))
     return StudyEnd(
+        found,
         proposed(found),
         told(found),
         tables(found),

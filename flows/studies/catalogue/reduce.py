@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import Column, json_object, table_of
+from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.requests import ReductionRequest
+from modetune.flows.studies.study import ModelOptions, Opened, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.condensation.reduce import ModelReduction
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @study(ModelOptions)
 def reduce(
     on: Opened,
-    asked: ReductionRequest,
+    request: ReductionRequest,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -36,13 +36,13 @@ def reduce(
 
     if out is not None:
         check_form(out)
-    found = reduce_model(on.campaign, on.values, asked, on.pages)
+    found = reduce_model(on.campaign, on.values, request)
     written = write_matrices(out, found.matrices) if out is not None else ()
     held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
     lines = [*([held] if found.held else []), found.sentence]
     title = f"Reduced to {len(found.masters)} masters"
     tables = [table_of(title, _rows(found), ReducedMode)]
-    return StudyEnd(found.sentence, told(found), tables, lines, written)
+    return StudyEnd(found, found.sentence, summary(found), tables, lines, written)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +62,8 @@ def _rows(found: ModelReduction) -> list[ReducedMode]:
     return [ReducedMode(number, *row) for number, row in enumerate(values, start=1)]
 
 
-def told(found: ModelReduction) -> dict[str, Json]:
-    """The `--json` object of `modetune reduce`."""
+def summary(found: ModelReduction) -> dict[str, Json]:
+    """Return the JSON object of a reduction."""
     from modetune.core.modes import dof_name
 
     return json_object(

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.study import ModelOptions, Opened, study
 from modetune.flows.report.tables import json_object, table_of
+from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.requests import DirectMethod, Filling
+from modetune.flows.studies.study import ModelOptions, Opened, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.condensation.direct import DirectCorrection
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 def direct(
     on: Opened,
     method: Annotated[
-        str,
+        DirectMethod,
         typer.Option(
             help="berman (mass and stiffness), baruch (stiffness alone) or error_matrix "
             "(first order)."
         ),
     ] = "berman",
     filling: Annotated[
-        str,
+        Filling,
         typer.Option(help="How unmeasured unknowns are filled: kidder, static, serep or model."),
     ] = "kidder",
     mass_normalised: Annotated[
@@ -44,25 +44,19 @@ def direct(
 ) -> StudyEnd:
     """Correct stiffness and mass as whole matrices, and tell what that breaks in them."""
     from modetune.adapters.matrices.exchange import check_form, write_matrices
-    from modetune.flows.studies.condensation.direct import (
-        FILLINGS,
-        METHODS,
-        CorrectedMode,
-        correct_directly,
-    )
+    from modetune.flows.studies.condensation.direct import CorrectedMode, correct_directly
 
     if out is not None:
         check_form(out)
-    ways = named("--method", method, METHODS), named("--filling", filling, FILLINGS)
-    found = correct_directly(on.campaign, on.values, *ways, mass_normalised, on.pages)
+    found = correct_directly(on.campaign, on.values, method, filling, mass_normalised)
     written = write_matrices(out, found.matrices) if out is not None else ()
     lines = [*found.notes, found.sentence]
     tables = [table_of("Modes of the corrected model", found.modes, CorrectedMode)]
-    return StudyEnd(found.sentence, told(found), tables, lines, written)
+    return StudyEnd(found, found.sentence, summary(found), tables, lines, written)
 
 
-def told(found: DirectCorrection) -> dict[str, Json]:
-    """The `--json` object of `modetune direct`."""
+def summary(found: DirectCorrection) -> dict[str, Json]:
+    """Return the JSON object of a direct correction."""
     return json_object(
         found,
         "method filling imposed lost modes why_no_modes damage residual rigid_hz condition notes",

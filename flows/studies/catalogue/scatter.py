@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from modetune.flows.cli.ending import StudyEnd
-from modetune.flows.cli.sample import Record
-from modetune.flows.cli.study import Opened, RunOptions, study
+from modetune.flows.studies.catalogue.sample import Record
+from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.requests import ScatterRequest
+from modetune.flows.studies.study import Opened, RunOptions, study
 
 
 @study(RunOptions)
-def scatter(on: Opened, asked: ScatterRequest, record: Record = None) -> StudyEnd:
+def scatter(on: Opened, request: ScatterRequest, record: Record = None) -> StudyEnd:
     """What makes repeated tests differ: mean and covariance of the parameters behind them.
 
     Leaves scatter.h5 in the campaign's run folder. Ends with exit code 3 where the answer cannot be
@@ -22,17 +22,20 @@ def scatter(on: Opened, asked: ScatterRequest, record: Record = None) -> StudyEn
     from modetune.flows.studies.scatter.telling import findings, scatter_tables, summary, told
 
     earlier = read_record(record) if record is not None else None
-    found = scatter_campaign(on.campaign, asked, on.working, earlier, on.pages)
+    found = scatter_campaign(on.campaign, request, on.working, earlier)
     SCATTER.write(on.folder / SCATTER.file, found)
     runs = f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}"
     model = [found.reduced_model.sentence] if found.reduced_model else []
     judged = findings(found)
+    doubts = [finding.text for finding in judged if finding.red]
     return StudyEnd(
+        found,
         "scatter found",
         told(found),
         scatter_tables(found),
         [*summary(found), *model, runs, *(finding.text for finding in judged)],
         [on.folder / SCATTER.file],
         scatter_charts(found),
-        [finding.text for finding in judged if finding.red],
+        doubts,
+        exit_code=3 if doubts else 0,
     )

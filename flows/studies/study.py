@@ -1,0 +1,528 @@
+"""A study: one definition from which its command, its Python verb and its Prefect flow derive.
+
+A study is a function of what was opened for it and of its request, and returns its end:
+
+    @study(ModelOptions)
+    def reduce(on: Opened, request: ReductionRequest, out: Out = None) -> StudyEnd:
+
+Its parameters are the fields of the options, which say what to open, the fields of the request and
+the other arguments of the function, each described once: `Annotated[TYPE, typer.Option(...)]`. The
+function may also take the options themselves. Parameters travel as JSON: paths are absolute texts,
+several values are a list.
+
+Nothing heavy is imported here, because the command line reads these definitions for its help.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, is_dataclass
+from functools import cached_property, reduce
+from operator import or_
+from os import PathLike
+from pathlib import Path
+from types import UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from typer import Argument, Option
+from typer.models import ArgumentInfo, OptionInfo
+
+from modetune.core.errors import CampaignError
+from modetune.core.near_names import suggestion
+from modetune.core.storage.files import check_writable
+from modetune.flows.studies.ending import StudyEnd, near
+from modetune.flows.studies.requests import FILE_OR_WORDS, is_file
+
+if TYPE_CHECKING:
+    from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.updating.updating import Progress
+
+T = TypeVar("T")
+REQUIRED = inspect.Parameter.empty
+
+
+def split_files(text: str) -> tuple[Path, ...]:
+    """The files of a text: one, or several with commas between them; none of an empty text."""
+    if "," not in text or Path(text).exists():
+        return (Path(text),) if text else ()
+    return tuple(Path(part.strip()) for part in text.split(","))
+
+
+CampaignPath = Annotated[Path, Argument(help="Campaign file (YAML).")]
+ModelPath = Annotated[Path, Argument(help="Campaign file (YAML), or a deck.")]
+TestFiles = Annotated[
+    tuple[Path, ...],
+    Argument(help="Test in place of the campaign's own; several files of one test with commas."),
+    split_files,
+]
+SolverChoice = Annotated[
+    str | None,
+    Option(
+        "--solver",
+        help="Of a deck: calculix, nastran, mystran, matrices; else the first that is here and "
+        "takes it.",
+    ),
+]
+UnitsChoice = Annotated[
+    str | None,
+    Option(
+        "--units",
+        help="Of a deck: m-kg-s, mm-t-s, in-slinch-s, ft-slug-s; else guessed from its materials "
+        "and told.",
+    ),
+]
+Settings = Annotated[
+    list[str] | None,
+    Option("--set", help="KEY.KEY=VALUE over the campaign file; may be repeated."),
+]
+At = Annotated[
+    list[str] | None,
+    Option(help="NAME=VALUE of a parameter, relative to the deck; may be repeated."),
+]
+Runs = Annotated[Path, Option(help="Where run folders go.")]
+Figures = Annotated[Path | None, Option(help="Folder for figures (PNG).")]
+Page = Annotated[
+    Path | None, Option(help="HTML page with its tables and charts, one file (.html).")
+]
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What a study works on, and who watches it.
+
+    name: of the campaign, or of what is compared. values: of the parameters, by `at`. folder: of
+    the campaign's run. charted: whether charts are wanted. loaded: None of a study that loads its
+    campaigns itself.
+    """
+
+    name: str
+    progress: Progress
+    loaded: Campaign | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+    folder: Path = Path()
+    charted: bool = False
+
+    @property
+    def campaign(self) -> Campaign:
+        """The campaign that was opened for the study."""
+        assert self.loaded is not None
+        return self.loaded
+
+    def working(self, text: str) -> None:
+        """Report what is being computed."""
+        self.progress.working(text)
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """Options of all studies. A page and figures are written where options have these fields."""
+
+    settings: Settings = field(default=None, kw_only=True)
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        """Load and check what the study works on.
+
+        campaign: one that Python has loaded already. Raises CampaignError, ModelError,
+        StorageUnavailable.
+        """
+        raise NotImplementedError
+
+    @property
+    def solves(self) -> bool:
+        """Whether a solver may run."""
+        return True
+
+
+@dataclass(frozen=True)
+class CampaignOptions(StudyOptions):
+    """Options of studies of a campaign."""
+
+    campaign_file: CampaignPath
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        from modetune.flows.report.page import check_page
+
+        page, figures = places(self)
+        check_page(page)
+        campaign = campaign or self.load()
+        folder = self.folder(campaign)
+        return Opened(
+            campaign.name, progress, campaign, folder=folder, charted=bool(page or figures)
+        )
+
+    def load(self) -> Campaign:
+        """Load the campaign. Raises CampaignError."""
+        from modetune.flows.campaign.campaign import load_campaign
+
+        return load_campaign(self.campaign_file, self.settings or [])
+
+    def folder(self, campaign: Campaign) -> Path:
+        """The folder that the study writes into. Raises StorageUnavailable if it cannot."""
+        return Path()
+
+
+@dataclass(frozen=True)
+class RunOptions(CampaignOptions):
+    """Options of studies that leave a record in the campaign's run folder."""
+
+    figures: Figures = None
+    page: Page = None
+    runs: Runs = Path("runs")
+
+    def folder(self, campaign: Campaign) -> Path:
+        folder = self.runs / campaign.name
+        check_writable(folder, "name another place for run folders with --runs")
+        return folder
+
+
+@dataclass(frozen=True)
+class DeckOptions(StudyOptions):
+    """Options of studies of a campaign's model or a deck."""
+
+    model: ModelPath
+    at: At = None
+    solver: SolverChoice = None
+    units: UnitsChoice = None
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        from modetune.flows.campaign.sketch import looked_at
+        from modetune.flows.report.page import check_page
+        from modetune.flows.updating.modal_run import parse_values
+
+        check_page(places(self)[0])
+        changed = with_model(self.settings, self.solver, self.units)
+        campaign = campaign or looked_at(self.model, changed, self.test_files)
+        values = parse_values(campaign, self.at or [])
+        return Opened(campaign.name, progress, campaign, values)
+
+    @property
+    def test_files(self) -> tuple[Path, ...]:
+        """Files of a test in place of the campaign's own."""
+        return ()
+
+
+@dataclass(frozen=True)
+class ModelOptions(DeckOptions):
+    """Options of studies of a campaign's model or a deck with its test."""
+
+    test: TestFiles = ()
+    page: Page = None
+
+    @property
+    def test_files(self) -> tuple[Path, ...]:
+        return self.test
+
+
+def places(options: StudyOptions) -> tuple[Path | None, Path | None]:
+    """The page and the folder of figures that options name."""
+    return getattr(options, "page", None), getattr(options, "figures", None)
+
+
+def with_model(settings: list[str] | None, solver: str | None, units: str | None) -> list[str]:
+    """Settings with those of `--solver` and `--units`."""
+    named = {"model.solver": solver, "model.units": units}
+    return [*(settings or []), *(f"{key}={value}" for key, value in named.items() if value)]
+
+
+@dataclass(frozen=True)
+class StudyParameter:
+    """A parameter of a study.
+
+    kind: its type for the function. default: REQUIRED where there is none. info: its help, its
+    bounds and its name on the command line. reader: makes the value from the typed text.
+    may_be_file: whether the text may be the name of a file.
+    """
+
+    name: str
+    kind: Any
+    default: Any
+    info: ArgumentInfo | OptionInfo
+    reader: Callable[[str], Any] | None = None
+    may_be_file: bool = False
+
+    @property
+    def is_argument(self) -> bool:
+        """Whether the command line takes it by its place."""
+        return isinstance(self.info, ArgumentInfo)
+
+    @property
+    def is_path(self) -> bool:
+        return _has(Path, self.kind)
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The values to choose from; none where any value of the type will do."""
+        literals = (one for one in _members(self.kind) if get_origin(one) is Literal)
+        return next(map(get_args, literals), ())
+
+    @cached_property
+    def json_kind(self) -> Any:
+        """Its type with a value of JSON: texts for paths, lists for several values."""
+        members = [_json_kind(one) for one in _members(self.kind)]
+        lists = [one for one in members if get_origin(one) is list]
+        return lists[0] if lists else reduce(or_, members)
+
+    @cached_property
+    def signature(self) -> inspect.Parameter:
+        """As Prefect and pydantic read it: with its type in JSON, its help and its bounds."""
+        from pydantic import Field
+
+        bounds: dict[str, Any] = {"ge": self.info.min, "le": self.info.max}
+        if _has(float, self.kind):
+            bounds["allow_inf_nan"] = False
+        given = {name: value for name, value in bounds.items() if value is not None}
+        kind = self.json_kind
+        return inspect.Parameter(
+            self.name,
+            inspect.Parameter.POSITIONAL_OR_KEYWORD,
+            default=REQUIRED if self.default is REQUIRED else self.json_value(self.default),
+            annotation=Annotated[kind, Field(description=self.info.help, **given)],
+        )
+
+    def json_value(self, value: Any) -> Any:
+        """A value as JSON has it."""
+        if get_origin(self.json_kind) is list:
+            value = [] if value is None else value
+            return [_plain(one) for one in value] if isinstance(value, _SEVERAL) else _plain(value)
+        return _plain(value)
+
+    def problem(self, value: Any) -> str:
+        """Why a value is refused, in a sentence; empty where it is not."""
+        from pydantic import TypeAdapter, ValidationError
+
+        try:
+            TypeAdapter(self.signature.annotation).validate_python(value, strict=True)
+        except ValidationError:
+            return f"{self.name} {value!r}: expected {self._expected()}"
+        return ""
+
+    def absolute(self, value: Any) -> Any:
+        """A value with the paths in it absolute."""
+        if isinstance(value, list):
+            return [self.absolute(one) for one in value]
+        if value is not None and (self.is_path or (self.may_be_file and is_file(value))):
+            return str(Path(value).absolute())
+        return value
+
+    def value(self, plain: Any) -> Any:
+        """The function's value of one of JSON."""
+        kind = next((one for one in _members(self.kind) if one is not type(None)), None)
+        if plain is None:
+            return None
+        if get_origin(kind) in (list, tuple):
+            values = [Path(one) if get_args(kind)[0] is Path else one for one in plain]
+            return tuple(values) if get_origin(kind) is tuple else values
+        return Path(plain) if kind is Path else plain
+
+    def _expected(self) -> str:
+        if self.choices:
+            return f"one of {', '.join(map(str, self.choices))}"
+        several = get_origin(self.json_kind) is list
+        kinds = get_args(self.json_kind) if several else _members(self.json_kind)
+        one, more = next(_WORDS[kind] for kind in kinds if kind in _WORDS)
+        low, high = self.info.min, self.info.max
+        bounds = "" if low is None else f" from {low:g}"
+        bounds += "" if high is None else f" to {high:g}"
+        return f"a list of {more}" if several else f"{one}{bounds}"
+
+
+#: Types of JSON in words, of one value and of several.
+_WORDS: dict[Any, tuple[str, str]] = {
+    bool: ("true or false", "true or false"),
+    int: ("a whole number", "whole numbers"),
+    float: ("a number", "numbers"),
+    str: ("a text", "texts"),
+}
+_SEVERAL = (list, tuple)
+
+
+def _members(kind: Any) -> tuple[Any, ...]:
+    """The types of a union; a type alone otherwise."""
+    return get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+
+
+def _has(wanted: type, kind: Any) -> bool:
+    return wanted is kind or any(_has(wanted, one) for one in get_args(kind))
+
+
+def _json_kind(kind: Any) -> Any:
+    if get_origin(kind) in _SEVERAL:
+        return list[_json_kind(get_args(kind)[0])]  # type: ignore[misc]  # a type made at run time
+    return str if kind is Path else kind
+
+
+def _plain(value: Any) -> Any:
+    """A value without types that JSON lacks: paths, numbers and arrays of numpy."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return str(value) if isinstance(value, PathLike) else value
+
+
+def _parameter(name: str, hint: Any, default: Any) -> StudyParameter:
+    kind, info, *notes = get_args(hint)
+    reader = next((note for note in notes if callable(note)), None)
+    return StudyParameter(name, kind, default, info, reader, FILE_OR_WORDS in notes)
+
+
+def _fields(kind: type) -> list[StudyParameter]:
+    """The fields of options or of a request."""
+    hints = get_type_hints(kind, include_extras=True)
+    items = inspect.signature(kind).parameters.values()
+    return [_parameter(item.name, hints[item.name], item.default) for item in items]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study: its name, its function, and the options that say what to open for it."""
+
+    name: str
+    function: Callable[..., StudyEnd]
+    options: type[StudyOptions]
+
+    @property
+    def help(self) -> str:
+        """What it does, in paragraphs."""
+        return inspect.cleandoc(self.function.__doc__ or "")
+
+    @cached_property
+    def fields(self) -> tuple[StudyParameter, ...]:
+        """All parameters in the order of the command line: arguments, own options, shared ones."""
+        shared = _fields(self.options)
+        own: list[StudyParameter] = []
+        for name, (hint, default) in self._arguments.items():
+            if not _is_dataclass(hint):
+                own.append(_parameter(name, hint, default))
+            elif hint is not self.options:
+                own += _fields(hint)
+        arguments = [item for item in (*shared, *own) if item.is_argument]
+        return (*arguments, *(item for item in (*own, *shared) if not item.is_argument))
+
+    @property
+    def parameters(self) -> list[inspect.Parameter]:
+        """Parameters of its flow: JSON's types with help; files, settings and runs come first."""
+
+        def place(item: StudyParameter) -> int:
+            return 0 if item.is_argument else {"settings": 1, "runs": 2}.get(item.name, 3)
+
+        return [item.signature for item in sorted(self.fields, key=place)]
+
+    @property
+    def path_parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that are paths or lists of paths."""
+        return tuple(item.name for item in self.fields if item.is_path)
+
+    def paths(self, parameters: Mapping[str, Any]) -> list[Path]:
+        """Every file and folder that checked parameters name."""
+        found: list[Path] = []
+        for item in self.fields:
+            value = parameters[item.name]
+            values = value if isinstance(value, list) else [value]
+            if item.is_path or (item.may_be_file and is_file(value)):
+                found += [Path(one) for one in values if one is not None]
+        return found
+
+    def checked(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """All parameters as JSON: defaults filled in, types checked, paths absolute.
+
+        Raises CampaignError with all problems.
+        """
+        known = {item.name: item for item in self.fields}
+        problems = [
+            f"{self.name} has no parameter {name!r}{suggestion(name, known)}"
+            for name in parameters
+            if name not in known
+        ]
+        values: dict[str, Any] = {}
+        for name, item in known.items():
+            given = parameters.get(name, item.default)
+            if given is REQUIRED:
+                problems.append(f"{self.name}: {name} is missing")
+                continue
+            value = item.json_value(given)
+            if problem := item.problem(value):
+                problems.append(f"{self.name}: {problem}")
+            else:
+                values[name] = item.absolute(value)
+        if problems:
+            raise CampaignError(problems)
+        return values
+
+    def solves(self, parameters: Mapping[str, Any]) -> bool:
+        """Whether a solver may run with these parameters. Raises CampaignError."""
+        return self._opening(parameters).solves
+
+    def beginning(self, parameters: Mapping[str, Any]) -> str:
+        """What is done first, for people: the files that are read. Imports nothing heavy."""
+        checked = self.checked(parameters)
+        arguments = [checked[item.name] for item in self.fields if item.is_argument]
+        files = (file for one in arguments for file in (one if isinstance(one, list) else [one]))
+        return f"reading {', '.join(str(near(Path(file))) for file in files)}"
+
+    @contextmanager
+    def opened(
+        self, parameters: Mapping[str, Any], progress: Progress, campaign: Campaign | None = None
+    ) -> Iterator[Opened]:
+        """Load and check what the study works on.
+
+        campaign: one that Python has loaded already. Raises CampaignError, ModelError,
+        StorageUnavailable.
+        """
+        progress.working(self.beginning(parameters))
+        yield self._opening(parameters).open(progress, campaign)
+
+    def call(self, on: Opened, parameters: Mapping[str, Any]) -> StudyEnd:
+        """Run the study and write its page and figures. Raises the errors of its function."""
+        values = self._values(parameters)
+        given = {
+            name: hint(**_of(hint, values)) if _is_dataclass(hint) else values[name]
+            for name, (hint, _) in self._arguments.items()
+        }
+        if on.loaded is not None:
+            on.working(f"{self.name}: {on.name} by {on.campaign.solver_name}")
+        page, figures = places(self.options(**_of(self.options, values)))
+        return self.function(on, **given).drawn((self.name, on.name), page, figures)
+
+    @cached_property
+    def _arguments(self) -> dict[str, tuple[Any, Any]]:
+        """Type and default of the function's arguments behind what was opened."""
+        hints = get_type_hints(self.function, include_extras=True)
+        _, *items = inspect.signature(self.function).parameters.values()
+        return {item.name: (hints[item.name], item.default) for item in items}
+
+    def _values(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        checked = self.checked(parameters)
+        return {item.name: item.value(checked[item.name]) for item in self.fields}
+
+    def _opening(self, parameters: Mapping[str, Any]) -> StudyOptions:
+        return self.options(**_of(self.options, self._values(parameters)))
+
+
+def _is_dataclass(hint: Any) -> bool:
+    """Whether a type is that of a request or of options."""
+    return is_dataclass(hint)
+
+
+def _of(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that are fields of options or of a request."""
+    return {name: values[name] for name in inspect.signature(kind).parameters}
+
+
+def study(options: type[StudyOptions]) -> Callable[[Callable[..., StudyEnd]], Study]:
+    """Make a study of a function, with these options that say what to open for it."""
+
+    def made(function: Callable[..., StudyEnd]) -> Study:
+        return Study(function.__name__, function, options)
+
+    return made
