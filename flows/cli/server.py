@@ -47,8 +47,8 @@ def server_status() -> None:
     from modetune.flows.jobs import prefect_server as process
 
     home = process.server_home()
-    address = process.read_address(home)
-    if address is None or not process.is_keeper(address.pid) or not process.is_ours(address.url):
+    address = process.running_address(home)
+    if address is None or not process.is_ours(address.url):
         typer.echo("no shared server is running")
         return
     typer.echo(
@@ -72,14 +72,20 @@ def server_stop() -> None:
 
 @contextmanager
 def serving() -> Iterator[SharedServer]:
-    """A server that answers, in use for as long as this lasts."""
+    """A server that answers, in use for as long as this lasts. Raises ModetuneError."""
     from modetune.flows.jobs.prefect_server import use_server
 
     server = use_server()
     try:
-        found = server.wait()
+        found = server.wait(waiting=_show_wait)
         if found != "ready":
-            raise ModetuneError(server.told(found))
+            raise ModetuneError(server.describe(found))
         yield server
     finally:
         server.close()
+
+
+def _show_wait(seconds: float) -> None:
+    """Report every ten seconds that the server is still starting."""
+    if int(seconds) % 10 == 0:
+        typer.echo(f"waiting for Prefect's server ({seconds:.0f} s)", err=True)

@@ -64,7 +64,7 @@ from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.site import RetriesSection, RunSection
 from modetune.flows.jobs import prefect_server
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.prefect_api import PrefectApi
+from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.updating.running import job_engine
 from tests.embedded import PROGRAMS
 
@@ -445,12 +445,11 @@ def chain_of() -> Callable[[Values], tuple[Floats, Floats]]:
     return chain
 
 
-def api_of(home: Path) -> PrefectApi:
+def api_of(home: Path) -> ServerClient:
     """The shared server of a machine's home, as its owner sees it."""
     address = prefect_server.read_address(home)
     assert address is not None
-    login = prefect_server.read_login(home)
-    return PrefectApi(address.url.replace("://", f"://{login}@"))
+    return ServerClient(address.url, prefect_server.read_login(home))
 
 
 #: How Chromium draws in three dimensions where there is no graphics card.

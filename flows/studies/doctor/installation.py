@@ -23,11 +23,9 @@ from modetune.flows.campaign.campaign import cores
 from modetune.flows.campaign.schema import STORE_REMEDY, STORE_VARIABLE
 from modetune.flows.campaign.site import RunSection, site_path
 from modetune.flows.jobs.prefect_server import (
-    Address,
-    SharedServer,
-    is_keeper,
+    configured_server,
     is_ours,
-    read_address,
+    running_address,
     server_home,
 )
 from modetune.flows.studies.doctor.lines import DoctorLine, State, Tell
@@ -153,15 +151,14 @@ def _licences() -> Found:
 
 
 def _server() -> Found:
-    named = os.environ.get("PREFECT_API_URL")
-    if named:
-        server = SharedServer(server_home(), Address(named, 0), None)
-        answer = server.answer()
+    configured = configured_server()
+    if configured is not None:
+        answer = configured.answer()
         if answer == "ready":
-            return "passed", f"{server.address.shown} answers", ""
-        return "failed", server.told(answer), ""
-    address = read_address(server_home())
-    if address is None or not is_keeper(address.pid) or not is_ours(address.url):
+            return "passed", f"{configured.address.url} answers", ""
+        return "failed", configured.describe(answer), ""
+    address = running_address(server_home())
+    if address is None or not is_ours(address.url):
         return "not available", "none is running; the first command that needs one starts it", ""
     return "passed", f"running at {address.url.removesuffix('/api')}", ""
 

@@ -361,8 +361,7 @@ def task_states(home: Path) -> set[tuple[str, str]]:
     """Names and states of all task runs that the shared server of a home knows."""
     found: set[tuple[str, str]] = set()
     for _ in range(100):  # the server writes task runs in batches
-        with api_of(home) as api:
-            runs = api.post("/task_runs/filter", {"limit": 200})
+        runs = api_of(home).post("/task_runs/filter", {"limit": 200})
         found = {(item["name"], item["state_name"]) for item in runs}
         ended = {"Completed", "Cached", "Derived", "Skipped"}
         if len(runs) >= 20 and all(state in ended for _, state in found):

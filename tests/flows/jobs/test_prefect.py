@@ -221,8 +221,8 @@ class Site:
 
     def ask(self, path: str, content: object = None) -> Any:
         """What the server answers to a request."""
-        with api_of(self.home) as api:
-            return api.get(path) if content is None else api.post(path, content)
+        api = api_of(self.home)
+        return api.get(path) if content is None else api.post(path, content)
 
     def run_deployed(self) -> Any:
         """Ask for a run of the deployment, let a worker do what is due, and give the flow run."""

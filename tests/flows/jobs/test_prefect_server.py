@@ -4,18 +4,23 @@ process on its port."""
 from __future__ import annotations
 
 import base64
+import contextlib
+import errno
 import http.server
 import json
 import os
 import re
 import shutil
 import socket
+import sqlite3
 import stat
 import subprocess
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +29,8 @@ import pytest
 from modetune.core.errors import StorageUnavailable
 from modetune.core.storage.locks import FileLock
 from modetune.flows.jobs import prefect_server as process
-from modetune.flows.jobs.prefect_api import PrefectApi, is_loopback
+from modetune.flows.jobs.server_client import ServerClient, is_loopback, prefect_setting
+from tests.eventually import eventually
 from tests.flows.conftest import SERVER_USER
 
 #: Any account but ours; 65534 is `nobody` on Linux.
@@ -73,7 +79,7 @@ class Served:
     def __init__(self, base: Path) -> None:
         self.home = process.machine_home(base)
         self.environment = {**os.environ, process.HOME_VARIABLE: str(base)}
-        for name in ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING"):
+        for name in process.FOREIGN:
             self.environment.pop(name, None)
         self.used = self.use()
         found = process.read_address(self.home)
@@ -91,8 +97,8 @@ class Served:
             check=False,
         )
 
-    def owner(self) -> PrefectApi:
-        return PrefectApi(self.url.replace("://", f"://{self.login}@"))
+    def owner(self) -> ServerClient:
+        return ServerClient(self.url, self.login)
 
 
 @pytest.fixture(scope="module")
@@ -120,8 +126,7 @@ def as_stranger(program: str, *arguments: str, told: str = "") -> bytes:
 
 def every_request(served: Served) -> list[tuple[str, str]]:
     """Each route of the server with each of its methods."""
-    with served.owner() as api:
-        paths: dict[str, dict[str, Any]] = api.get("/openapi.json")["paths"]
+    paths: dict[str, dict[str, Any]] = served.owner().get("/openapi.json")["paths"]
     some = "00000000-0000-4000-8000-000000000000"
     return [
         (method.upper(), re.sub(r"{[^}]*}", some, path))
@@ -186,8 +191,7 @@ def test_another_user_is_refused_on_every_route(served: Served) -> None:
     routes = every_request(served)
     assert len(routes) > 150
     wrong = {"Authorization": "Basic bW9kZXR1bmU6bW9kZXR1bmU="}
-    with served.owner() as api:
-        token = api.get("/csrf-token?client=owner")["token"]
+    token = served.owner().get("/csrf-token?client=owner")["token"]
     # A token of the owner's takes the second lock away: the login alone must hold.
     token_of_owner = {"Prefect-Csrf-Token": token, "Prefect-Csrf-Client": "owner"}
     for headers, refusals in (
@@ -221,8 +225,7 @@ def test_another_user_cannot_have_a_program_run(served: Served) -> None:
     content = {"name": "x", "type": "process", "job_variables": {"command": "touch /tmp/owned"}}
     told = json.dumps({"url": served.url, "content": content, "requests": requests})
     assert set(json.loads(as_stranger(REQUESTS, told=told))) == {401, 403}
-    with served.owner() as api:
-        assert "x" not in {pool["name"] for pool in api.post("/work_pools/filter", {})}
+    assert "x" not in {pool["name"] for pool in served.owner().post("/work_pools/filter", {})}
 
 
 @NOT_ROOT
@@ -264,8 +267,7 @@ def test_a_request_that_a_page_forged_is_refused(served: Served) -> None:
 def test_a_client_without_the_login_is_told_so(served: Served) -> None:
     other = served.use(PREFECT_API_URL=served.url)
     assert other.stdout == "asks for a login\n", other.stderr
-    with PrefectApi(served.url, login="") as api:
-        assert api.answer() == "asks for a login"
+    assert ServerClient(served.url).answer() == "asks for a login"
 
 
 @NOT_ROOT
@@ -347,7 +349,272 @@ def test_a_proxy_is_not_asked_for_loopback(monkeypatch: pytest.MonkeyPatch) -> N
             monkeypatch.setenv(name, "http://192.0.2.1:3128")  # nobody has this address
         monkeypatch.delenv("NO_PROXY", raising=False)
         monkeypatch.delenv("no_proxy", raising=False)
-        with PrefectApi(f"http://127.0.0.1:{server.server_port}/api", patience_s=2.0) as api:
-            assert api.answer() == "ready"
+        assert ServerClient(f"http://127.0.0.1:{server.server_port}/api").answer() == "ready"
         server.shutdown()
     assert asked == ["/api/admin/version"]
+
+
+# What may be at an address
+
+
+class Peer:
+    """A peer that accepts connections and does something of its own with each."""
+
+    def __init__(self, serve: Callable[[socket.socket], None]) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._serve = serve
+        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}/api"
+        self._thread = threading.Thread(target=self._accept)
+        self._thread.start()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = self._listener.accept()
+                with connection, contextlib.suppress(OSError):
+                    self._serve(connection)
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join()
+
+
+def drip(connection: socket.socket) -> None:
+    """Send an endless head, one byte each half second."""
+    for byte in b"HTTP/1.1 200 OK\r\nServer: " + 100 * b"x":
+        connection.sendall(bytes([byte]))
+        threading.Event().wait(0.5)
+
+
+def drip_body(connection: socket.socket) -> None:
+    """Send a head, then an endless body, one byte each half second."""
+    connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n")
+    drip(connection)
+
+
+def hang(connection: socket.socket) -> None:
+    """Read and send nothing."""
+    while connection.recv(1000):
+        pass
+
+
+def refuse(connection: socket.socket) -> None:
+    """Send that others write to the database."""
+    connection.recv(1000)
+    connection.sendall(b"HTTP/1.1 503 Busy\r\nContent-Length: 0\r\n\r\n")
+
+
+def page(connection: socket.socket) -> None:
+    """Send a page of something else."""
+    connection.recv(1000)
+    connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 6\r\n\r\n<html>")
+
+
+@pytest.mark.parametrize(
+    ("serve", "answer"),
+    [
+        (drip, "does not answer"),
+        (drip_body, "does not answer"),
+        (hang, "does not answer"),
+        (refuse, "does not answer"),
+        (page, "is not a Prefect server"),
+    ],
+)
+def test_a_probe_takes_three_seconds_at_most(
+    serve: Callable[[socket.socket], None], answer: str
+) -> None:
+    peer = Peer(serve)
+    threads, began = threading.active_count(), time.monotonic()
+    try:
+        assert ServerClient(peer.url).answer() == answer
+        assert time.monotonic() - began < 3.0
+        assert threading.active_count() == threads
+    finally:
+        peer.close()
+
+
+def test_a_host_whose_name_is_looked_up_for_ever_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = threading.Event()
+
+    def look_up(*arguments: object, **more: object) -> list[object]:
+        found.wait(60.0)
+        return []
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    began = time.monotonic()
+    assert ServerClient("http://prefect.example/api").answer() == "does not answer"
+    assert time.monotonic() - began < 3.0
+    found.set()
+
+
+# Which server
+
+
+def test_the_active_profile_names_a_server_and_its_login(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in process.FOREIGN:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PREFECT_HOME", str(tmp_path))
+    assert process.configured_server() is None
+    (tmp_path / "profiles.toml").write_text(
+        'active = "site"\n[profiles.site]\nPREFECT_API_URL = "https://me:word@prefect.example/api"\n'
+        '[profiles.other]\nPREFECT_API_URL = "http://127.0.0.1:9/api"\n'
+        'PREFECT_API_AUTH_STRING = "you:word"\n'
+    )
+    server = process.use_server(start=False)
+    assert server is not None
+    assert (server.address.url, server.login) == ("https://prefect.example/api", "me:word")
+    assert not server.shared
+    monkeypatch.setenv("PREFECT_PROFILE", "other")
+    other = process.use_server()
+    assert (other.address.url, other.login) == ("http://127.0.0.1:9/api", "you:word")
+    assert other.settings()["PREFECT_API_AUTH_STRING"] == "you:word"
+    monkeypatch.setenv("PREFECT_API_AUTH_STRING", "they:word")  # the environment wins
+    assert prefect_setting("PREFECT_API_AUTH_STRING") == "they:word"
+    (tmp_path / "profiles.toml").write_text("active = ")
+    assert process.configured_server() is None
+
+
+def test_a_server_is_started_only_when_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, served: Served
+) -> None:
+    for name in process.FOREIGN:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(process.HOME_VARIABLE, str(tmp_path / "none"))
+    assert process.use_server(start=False) is None
+    assert not (tmp_path / "none").exists()
+    monkeypatch.setenv(process.HOME_VARIABLE, str(served.home.parent))
+    server = process.use_server(start=False)
+    assert server is not None
+    assert server.wait(20.0) == "ready"
+    server.close()
+
+
+#: Reads its flow runs through Prefect's own client, as a client process does.
+CLIENT = """
+from prefect.client.orchestration import get_client
+from prefect.settings import PREFECT_HOME
+with get_client(sync_client=True) as client:
+    print(client.read_flow_runs(limit=1) is not None, PREFECT_HOME.value())
+    client.create_flow_from_name("settings")
+"""
+
+
+def test_its_settings_make_prefect_a_client_that_leaves_the_users_folder_alone(
+    served: Served, tmp_path: Path
+) -> None:
+    server = process.SharedServer(
+        served.home, process.Address(served.url, 0), FileLock(tmp_path / "x"), served.login
+    )
+    home = tmp_path / "user"
+    home.mkdir()
+    used = subprocess.run(
+        [sys.executable, "-c", CLIENT],
+        env={
+            **os.environ,
+            "HOME": str(home),
+            "PREFECT_HOME": str(home / ".prefect"),
+            "PREFECT_PROFILE": "gone",
+            "PREFECT_API_KEY": "another server's",
+            **server.settings(),
+        },
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert used.stdout.split() == ["True", str(served.home / "client")], used.stderr
+    assert used.stderr == ""
+    assert list(home.iterdir()) == []
+
+
+def test_a_server_that_is_configured_and_gone_is_not_waited_for_long() -> None:
+    server = process.SharedServer(Path(), process.Address("http://127.0.0.1:9/api", 0), None)
+    seconds: list[float] = []
+    began = time.monotonic()
+    assert server.wait(2.5, seconds.append) == "does not answer"
+    assert time.monotonic() - began < 6.0
+    assert [int(item) for item in seconds] == [1, 2]
+
+
+# A shared server that cannot start
+
+
+def shared_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a shared server that nobody has started yet."""
+    for name in process.FOREIGN:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(process.HOME_VARIABLE, str(tmp_path))
+    home = process.machine_home(tmp_path)
+    process.make_private(home)
+    return home
+
+
+def test_a_full_disk_is_one_sentence_and_leaves_no_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = shared_faults(tmp_path, monkeypatch)
+    write, started = process._write_private, []
+
+    def full(path: Path, text: str) -> None:
+        if path.name == "server.json":
+            started.append(text)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(path, text)
+
+    monkeypatch.setattr(process, "_write_private", full)
+    with pytest.raises(StorageUnavailable, match="is full"):
+        process.use_server()
+    assert not process.is_keeper(json.loads(started[0])["pid"])
+    assert not (home / "server.json").exists()
+
+
+def test_a_home_that_cannot_be_written_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(process.HOME_VARIABLE, "/proc/modetune")  # refuses root too
+    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    with pytest.raises(StorageUnavailable, match="/proc/modetune"):
+        process.use_server()
+
+
+def test_a_gate_that_another_process_never_opens_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = shared_faults(tmp_path, monkeypatch)
+    monkeypatch.setattr(process, "GATE_S", 0.1)
+    with FileLock(home / "server.lock") as gate:
+        assert gate.take()
+        with pytest.raises(StorageUnavailable, match=r"server\.lock"):
+            process.use_server()
+
+
+def test_a_corrupt_database_ends_the_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = shared_faults(tmp_path, monkeypatch)
+    (home / "prefect").mkdir()
+    (home / "prefect" / "prefect.db").write_bytes(b"no database" * 1000)
+    server = process.use_server()
+    assert server.wait(60.0) == "does not answer"
+    server.close()
+    keeper = server.address.pid
+    assert eventually(lambda: not process.is_keeper(keeper))
+    assert process.running_address(home) is None
+
+
+def test_a_locked_database_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = shared_faults(tmp_path, monkeypatch)
+    (home / "prefect").mkdir()
+    with contextlib.closing(sqlite3.connect(home / "prefect" / "prefect.db")) as other:
+        other.execute("create table held (x)")
+        other.execute("begin exclusive")
+        server = process.use_server()
+        began = time.monotonic()
+        assert server.wait(12.0) == "does not answer"
+        assert time.monotonic() - began < 16.0
+    server.close()
+    process.stop_server(home)
+    assert not process.is_keeper(server.address.pid)
