@@ -19,8 +19,9 @@ from modetune.flows.cli.options import on_pages
 from modetune.flows.studies.catalogue import find_study
 
 if TYPE_CHECKING:
-    from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.updating.prefect import Pages
+
+    from modetune.flows.campaign.campaign import Campaign
 
 #: Each in the module of its name.
 STUDIES = (

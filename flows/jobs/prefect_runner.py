@@ -188,10 +188,11 @@ class PrefectDaskRunner(PrefectRunner):
 
 
 @contextmanager
-def thread_runner(parallel: int, given: TaskRunner[Any] | None = None) -> Iterator[PrefectRunner]:
-    """A runner on threads of this process; given: the task runner of the caller's flow."""
-    with given or ThreadPoolTaskRunner(max_workers=parallel) as runner:
-        yield PrefectRunner(runner, parallel)
+def task_runner(runner: TaskRunner[Any], parallel: int) -> Iterator[PrefectRunner]:
+    """A runner on one of Prefect's task runners, for as long as this lasts."""
+    with runner:
+        here = isinstance(runner, ThreadPoolTaskRunner)
+        yield (PrefectRunner if here else PrefectDaskRunner)(runner, parallel)
 
 
 @contextmanager

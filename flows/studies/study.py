@@ -104,7 +104,7 @@ class Opened:
 
     name: of the campaign, or of what is compared. values: of the parameters, by `at`. folder: of
     the campaign's run. charted: whether charts are wanted. loaded: None of a study that loads its
-    campaigns itself.
+    campaigns itself. scheduled: whether a server started the run.
     """
 
     name: str
@@ -113,6 +113,7 @@ class Opened:
     values: Mapping[str, float] = field(default_factory=dict)
     folder: Path = Path()
     charted: bool = False
+    scheduled: bool = False
 
     @property
     def campaign(self) -> Campaign:

@@ -266,9 +266,7 @@ def _read(item: ComparedSource, state: State) -> Side:
     return Side(item.path.name, "test", test.numbers, test.modes, measured.geometry)
 
 
-def _orthogonality(
-    found: Correlation, model: Model, method: MassReduction
-) -> Orthogonality:
+def _orthogonality(found: Correlation, model: Model, method: MassReduction) -> Orthogonality:
     """One matrix job; common degrees of freedom that can move are masters."""
     full, names = full_model(model.campaign, model.values), list(found.dofs)
     sensors = model.campaign.case.sensors
