@@ -45,7 +45,7 @@ from modetune.core.updating.observation import observe
 from modetune.core.updating.reduced_basis import reduce, unreduced
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.jobs.execution import Execution
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.by_matrices import ByReduced, reduced_modal
@@ -235,8 +235,7 @@ class Model:
             ByReduced(self.reduced, around, name),
             campaign_analysis(own),
         )
-        execution = ThreadExecution(self.engine, 1)
-        evaluator = Evaluator(own, [state], execution, self.engine.ledger)
+        evaluator = Evaluator(own, [state], Execution(self.engine))
         return Updating(own, evaluator, Unwatched(), lambda record: None).run()
 
 

@@ -75,9 +75,13 @@ class CampaignStopped(ModetuneError):
 
 
 class SolverError(ModetuneError):
-    """A solver run gave no result. The message carries command, folder and log tail."""
+    """A solver run gave no result. The message carries command, folder and log tail.
+
+    again: whether the job may be tried again.
+    """
 
     exit_code = 4
+    again = False
 
 
 class SolverMissing(SolverError):

@@ -65,7 +65,8 @@ def run_study(study: Study, parameters: Mapping[str, Any], no_prefect: bool) -> 
         from modetune.flows.updating.display import ConsoleProgress
 
         door: Literal["off", "start"] = "off" if no_prefect else "start"
-        return carried_out(study, parameters, ConsoleProgress(console, jobs), prefect=door)
+        watcher = ConsoleProgress(console, jobs)
+        return carried_out(study, parameters, watcher, prefect=door, own_process=True)
 
 
 def parse_study(line: str) -> tuple[Study, dict[str, Any]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +15,6 @@ from modetune.core.errors import CampaignError, CampaignStopped
 if TYPE_CHECKING:
     from modetune.core.storage.store import Store
     from modetune.flows.campaign.campaign import Campaign
-    from modetune.flows.updating.prefect import Pages
 
 NoPrefect = Annotated[
     bool,
@@ -52,20 +50,6 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
 
     campaign = load_campaign(place)
     return campaign.store, campaign
-
-
-#: The pages of the run that a server started, in its process.
-_given: ContextVar[Pages | None] = ContextVar("given", default=None)
-
-
-@contextmanager
-def on_pages(pages: Pages) -> Iterator[None]:
-    """Commands in here are on the pages of a run that a server started."""
-    token = _given.set(pages)
-    try:
-        yield
-    finally:
-        _given.reset(token)
 
 
 @contextmanager

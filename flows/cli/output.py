@@ -38,5 +38,7 @@ def print_end(end: StudyEnd, as_json: bool) -> None:
         lines = (Text(line, style="red" if line in end.doubts else "") for line in end.lines)
         files = (f"written: {near(path)}" for path in end.written or ())
         print_result(result, [*end.tables, *lines, *files], as_json)
+    if end.remark:
+        typer.echo(f"modetune: {end.remark}", err=True)
     if end.exit_code:
         raise typer.Exit(end.exit_code)

@@ -10,15 +10,16 @@ import logging
 import os
 import shlex
 import signal
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, ModetuneError, SolverCrashed
 from modetune.flows.campaign.site import DaskSection, server_home
+from modetune.flows.jobs.work import Answer, Piece, PoolRunner, Task, run_end, tried
 
 #: How long a scheduler may take to answer, and workers to end their solvers, seconds.
 CONNECT_S, END_S = 20.0, 10.0
@@ -27,24 +28,6 @@ MISSING = (
     "`pip install 'modetune[cluster]'`"
 )
 JOB_CLUSTERS = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster"}
-
-
-@dataclass(frozen=True, slots=True)
-class Cluster:
-    """A client of a cluster, and the cluster itself where it was started here."""
-
-    client: Any
-    own: Any | None
-
-    def close(self, end_run: Callable[[str], None], run: str) -> None:
-        """Have the workers end a run, and leave; a cluster of our own ends with it."""
-        # A scheduler that is gone cannot be told, and has nothing left to end.
-        with suppress(OSError, ValueError, RuntimeError):
-            self.client.run(end_run, run, on_error="ignore")
-        with suppress(OSError, RuntimeError):
-            self.client.close(timeout=END_S)
-        if self.own is not None:
-            _close(self.own)
 
 
 def check_packages(section: DaskSection) -> None:
@@ -62,28 +45,124 @@ def check_packages(section: DaskSection) -> None:
         raise CampaignError(MISSING.format(error.name)) from None
 
 
-def connect(section: DaskSection, threads: int) -> Cluster:
-    """Set up the cluster that a campaign asks for. threads: of each job. Raises CampaignError."""
-    distributed: Any = import_module("distributed")
+@contextmanager
+def cluster(section: DaskSection, threads: int) -> Iterator[str | Any]:
+    """The cluster that a campaign asks for: the address of a running scheduler, or a cluster of our
+    own, which ends with this. threads: of each job. Raises CampaignError."""
+    check_packages(section)
     _quiet()
     if section.scheduler is not None:
-        try:
-            return Cluster(distributed.Client(section.scheduler, timeout=CONNECT_S), None)
-        except (OSError, ValueError) as error:
-            raise CampaignError(
-                f"no Dask scheduler answers at {section.scheduler} within {CONNECT_S:g} s; start "
-                "it (`dask scheduler`) or correct `run.dask.scheduler`"
-            ) from error
+        yield section.scheduler
+        return
     try:
         if section.cluster == "local":
-            own = _local(section, distributed)
+            own = _local(section, import_module("distributed"))
         else:
             own = _queued(section, threads)
-        return Cluster(distributed.Client(own, timeout=CONNECT_S), own)
     except (OSError, ValueError, RuntimeError) as error:  # what Dask raises where it cannot start
         raise CampaignError(
             f"no Dask cluster ({section.cluster}) could be started: {_reason(error)}"
         ) from error
+    try:
+        yield own
+    finally:
+        _close(own)
+
+
+def connected(connect: Callable[[], Any], section: DaskSection) -> Any:
+    """The client of a cluster. Raises CampaignError where no scheduler answers."""
+    try:
+        return connect()
+    except (OSError, ValueError) as error:
+        raise CampaignError(
+            f"no Dask scheduler answers at {section.scheduler or section.cluster} within "
+            f"{CONNECT_S:g} s; start it (`dask scheduler`) or correct `run.dask.scheduler`"
+        ) from error
+
+
+def end_runs(client: Any, runs: Sequence[str]) -> None:
+    """Have the workers end the solvers of these runs."""
+    # A scheduler that is gone cannot be reached, and has nothing left to end.
+    with suppress(OSError, ValueError, RuntimeError):
+        client.run(_end_runs, list(runs), on_error="ignore")
+
+
+def _end_runs(runs: list[str]) -> None:
+    for run in runs:
+        run_end(run).set()
+
+
+class DaskTask:
+    """A piece on its way through a Dask cluster."""
+
+    def __init__(self, future: Any) -> None:
+        self.future = future
+
+    def done(self) -> bool:
+        return bool(self.future.done())
+
+    def wait(self, seconds: float) -> None:
+        with suppress(TimeoutError):
+            self.future.exception(timeout=seconds)
+
+    def result(self) -> Answer:
+        return dask_result(self.future.result, self.future)
+
+    def cancel(self) -> None:
+        self.future.cancel()
+
+    def on_end(self, call: Callable[[], None]) -> None:
+        self.future.add_done_callback(lambda _: call())
+
+
+def dask_result(result: Callable[[], Answer], future: Any) -> Answer:
+    """The answer of a piece. Raises what ended it, in words of ours where Dask did."""
+    if future.status in ("cancelled", "lost"):
+        raise CampaignError(
+            "the Dask scheduler ended or was lost; start it, then run the same command again: "
+            "finished jobs are not repeated"
+        )
+    try:
+        return result()
+    except ModetuneError:
+        raise
+    except ImportError as error:
+        raise CampaignError(
+            f"a Dask worker cannot load modetune ({error}); install the same version there"
+        ) from error
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":
+            raise SolverCrashed(f"the Dask workers that ran this job died: {error}") from error
+        raise
+
+
+class DaskRunner(PoolRunner):
+    """Tries on the workers of a Dask cluster, without Prefect; computations stay here."""
+
+    remote = True
+
+    def __init__(self, client: Any, parallel: int) -> None:
+        super().__init__(parallel)
+        self.client = client
+        self.runs: set[str] = set()
+
+    def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
+        if piece.order is not None:
+            self.runs.add(piece.order.run)
+        return DaskTask(self.client.submit(tried, piece.attempt, key=uuid.uuid4().hex, pure=False))
+
+
+@contextmanager
+def dask_runner(section: DaskSection, threads: int, parallel: int) -> Iterator[DaskRunner]:
+    """A runner on the cluster that a campaign asks for. Raises CampaignError."""
+    with cluster(section, threads) as own:
+        client_of = import_module("distributed").Client
+        with connected(lambda: client_of(own, timeout=CONNECT_S), section) as client:
+            runner = DaskRunner(client, parallel)
+            try:
+                yield runner
+            finally:
+                end_runs(client, sorted(runner.runs))
 
 
 def _local(section: DaskSection, distributed: Any) -> Any:

@@ -11,10 +11,11 @@ two campaigns that want the same job run it once.
 from __future__ import annotations
 
 import logging
+import math
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -48,7 +49,9 @@ from modetune.flows.jobs.job_memory import JobMemory
 from modetune.flows.jobs.limits import CORES, Limit, Limits
 from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.scratch import factor_files
-from modetune.flows.jobs.watching import Derivation, JobWatcher, told
+from modetune.flows.jobs.tasks import Tasks
+from modetune.flows.jobs.watching import Derivation
+from modetune.flows.jobs.work import Ledger, Order, Solved, Tries, tried
 
 logger = logging.getLogger(__name__)
 R = TypeVar("R", bound=Result)
@@ -80,27 +83,6 @@ class JobOutcome:
         return engine.solver.by_hand(entry.result)
 
 
-class Ledger:
-    """What a campaign's solver runs cost so far, failed ones included; safe from many threads.
-
-    core_s: cores times the time that jobs held them; licence_s: licences times that time.
-    """
-
-    def __init__(self) -> None:
-        self.core_s = 0.0
-        self.licence_s = 0.0
-        self._lock = threading.Lock()
-
-    def add(self, seconds: float, limits: tuple[Limit, ...]) -> None:
-        """Count a run that held these limits."""
-        with self._lock:
-            for limit in limits:
-                if limit.name == CORES:
-                    self.core_s += limit.taken * seconds
-                else:
-                    self.licence_s += limit.taken * seconds
-
-
 class Launcher(Protocol):
     """Starts programs elsewhere than in a process group of this machine."""
 
@@ -117,9 +99,9 @@ class Launcher(Protocol):
 class JobEngine:
     """Solves jobs of one model against one store; safe to call from many threads.
 
-    may_run: False where the store alone may answer. elsewhere: runs a job of this key so that the
-    store has it, in place of this process, and tells whether that had it and what it took, seconds.
-    launcher: starts the programs, where not this process does. watcher: is told of each piece.
+    tasks: carry out its work. order: makes an engine like this one in another process, where that
+    can be. may_run: False where only stored results may be used. launcher: starts the programs,
+    where this process does not.
     """
 
     plans: Plans
@@ -131,11 +113,11 @@ class JobEngine:
     counter: Limits
     limits: tuple[Limit, ...]
     ledger: Ledger
+    tasks: Tasks
+    order: Order | None = None
     may_run: bool = True
-    elsewhere: Callable[[Job, str], tuple[bool, float]] | None = None
     launcher: Launcher | None = None
     memory: JobMemory = field(default_factory=JobMemory)
-    watcher: JobWatcher | None = None
 
     @property
     def room(self) -> FactorRoom:
@@ -167,27 +149,52 @@ class JobEngine:
 
     def solve(self, job: Job) -> JobOutcome:
         """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
-        key = self.key(job)
-        reused, wall_s = key in self.store, 0.0  # `JobOutcome.result` tells whether it is whole
-        if not reused and not self.may_run:
-            raise NotStored(f"the store has no result {key[:12]}, and no solver may run here")
-        try:
-            if not reused:
-                reused, wall_s = (self.elsewhere or self._solve_here)(job, key)
-        finally:
-            self.plans.done(job)
-        return JobOutcome(job, key, reused, wall_s, self)
+        tries = Tries()
+        return self.outcome(job, tried(lambda: self.attempt(job, "", tries)))
 
-    def _solve_here(self, job: Job, key: str) -> tuple[bool, float]:
+    def outcome(self, job: Job, solved: Solved) -> JobOutcome:
+        """The outcome of a job whose result the store has."""
+        return JobOutcome(job, solved.key, solved.reused, solved.wall_s, self)
+
+    def has(self, jobs: Sequence[Job]) -> bool:
+        """Whether the store has the results of all these jobs. Raises ModelError, SolverMissing."""
+        return all(self.key(job) in self.store for job in jobs)
+
+    def attempt(self, job: Job, key: str, tries: Tries) -> Solved:
+        """One try to have the job's result in the store.
+
+        key: of the job, where it is known. Raises as `solve` does; `again` of an error says whether
+        another try may follow.
+        """
+        try:
+            key = key or self.key(job)
+            reused, wall_s = key in self.store, 0.0  # `JobOutcome.result` finds damaged entries
+            if not reused and not self.may_run:
+                raise NotStored(f"the store has no result {key[:12]}, and no solver may run here")
+            if not reused:
+                reused, wall_s = self._solve_here(job, key, tries)
+        except SolverError as error:
+            error.again = self.policy.allows_another(error, tries)
+            if not error.again:
+                self.plans.done(job)
+            raise
+        except BaseException:
+            self.plans.done(job)
+            raise
+        self.plans.done(job)
+        return Solved(key, reused, wall_s)
+
+    def _solve_here(self, job: Job, key: str, tries: Tries) -> tuple[bool, float]:
         with self.store.lock(key, self._wait_for_another):
             if key in self.store:  # another campaign was faster
                 return True, 0.0
             plan, note = self.plans.plan(job), self.note(job).text()
-            started = time.monotonic()
-            result = self.policy.tried(
+            if math.isnan(tries.began_s):
+                tries.began_s = time.monotonic()
+            result = self.policy.with_licence(
                 lambda: self._run(job, plan, note), self.program.name, self.cancelled
             )
-            wall_s = time.monotonic() - started
+            wall_s = time.monotonic() - tries.began_s
             self.store.put(
                 Entry(key, result, self.program.name, self.program.version(), wall_s),
                 plan.asked,
@@ -216,16 +223,18 @@ class JobEngine:
     def derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str = "") -> R:
         """What is computed here from results at a cost, from the store if it is there.
 
-        asked: everything that can change the numbers, keys of the results among it; name: for
-        people who watch. Raises NotComputed where the store alone may answer and has no answer.
+        asked: everything that can change the numbers, keys of the results among it; name: of the
+        task. Raises NotComputed where only stored results may be used and there is none.
         """
         text = canonical_json(asked)
         key, begun = content_key(text), time.monotonic()
-        with told(self.watcher, name) as outcomes:
+
+        def found() -> tuple[R, Sequence[Derivation]]:
             reused = key in self.store
-            found = self._derived(key, text, compute, kind)
-            outcomes.append(Derivation(key, reused, time.monotonic() - begun))
-        return found
+            value = self._derived(key, text, compute, kind)
+            return value, [Derivation(key, reused, time.monotonic() - begun)]
+
+        return self.tasks.compute(name, found)
 
     def _derived(self, key: str, text: str, compute: Callable[[], R], kind: type[R]) -> R:
         found = self._stored(key, kind)

@@ -1,10 +1,9 @@
-"""What follows from a failed job: whether and when it is tried again."""
+"""What follows from a failed try of a job: whether another one follows, and when."""
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,6 +17,7 @@ from modetune.core.errors import (
     SolverTimeout,
 )
 from modetune.core.updating.results import Result
+from modetune.flows.jobs.work import Tries
 
 logger = logging.getLogger(__name__)
 
@@ -48,28 +48,27 @@ class Policy:
     memory_bytes: int = 0
     single_factors: bool | None = None
 
-    def chances(self, error: SolverError) -> int:
-        """How often a job that ended so may be tried again."""
+    @property
+    def most_tries(self) -> int:
+        """Tries of one job at most, whatever its failures."""
+        return 1 + self.stopped + self.timeout + self.no_result
+
+    def allows_another(self, error: SolverError, tries: Tries) -> bool:
+        """Count a failed try, and say whether its kind of failure allows another one."""
         if isinstance(error, NoResult):
-            return self.no_result
-        if isinstance(error, SolverTimeout):
-            return self.timeout
-        return self.stopped if isinstance(error, SolverCrashed) else 0
+            chances = self.no_result
+        elif isinstance(error, SolverTimeout):
+            chances = self.timeout
+        else:
+            chances = self.stopped if isinstance(error, SolverCrashed) else 0
+        kind = type(error)
+        tries.failures[kind] += 1
+        if tries.failures[kind] > chances:
+            return False
+        logger.warning("%s; trying again (%d of %d)", error, tries.failures[kind], chances)
+        return True
 
-    def tried(self, run: Callable[[], Result], program: str, cancelled: threading.Event) -> Result:
-        """What a run of a program gives, tried as often as its failures allow."""
-        failures: Counter[type[SolverError]] = Counter()
-        while True:
-            try:
-                return self._with_licence(run, program, cancelled)
-            except SolverError as error:
-                chances = self.chances(error)
-                failures[type(error)] += 1
-                if failures[type(error)] > chances:
-                    raise
-                logger.warning("%s; trying again (%d of %d)", error, failures[type(error)], chances)
-
-    def _with_licence(
+    def with_licence(
         self, run: Callable[[], Result], program: str, cancelled: threading.Event
     ) -> Result:
         """Where no licence is free wait and ask again, which is not a failure."""

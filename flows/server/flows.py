@@ -1,43 +1,272 @@
-"""The table of flows: one for each study, by its name."""
+"""The studies as Prefect flows: each study's definition gives the parameters and the work.
+
+The command, the Python verb, a deployment and a pipeline of the user's own run the same flow, which
+is importable under the study's name:
+
+    from modetune.flows.server.flows import update
+
+    @flow
+    def nightly():
+        state = update("wing/campaign.yaml", return_state=True)
+
+Its state has the study's status as name, and the study's JSON object as result.
+"""
 
 from __future__ import annotations
 
 import inspect
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+import httpx
 from prefect import Flow
-from prefect.states import Completed, Failed
+from prefect.client.orchestration import get_client
+from prefect.client.schemas.objects import FlowRun, State
+from prefect.context import FlowRunContext, get_settings_context
+from prefect.exceptions import Abort, PrefectException, TerminationSignal
+from prefect.flow_engine import run_flow
+from prefect.states import Cancelled, Completed, Crashed, Failed, Pending
+from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
-from modetune.core.errors import ModetuneError
-from modetune.flows.server.run import carried_out
-from modetune.flows.studies.catalogue import STUDIES as FLOWS
-from modetune.flows.studies.catalogue import find_study
-from modetune.flows.updating.updating import Unwatched
+from modetune.core.errors import CampaignRunning, ModetuneError
+from modetune.flows.campaign.campaign import Campaign, cores
+from modetune.flows.jobs.prefect_runner import PrefectRunner, dask_task_runner, task_runner
+from modetune.flows.jobs.prefect_server import configured_server
+from modetune.flows.jobs.server_client import ServerClient
+from modetune.flows.jobs.silent_runs import TAG
+from modetune.flows.jobs.tasks import StudyRun, running_with
+from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
+from modetune.flows.studies.catalogue import STUDIES, find_study
+from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.study import Opened, Study
+from modetune.flows.updating.artifacts import files_sheet, result_sheets, table_sheet
+from modetune.flows.updating.run import CampaignRun
+from modetune.flows.updating.updating import Progress, Unwatched
+
+#: Names of the flows.
+FLOWS = STUDIES
+
+
+@dataclass
+class Handed:
+    """What the caller in this process hands to the body of a flow, and the outcome of the body.
+
+    opened: the campaign, loaded already. own_process: whether the process is the run's alone.
+    """
+
+    progress: Progress
+    opened: Opened | None = None
+    own_process: bool = False
+    began: bool = False
+    end: StudyEnd | None = None
+    error: BaseException | None = None
+
+    def outcome(self) -> StudyEnd:
+        """The end of the study. Raises what ended it."""
+        if self.error is not None:
+            raise self.error
+        assert self.end is not None
+        return self.end
+
+
+_handed: ContextVar[Handed | None] = ContextVar("handed", default=None)
+
+
+@contextmanager
+def handing(handed: Handed | None) -> Iterator[None]:
+    """The next flow that runs in here gets this."""
+    token = _handed.set(handed)
+    try:
+        yield
+    finally:
+        _handed.reset(token)
+
+
+def find_flow(name: str) -> Flow[..., Any]:
+    """The flow of a study. Raises CampaignError where there is none of this name."""
+    return _flow_of(find_study(name))
+
+
+def run_as_flow(
+    study: str, parameters: Mapping[str, Any], name: str, pages: str, handed: Handed
+) -> None:
+    """Run a study as a flow of this process; the outcome is in what was handed to it.
+
+    name: of the run; pages: address of the server's pages. A server that refuses the run before it
+    begins, or that is gone at its end, is no error.
+    """
+    flow = find_flow(study)
+    with suppress(Exception, Abort):  # the study's own errors are in the outcome
+        with get_client(sync_client=True) as client:
+            made = client.create_flow_run(
+                flow,
+                name=name,
+                parameters=flow.serialize_parameters(dict(parameters)),
+                tags=[TAG],
+                state=Pending(),
+            )
+        handed.progress.page(f"{pages}/runs/flow-run/{made.id}")
+        run_flow(flow, flow_run=made, parameters=dict(parameters), return_type="state")
+
+
+def __getattr__(name: str) -> Flow[..., Any]:
+    if name not in FLOWS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return find_flow(name)
+
+
+#: The task runner of the flow that calls one of ours.
+_around: ContextVar[TaskRunner[Any] | None] = ContextVar("around", default=None)
+
+
+class StudyFlow(Flow[..., Any]):
+    """The flow of a study; inside another flow it runs on that one's task runner."""
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        context = FlowRunContext.get()
+        token = _around.set(None if context is None else context.task_runner)
+        try:
+            return super().__call__(*given, **named)
+        finally:
+            _around.reset(token)
 
 
 @cache
-def find_flow(name: str) -> Flow[..., Any]:
-    """The flow of a study."""
-    study = find_study(name)
+def _flow_of(study: Study) -> Flow[..., Any]:
     signature = inspect.Signature(study.parameters)
 
-    def body(*arguments: Any, **named: Any) -> Any:
-        parameters = signature.bind(*arguments, **named).arguments
-        try:
-            carried_out(study, parameters, Unwatched(), prefect="off")
-        except ModetuneError as error:
-            return Failed(message=str(error))
-        return Completed()
+    def body(*given: Any, **named: Any) -> State[Any]:
+        bound = signature.bind(*given, **named)
+        bound.apply_defaults()
+        handed = _handed.get() or Handed(Unwatched())
+        with handing(None):  # a flow inside this one gets its own
+            return _body(study, study.checked(bound.arguments), handed)
 
-    body.__name__ = body.__qualname__ = name
-    body.__doc__ = study.help
-    body.__module__ = __name__
+    body.__name__ = body.__qualname__ = study.name
+    body.__module__, body.__doc__ = __name__, study.help
     body.__signature__ = signature  # type: ignore[attr-defined]
-    return Flow(body, name=name, persist_result=False)
+    body.__annotations__ = {item.name: item.annotation for item in study.parameters}
+    return StudyFlow(body, name=study.name, persist_result=False, log_prints=False)
 
 
-def __getattr__(name: str) -> Any:
-    if name in FLOWS:
-        return find_flow(name)
-    raise AttributeError(name)
+def _body(study: Study, parameters: Mapping[str, Any], handed: Handed) -> State[Any]:
+    """Run a study inside its flow run, and return the state that the run ends in."""
+    handed.began = True
+    context = FlowRunContext.get()
+    assert context is not None
+    assert context.flow_run is not None
+    runs: list[StudyRun] = []
+
+    def cancel() -> None:
+        for run in runs:
+            run.cancel()
+
+    page = RunPage(_client(), context.flow_run.id, cancel, handed.own_process)
+    try:
+        with _logged(page):
+            state = _carried(study, parameters, handed, runs, page, context.flow_run)
+    except (KeyboardInterrupt, TerminationSignal) as error:
+        cancel()
+        handed.error = KeyboardInterrupt()
+        handed.error.__cause__ = error
+        where = "cancelled on its page" if page.cancelled else "stopped by the user"
+        state = Cancelled(message=where)
+    except CampaignRunning as error:
+        handed.error = error
+        state = Completed(name="Already running", message=str(error))
+    except ModetuneError as error:
+        handed.error = error
+        state = Failed(message=str(error))
+    except Exception as error:
+        handed.error = error
+        state = Crashed(message=f"{type(error).__name__}: {error}")
+    if not page.finish():
+        raise Abort("the server does not answer")
+    return state
+
+
+def _carried(
+    study: Study,
+    parameters: Mapping[str, Any],
+    handed: Handed,
+    runs: list[StudyRun],
+    page: RunPage,
+    flow_run: FlowRun,
+) -> State[Any]:
+    progress = PageProgress(handed.progress, page)
+    with ExitStack() as stack:
+        if handed.opened is None:
+            opened = stack.enter_context(study.opened(parameters, progress))
+            _rename(flow_run, opened.name)
+        else:
+            opened = handed.opened
+        on = replace(opened, progress=progress, scheduled=flow_run.deployment_id is not None)
+        progress.name = on.name
+        if study.name == "update":
+            progress.tolerances = on.campaign.tolerances
+        runner = stack.enter_context(_runner(on.loaded))
+        runs.append(StudyRun(runner, licences=configured_server() is not None))
+        stack.enter_context(running_with(runs[0]))
+        end = handed.end = study.call(on, parameters)
+    for sheet in _sheets(study, on.name, end):
+        page.sheet(sheet)
+    for line in end.lines:
+        page.log(line)
+    name, reason = end.state.replace("_", " ").capitalize(), "; ".join(end.doubts) or end.sentence
+    # What did not succeed is not shown in green, and an automation can wait for it.
+    made: Callable[..., State[Any]] = Failed if end.exit_code else Completed
+    return made(name=name, message=reason, data=end.to_json())
+
+
+def _sheets(study: Study, name: str, end: StudyEnd) -> list[Any]:
+    if isinstance(end.found, CampaignRun):
+        return result_sheets(end.found.record, end.found.folder)
+    sheets = [table_sheet(name, table.title, table) for table in end.tables]
+    return sheets + ([files_sheet(name, end.written)] if end.written else [])
+
+
+def _runner(campaign: Campaign | None) -> AbstractContextManager[PrefectRunner]:
+    """The runner that the campaign asks for, or one on the task runner of the user's flow."""
+    parallel = cores() if campaign is None else campaign.parallel
+    around = _around.get()
+    if around is not None and around != ThreadPoolTaskRunner():
+        return task_runner(around.duplicate(), parallel)
+    if campaign is not None and campaign.run.engine == "dask":
+        return dask_task_runner(campaign.run.dask, campaign.threads, parallel)
+    return task_runner(ThreadPoolTaskRunner(max_workers=parallel), parallel)
+
+
+def _client() -> ServerClient:
+    """A client of the server that Prefect's settings name in this context."""
+    settings = get_settings_context().settings.api
+    login, key = settings.auth_string, settings.key
+    return ServerClient(
+        str(settings.url),
+        None if login is None else login.get_secret_value(),
+        None if key is None else key.get_secret_value(),
+    )
+
+
+def _rename(flow_run: FlowRun, name: str) -> None:
+    """Name a run that a server started after its campaign; a name is no reason to fail."""
+    with suppress(PrefectException, httpx.HTTPError), get_client(sync_client=True) as client:
+        client.update_flow_run(flow_run.id, name=name)
+
+
+@contextmanager
+def _logged(page: RunPage) -> Iterator[None]:
+    """modetune's log lines go to the page of a run."""
+    ours, handler = logging.getLogger("modetune"), PageLog(page)
+    level = ours.level
+    ours.setLevel(min(logging.INFO, ours.getEffectiveLevel()))
+    ours.addHandler(handler)
+    try:
+        yield
+    finally:
+        ours.removeHandler(handler)
+        ours.setLevel(level)

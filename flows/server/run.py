@@ -1,14 +1,32 @@
-"""One entry for every study: the command and the Python verb run it here."""
+"""One entry for every study: the command and the Python verb run it here.
+
+A study runs as a Prefect flow on the server that the user configured, else on the one that commands
+share. While that starts, the campaign is loaded and checked. A server is never a reason to fail:
+without one that answers in time the same study runs on a plain thread pool, and says so.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
 
-from modetune.flows.campaign.campaign import Campaign
+from modetune.core.errors import ModetuneError
+from modetune.flows.campaign.campaign import Campaign, cores
+from modetune.flows.jobs.tasks import StudyRun, running_with
+from modetune.flows.jobs.work import PoolRunner, Runner
 from modetune.flows.studies.ending import StudyEnd
-from modetune.flows.studies.study import Study
+from modetune.flows.studies.study import Opened, Study
 from modetune.flows.updating.updating import Progress
+
+if TYPE_CHECKING:
+    from modetune.flows.jobs.prefect_server import SharedServer
+
+#: Seconds that a study waits for a server to start.
+WAIT_S = 20.0
 
 
 def carried_out(
@@ -18,10 +36,115 @@ def carried_out(
     *,
     prefect: Literal["start", "find", "off"] = "start",
     campaign: Campaign | None = None,
+    own_process: bool = False,
 ) -> StudyEnd:
     """Run a study.
 
-    campaign: one that Python has loaded already. Raises CampaignError and the errors of the study.
+    prefect: find or start a server, find one that is configured or running, or do without.
+    campaign: one that Python has loaded already. own_process: whether this process is the study's
+    alone, and may be ended if the study is cancelled and does not end. Raises CampaignError and the
+    errors of the study.
     """
-    with study.opened(parameters, progress, campaign) as on:
+    began, checked = time.monotonic(), study.checked(parameters)
+    around = _in_flow()
+    if not around and (prefect == "off" or not study.solves(checked)):
+        with study.opened(checked, progress, campaign) as on:
+            return _on_pool(study, checked, on)
+    server, remark = (None, "") if around else _server(prefect)
+    with _used(server), study.opened(checked, progress, campaign) as on:
+        if on.loaded is not None and not on.loaded.run.prefect:
+            return _on_pool(study, checked, on)
+        if around:
+            return _in_pipeline(study, checked, on, progress)
+        if server is not None:
+            left = began + WAIT_S - time.monotonic()
+            found = server.wait(
+                max(left, 0.0),
+                lambda s: progress.working(f"waiting for Prefect's server: {s:.0f} s"),
+            )
+            if found == "ready":
+                end = _as_flow(study, checked, on, progress, server, own_process)
+                if end is not None:
+                    return end
+                remark = f"Prefect's server at {server.pages} refused the run"
+            else:
+                remark = server.describe(found)
+        end = _on_pool(study, checked, on)
+        return replace(end, remark=f"run without Prefect: {remark}") if remark else end
+
+
+def _in_flow() -> bool:
+    """Whether a flow of the user's own calls the study."""
+    if "prefect" not in sys.modules:
+        return False
+    from prefect.context import FlowRunContext
+
+    return FlowRunContext.get() is not None
+
+
+def _server(prefect: str) -> tuple[SharedServer | None, str]:
+    """The server to use, and why there is none."""
+    from modetune.flows.jobs.prefect_server import use_server
+
+    try:
+        return use_server(start=prefect == "start"), ""
+    except ModetuneError as error:
+        return None, str(error)
+
+
+@contextmanager
+def _used(server: SharedServer | None) -> Iterator[None]:
+    if server is None:
+        yield
+        return
+    with closing(server):
+        yield
+
+
+def _on_pool(study: Study, parameters: Mapping[str, Any], on: Opened) -> StudyEnd:
+    """The study without Prefect: on threads, or on the campaign's Dask cluster."""
+    with _plain_runner(on.loaded) as runner, running_with(StudyRun(runner)):
         return study.call(on, parameters)
+
+
+@contextmanager
+def _plain_runner(campaign: Campaign | None) -> Iterator[Runner]:
+    if campaign is not None and campaign.run.engine == "dask":
+        from modetune.flows.jobs.dask_cluster import dask_runner
+
+        with dask_runner(campaign.run.dask, campaign.threads, campaign.parallel) as runner:
+            yield runner
+        return
+    yield PoolRunner(cores() if campaign is None else campaign.parallel)
+
+
+def _in_pipeline(
+    study: Study, parameters: Mapping[str, Any], on: Opened, progress: Progress
+) -> StudyEnd:
+    """The study as a flow inside the flow that calls it, on that one's server."""
+    from modetune.flows.server.flows import Handed, find_flow, handing
+
+    handed = Handed(progress, on)
+    with handing(handed):
+        find_flow(study.name)(**parameters, return_state=True)
+    return handed.outcome()
+
+
+def _as_flow(
+    study: Study,
+    parameters: Mapping[str, Any],
+    on: Opened,
+    progress: Progress,
+    server: SharedServer,
+    own_process: bool,
+) -> StudyEnd | None:
+    """The study as a flow on a server; None where the flow is refused before it begins."""
+    from modetune.flows.server.prefect_client import prefect_client
+
+    with prefect_client(server.settings()):
+        from modetune.flows.server.flows import Handed, handing, run_as_flow
+
+        handed = Handed(progress, on, own_process)
+        with handing(handed):
+            run_as_flow(study.name, parameters, on.name, server.pages, handed)
+        return handed.outcome() if handed.began else None

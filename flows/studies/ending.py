@@ -26,8 +26,9 @@ class StudyEnd:
     figures; None where the JSON object lists no files. charts: by the names of their files.
     doubts: why the result is unreliable, sentences that may also be among the lines. status: one
     or two words for lists of runs; "completed", or "unreliable" with doubts, where empty.
-    exit_code: of the command. json_file: where the command also writes the JSON object. shown:
-    prints the result on a terminal where tables and lines are not the whole of it.
+    exit_code: of the command. remark: the last line for people. json_file: where the command also
+    writes the JSON object. shown: prints the result on a terminal where tables and lines are not
+    the whole of it.
     """
 
     found: object
@@ -40,6 +41,7 @@ class StudyEnd:
     doubts: Sequence[str] = ()
     status: str = ""
     exit_code: int = 0
+    remark: str = ""
     json_file: Path | None = None
     shown: Callable[[Console], None] | None = None
 

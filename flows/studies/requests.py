@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
 from typer import Option
@@ -35,6 +36,14 @@ SeedOfAll = Annotated[int, Option(help="Seed of all random numbers.")]
 MOST = 100_000
 #: Marks an option whose text is either words or the name of a file.
 FILE_OR_WORDS = "file or words"
+
+
+def is_file(text: str) -> bool:
+    """Whether a text names a file; a list of words may be too long for a name."""
+    try:
+        return Path(text).is_file()
+    except OSError:
+        return False
 
 
 @dataclass(frozen=True, slots=True)

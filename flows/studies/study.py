@@ -43,7 +43,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
 from modetune.flows.studies.ending import StudyEnd, near
-from modetune.flows.studies.requests import FILE_OR_WORDS
+from modetune.flows.studies.requests import FILE_OR_WORDS, is_file
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
@@ -55,7 +55,7 @@ REQUIRED = inspect.Parameter.empty
 
 def split_files(text: str) -> tuple[Path, ...]:
     """The files of a text: one, or several with commas between them; none of an empty text."""
-    if not text or Path(text).exists():
+    if "," not in text or Path(text).exists():
         return (Path(text),) if text else ()
     return tuple(Path(part.strip()) for part in text.split(","))
 
@@ -104,7 +104,7 @@ class Opened:
 
     name: of the campaign, or of what is compared. values: of the parameters, by `at`. folder: of
     the campaign's run. charted: whether charts are wanted. loaded: None of a study that loads its
-    campaigns itself.
+    campaigns itself. scheduled: whether a server started the run.
     """
 
     name: str
@@ -113,6 +113,7 @@ class Opened:
     values: Mapping[str, float] = field(default_factory=dict)
     folder: Path = Path()
     charted: bool = False
+    scheduled: bool = False
 
     @property
     def campaign(self) -> Campaign:
@@ -140,11 +141,6 @@ class StudyOptions:
         raise NotImplementedError
 
     @property
-    def beginning(self) -> str:
-        """What is done first, for people."""
-        raise NotImplementedError
-
-    @property
     def solves(self) -> bool:
         """Whether a solver may run."""
         return True
@@ -156,14 +152,9 @@ class CampaignOptions(StudyOptions):
 
     campaign_file: CampaignPath
 
-    @property
-    def beginning(self) -> str:
-        return f"reading {near(self.campaign_file)}"
-
     def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         from modetune.flows.report.page import check_page
 
-        progress.working(self.beginning)
         page, figures = places(self)
         check_page(page)
         campaign = campaign or self.load()
@@ -206,16 +197,11 @@ class DeckOptions(StudyOptions):
     solver: SolverChoice = None
     units: UnitsChoice = None
 
-    @property
-    def beginning(self) -> str:
-        return f"reading {near(self.model)}"
-
     def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         from modetune.flows.campaign.sketch import looked_at
         from modetune.flows.report.page import check_page
         from modetune.flows.updating.modal_run import parse_values
 
-        progress.working(self.beginning)
         check_page(places(self)[0])
         changed = with_model(self.settings, self.solver, self.units)
         campaign = campaign or looked_at(self.model, changed, self.test_files)
@@ -268,10 +254,6 @@ class StudyParameter:
     may_be_file: bool = False
 
     @property
-    def required(self) -> bool:
-        return self.default is REQUIRED
-
-    @property
     def is_argument(self) -> bool:
         """Whether the command line takes it by its place."""
         return isinstance(self.info, ArgumentInfo)
@@ -306,7 +288,7 @@ class StudyParameter:
         return inspect.Parameter(
             self.name,
             inspect.Parameter.POSITIONAL_OR_KEYWORD,
-            default=REQUIRED if self.required else self.json_value(self.default),
+            default=REQUIRED if self.default is REQUIRED else self.json_value(self.default),
             annotation=Annotated[kind, Field(description=self.info.help, **given)],
         )
 
@@ -331,7 +313,7 @@ class StudyParameter:
         """A value with the paths in it absolute."""
         if isinstance(value, list):
             return [self.absolute(one) for one in value]
-        if value is not None and (self.is_path or (self.may_be_file and Path(value).is_file())):
+        if value is not None and (self.is_path or (self.may_be_file and is_file(value))):
             return str(Path(value).absolute())
         return value
 
@@ -448,7 +430,7 @@ class Study:
         for item in self.fields:
             value = parameters[item.name]
             values = value if isinstance(value, list) else [value]
-            if item.is_path or (item.may_be_file and Path(value).is_file()):
+            if item.is_path or (item.may_be_file and is_file(value)):
                 found += [Path(one) for one in values if one is not None]
         return found
 
@@ -483,8 +465,11 @@ class Study:
         return self._opening(parameters).solves
 
     def beginning(self, parameters: Mapping[str, Any]) -> str:
-        """What is done first, for people: said before anything heavy is imported."""
-        return self._opening(parameters).beginning
+        """What is done first, for people: the files that are read. Imports nothing heavy."""
+        checked = self.checked(parameters)
+        arguments = [checked[item.name] for item in self.fields if item.is_argument]
+        files = (file for one in arguments for file in (one if isinstance(one, list) else [one]))
+        return f"reading {', '.join(str(near(Path(file))) for file in files)}"
 
     @contextmanager
     def opened(
@@ -495,6 +480,7 @@ class Study:
         campaign: one that Python has loaded already. Raises CampaignError, ModelError,
         StorageUnavailable.
         """
+        progress.working(self.beginning(parameters))
         yield self._opening(parameters).open(progress, campaign)
 
     def call(self, on: Opened, parameters: Mapping[str, Any]) -> StudyEnd:

@@ -11,7 +11,7 @@ import io
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -40,10 +40,6 @@ class Sheet:
     key: str
     description: str
     data: str | float
-
-    def told(self) -> dict[str, str | float]:
-        """The sheet as a message."""
-        return asdict(self)
 
 
 def sheet_key(campaign: str, sheet: str) -> str:

@@ -18,7 +18,7 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.work import Done, Work
+from modetune.flows.jobs.execution import Done, Work
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, compare
 from modetune.flows.updating.finders import UNFIT, ModeFinder
 

@@ -20,8 +20,6 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, mode_name
 from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.tables import Column
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import engine_of, evaluator_of
@@ -100,19 +98,17 @@ def read_agreement(path: Path, state: State) -> Agreement:
     )
 
 
-def check_deck(
-    campaign: Campaign, path: Path, state: State, band: Band, watcher: JobWatcher | None = None
-) -> BaselineCheck:
+def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> BaselineCheck:
     """Compare the model at the deck's values with a baseline: one modal run, the store first.
 
     Raises CampaignError where the baseline is of other modes; SolverError, StoreError.
     """
     baseline = _fitting(campaign, path, state)
-    engine = job_engine(campaign, watcher)
+    engine = job_engine(campaign)
     own = replace(
         campaign, cases=tuple(replace(item, eigensolver="solver") for item in campaign.cases)
     )  # a baseline holds the solver's own modes
-    evaluator = evaluator_of(own, engine, ThreadExecution(engine, 1))
+    evaluator = evaluator_of(own, engine)
     theta = np.ones(len(campaign.parameters))
     try:
         evaluation, _ = evaluator.evaluate("deck's values", theta, None, alone=True)

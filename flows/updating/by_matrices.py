@@ -25,7 +25,7 @@ from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.work import Done, Work
+from modetune.flows.jobs.execution import Done, Work
 from modetune.flows.updating.evaluation import CaseEvaluation, Point
 from modetune.flows.updating.finders import (
     REDUCED,

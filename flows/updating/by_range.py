@@ -22,8 +22,9 @@ from modetune.core.updating.reduced_range import RangeUse, ReducedRange, range_s
 from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.execution import Done
 from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import Done, meanwhile
+from modetune.flows.jobs.work import meanwhile
 from modetune.flows.updating.by_matrices import ByMatrices, reduced_columns
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, Point
 from modetune.flows.updating.evaluator import Evaluator

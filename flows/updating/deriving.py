@@ -97,7 +97,7 @@ class Deriving:
             named = state.campaign.parameters.names
             names = [state.case.of(f"sensitivity {name}") for name in named]
             reason = "follows from the reduced model"
-            self.pieces.execution.skip(title, names, reason, "Derived")
+            self.pieces.execution.skip(title, names, "Derived", reason)
 
     def _suited(self, title: str, place: int, part: CaseEvaluation) -> CaseEvaluation:
         """An evaluated case with all that its finder's derivatives are made of."""

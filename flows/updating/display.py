@@ -97,6 +97,9 @@ class ConsoleProgress:
         # soft_wrap: a line stays a line where the output is not a terminal.
         self.console.print(Text(iteration_line(record)), soft_wrap=True)
 
+    def page(self, address: str) -> None:
+        self.console.print(Text(f"this run's page: {address}"), soft_wrap=True)
+
 
 def pairing_lines(record: CampaignRecord) -> list[str]:
     """What pairing did that the order of frequencies does not tell, a line a mode."""

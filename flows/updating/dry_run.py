@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.core.errors import NotComputed, NotStored
@@ -17,10 +17,10 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_by_note
 from modetune.flows.jobs.job import NOMINAL, Job
 from modetune.flows.jobs.nearest import nearest
-from modetune.flows.jobs.work import Done, Work, solve_work
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.lookup import Explanation
 from modetune.flows.updating.running import job_engine
@@ -68,34 +68,32 @@ class DryRun:
         return tuple(item for item in self.jobs if not item.stored)
 
 
-@dataclass
-class Replay:
-    """An execution that lets the store answer and keeps what it cannot answer."""
+class Replay(Execution):
+    """An execution that takes results from the store, and keeps which jobs would have to run.
 
-    engine: JobEngine
-    answered: int = 0
-    planned: list[PlannedJob] = field(default_factory=list)
+    answered: results that the store had; planned: the first jobs that would run.
+    """
 
-    def run(self, iteration: str, work: Sequence[Work]) -> list[Done]:
+    def __init__(self, engine: JobEngine) -> None:
+        super().__init__(engine)
+        self.answered = 0
+        self.planned: list[PlannedJob] = []
+
+    def run(self, iteration: str, works: Sequence[Work]) -> list[Done]:
         """Outcomes from the store. Raises NotStored where a job has none."""
         pieces = [
             [
                 planned_job(piece.engine or self.engine, iteration, piece.name, job)
                 for job in piece.jobs
             ]
-            for piece in work
+            for piece in works
         ]
         jobs = [item for piece in pieces for item in piece]
         if not all(item.stored for item in jobs):
             self.planned = _each_once(jobs)
             raise NotStored(f"{iteration} would run jobs")
         self.answered += len(jobs)
-        return [solve_work(self.engine, piece) for piece in work]
-
-    def skip(
-        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
-    ) -> None:
-        pass
+        return super().run(iteration, works)
 
 
 def planned_job(engine: JobEngine, iteration: str, name: str, job: Job) -> PlannedJob:
@@ -117,7 +115,7 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
     campaign = start_of(campaign, engine, read_earlier(folder))
     while True:
         replay = Replay(engine)
-        evaluator = evaluator_of(campaign, engine, replay)
+        evaluator = evaluator_of(campaign, engine, execution=replay)
         updating = Updating(campaign, evaluator, Unwatched(), lambda record: None)
         ended = None
         try:

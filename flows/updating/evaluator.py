@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -24,11 +25,10 @@ from modetune.core.updating.estimation import Step
 from modetune.core.updating.reduced_range import RangeUse
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.engine import JobOutcome, Ledger
-from modetune.flows.jobs.first_alone import FirstAlone
+from modetune.flows.jobs.engine import JobOutcome
+from modetune.flows.jobs.execution import Execution, Work
 from modetune.flows.jobs.job import Job, analysis_kind
-from modetune.flows.jobs.watching import doing, told
-from modetune.flows.jobs.work import Execution, Work
+from modetune.flows.jobs.watching import doing
 from modetune.flows.updating.asked import Ahead, AskedModes, CaseState, ModeTrack, Piece
 from modetune.flows.updating.deriving import Deriving
 from modetune.flows.updating.evaluation import (
@@ -117,19 +117,17 @@ class Evaluator:
     """
 
     def __init__(
-        self, campaign: Campaign, states: Sequence[CaseState], execution: Execution, ledger: Ledger
+        self, campaign: Campaign, states: Sequence[CaseState], execution: Execution
     ) -> None:
         self.campaign = campaign
         self.used = [state for state in states if not state.case.aside]
         self.aside = [state for state in states if state.case.aside]
-        runs = all(state.engine.may_run for state in states)
-        self.execution: Execution = FirstAlone(execution) if runs else execution
-        self.ledger = ledger
+        self.execution = execution
         self.foresight: Foresight | None = None
         self.ranges: Ranges | None = None
         self.tell: Callable[[str], None] = logger.info
         self.idle: Callable[[], None] = lambda: None
-        self.pieces = Pieces(self.execution, ledger)
+        self.pieces = Pieces(execution)
         self._deriving = Deriving(campaign, self.used, self.pieces)
 
     @property
@@ -242,8 +240,10 @@ class Evaluator:
                 title = f"{whole}, {first + 1} to {first + len(some)} of {len(thetas)}"
             if within is not None and self.ranges is not None:
                 name = f"{len(some)} sets by the reduced model"  # one piece for whoever watches
-                with doing(title), told(self.used[0].engine.watcher, name), one_thread():
-                    found = within._points(title, some, track)
+                with doing(title), one_thread():
+                    found = self.execution.engine.tasks.compute(
+                        name, partial(_derived_points, within, title, some, track)
+                    )
                 if self.ranges.stands():
                     yield from found
                     continue
@@ -307,7 +307,7 @@ class Evaluator:
             for state in self.used
             for name in state.campaign.parameters.names
         ]
-        self.execution.skip(f"iteration {number}", names, reason)
+        self.execution.skip(f"iteration {number}", names, "Skipped", reason)
 
     def planned(self, theta: Floats, alone: bool = False) -> list[Work]:
         """The work of an iteration at a set, with sensitivities unless modes are wanted alone."""
@@ -347,6 +347,15 @@ class Evaluator:
     ) -> Step | None:
         """What is foreseen as a better step than the linear one, None where nothing is."""
         return None if self.foresight is None else self.foresight.refined(current, step, region)
+
+    def step(self, title: str, compute: Callable[[], tuple[Step, str]]) -> Step:
+        """A step as a task of its own, unless all modes are a reduced model's.
+
+        compute: gives the step, and a sentence about it.
+        """
+        if all(state.finder.name == REDUCED for state in self.used):
+            return compute()[0]
+        return self.execution.engine.tasks.step(title, compute)
 
     def confirmed(self, number: int, evaluation: Evaluation) -> Evaluation | None:
         """A set evaluated by the solver's own modes; None where it was so already."""
@@ -434,3 +443,10 @@ class Evaluator:
     def whole(self, theta: Floats, parts: Sequence[CaseEvaluation]) -> Evaluation:
         """The evaluations of all cases as one."""
         return whole_evaluation([state.case for state in self.used], theta, parts)
+
+
+def _derived_points(
+    within: Evaluator, title: str, thetas: Floats, track: ModeTrack
+) -> tuple[list[Evaluation | ModetuneError], tuple[()]]:
+    """Evaluations by a reduced model, of which no job is shown."""
+    return within._points(title, thetas, track), ()

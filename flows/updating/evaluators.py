@@ -9,9 +9,9 @@ import numpy as np
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.execution import Execution
 from modetune.flows.jobs.job import Plans
 from modetune.flows.jobs.limits import CORES, Limit
-from modetune.flows.jobs.work import Execution
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.finders import ModeFinder, by_solver, campaign_analysis
@@ -22,14 +22,15 @@ from modetune.flows.updating.modes_choice import UPDATING, Demand, modes_source
 def evaluator_of(
     campaign: Campaign,
     engine: JobEngine,
-    execution: Execution,
     demand: Demand = UPDATING,
     like: Campaign | None = None,
+    execution: Execution | None = None,
 ) -> Evaluator:
     """What evaluates a campaign's parameter sets.
 
     demand: how many of them; like: the campaign for which whose modes are taken is chosen, of the
-    same model, parameters and cases; the same one unless told.
+    same model, parameters and cases, by default the same one; execution: of the work, by default on
+    the engine's tasks.
     """
     states: list[CaseState] = []
     for case in campaign.cases:
@@ -40,7 +41,7 @@ def evaluator_of(
         alike = own if like is None else like.alone(like.cases[len(states)])
         finder = by_solver(own, at) if case.aside else finder_of(own, at, demand, alike)
         states.append(CaseState(case, own, columns, at, finder, campaign_analysis(own)))
-    evaluator = Evaluator(campaign, states, execution, engine.ledger)
+    evaluator = Evaluator(campaign, states, execution or Execution(engine))
     # A reduced model has directions for each parameter: with a field it is no smaller.
     by_matrices = any(state.finder.name != state.case.solver.program.name for state in states)
     if by_matrices and not campaign.fields:
@@ -74,4 +75,6 @@ def engine_of(engine: JobEngine, campaign: Campaign, case: Case) -> JobEngine:
     if name in campaign.run.licences:
         limits.append(Limit(name, campaign.run.licences[name], 1))
     policy = replace(engine.policy, single_factors=case.single_factors)
-    return replace(engine, plans=Plans(solver), limits=tuple(limits), policy=policy)
+    model = next(n for n, item in enumerate(campaign.cases) if item.solver is solver)
+    order = engine.order and replace(engine.order, model=model)
+    return replace(engine, plans=Plans(solver), limits=tuple(limits), policy=policy, order=order)

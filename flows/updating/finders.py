@@ -29,8 +29,8 @@ from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.core.updating.sensitivity import stack_derivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
+from modetune.flows.jobs.execution import Done, Work
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.work import Done, Work
 from modetune.flows.updating.evaluation import CaseEvaluation, Point
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.semi_analytic import UnlikeMatrices

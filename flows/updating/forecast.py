@@ -15,10 +15,10 @@ from modetune.core.storage.keys import Json
 from modetune.core.storage.record import IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job, analysis_kind
 from modetune.flows.jobs.job_prices import NEWEST, Price, job_prices, side_by_side
 from modetune.flows.jobs.limits import CORES
-from modetune.flows.jobs.work import ThreadExecution, Work
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.updating import Progress
@@ -90,7 +90,7 @@ class Forecaster(Progress):
         self.tell = tell
         self._campaign = campaign
         self._engine = engine
-        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+        evaluator = evaluator_of(campaign, engine)
         # By matrices there are jobs at the start and one at the end, whatever the iterations.
         most = campaign.update.max_iterations
         self._iterations = most if evaluator.steps_run else 0

@@ -25,9 +25,10 @@ from modetune.core.modes import Floats
 from modetune.core.updating.estimation import Step
 from modetune.core.updating.results import ModalResult
 from modetune.flows.jobs.engine import JobOutcome
+from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import Work, meanwhile
+from modetune.flows.jobs.work import meanwhile
 from modetune.flows.updating.asked import CaseState
 from modetune.flows.updating.by_matrices import ByMatrices, ByReduced
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation

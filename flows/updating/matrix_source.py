@@ -34,8 +34,8 @@ from modetune.core.updating.parameter_matrices import (
 )
 from modetune.flows.campaign.matrix_plan import MatrixPlan, Sampling, plan, sampling, scale_together
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.work import Work
 
 #: Raised by hand when the same matrices are taken apart in another way.
 VERSION = 2

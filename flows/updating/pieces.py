@@ -11,9 +11,9 @@ from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
-from modetune.flows.jobs.engine import JobOutcome, Ledger
+from modetune.flows.jobs.engine import JobOutcome
+from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import Done, Execution, Work
 from modetune.flows.updating.asked import Ahead, CaseState, Piece
 from modetune.flows.updating.finders import UNFIT
 
@@ -21,15 +21,15 @@ from modetune.flows.updating.finders import UNFIT
 class Pieces:
     """Where pieces are carried out, and what they cost so far."""
 
-    def __init__(self, execution: Execution, ledger: Ledger) -> None:
+    def __init__(self, execution: Execution) -> None:
         self.execution = execution
-        self.ledger = ledger
         self._runs = RunCounts()
 
     @property
     def runs(self) -> RunCounts:
         """Solver runs so far, and what they cost."""
-        return replace(self._runs, core_s=self.ledger.core_s, licence_s=self.ledger.licence_s)
+        ledger = self.execution.engine.ledger
+        return replace(self._runs, core_s=ledger.core_s, licence_s=ledger.licence_s)
 
     def run(
         self, title: str, works: Sequence[Piece], ahead: Ahead, beside: Sequence[Piece] = ()

@@ -30,9 +30,11 @@ def polished(trials: Trials, state: State) -> Trial | None:
         return None
     matrix = trials.matrix(state)
     if old:
-        step, least = stepping.step(current, matrix, state.region), SAME_END
+        step = trials.step(lambda: stepping.step(current, matrix, state.region))
+        least = SAME_END
     else:
-        step, least = stepping.to_least_misfit(current, matrix), POLISHED
+        step = trials.step(lambda: stepping.to_least_misfit(current, matrix))
+        least = POLISHED
     while np.max(np.abs(step.change)) >= least and not trials.used_up():
         found = _better(trials, state, TrialStep(step, matrix, state.region, current))
         if found is not None or old:

@@ -21,9 +21,8 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.mapping import TOLD, Mapping, pose_of
 from modetune.flows.campaign.measured import pairing_nodes
+from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import solved
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine
 
@@ -34,7 +33,7 @@ logger = logging.getLogger(__name__)
 LEAD, LEFT = 0.05, 0.5
 
 
-def settled(campaign: Campaign, watcher: JobWatcher | None = None) -> Campaign:
+def settled(campaign: Campaign) -> Campaign:
     """The campaign with each test in the pose that is certain.
 
     Poses that places cannot tell apart cost a modal run, whose shapes may. Raises CampaignError for
@@ -45,7 +44,7 @@ def settled(campaign: Campaign, watcher: JobWatcher | None = None) -> Campaign:
         found, said = case, ""
         if may_choose(case):
             own = campaign.alone(case)
-            (outcome,) = solved(job_engine(own, watcher), [modal_job(own)])
+            (outcome,) = solved(job_engine(own), [modal_job(own)])
             found, said = by_shapes(case, outcome.result(ModalResult))
             logger.info("%s", said)
         problems += [

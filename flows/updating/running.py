@@ -3,36 +3,39 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
+import uuid
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
-from modetune.core.errors import CampaignRunning
+from modetune.core.errors import CampaignError, CampaignRunning
 from modetune.core.storage.files import check_writable, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.campaign.campaign import Campaign, cores
+from modetune.core.storage.store import Store
+from modetune.flows.campaign.campaign import Campaign, cores, load_campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.campaign.site import server_home
+from modetune.flows.campaign.sketch import looked_at
 from modetune.flows.campaign.units import unit_doubt
-from modetune.flows.jobs.engine import JobEngine, Ledger
-from modetune.flows.jobs.job import Plans
-from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import Job, Plans
+from modetune.flows.jobs.limits import CORES, Limit, Limits, MachineLimits
 from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.scratch import remove_abandoned
 from modetune.flows.jobs.slurm import on_slurm
 from modetune.flows.jobs.store_files import in_use
-from modetune.flows.jobs.watching import JobWatcher, displayed
-from modetune.flows.jobs.work import Executes, Execution, ThreadExecution
+from modetune.flows.jobs.tasks import StudyRun, Tasks, running_with, study_run
+from modetune.flows.jobs.watching import current_display
+from modetune.flows.jobs.work import Attempt, Ledger, Order, PoolRunner, Solved, Tries, run_end
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.updating.campaign_log import campaign_log, log_iterations
 from modetune.flows.updating.evaluators import engine_of, evaluator_of
 from modetune.flows.updating.forecast import Forecast, Forecaster
-from modetune.flows.updating.prefect import Pages, PagesProgress
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.sensitivities import not_linear
 from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of, with_first_cost
@@ -42,13 +45,17 @@ from modetune.flows.updating.updating import Progress, Updating
 logger = logging.getLogger(__name__)
 
 
-def job_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> JobEngine:
-    """The engine that solves the jobs of a campaign's first case, and tells a watcher of them."""
-    run, solver = campaign.run, campaign.cases[0].solver
+def job_engine(campaign: Campaign) -> JobEngine:
+    """The engine that solves the jobs of a campaign's first case, on the runner of the study."""
+    run, solver, study = campaign.run, campaign.cases[0].solver, study_run()
     remove_abandoned(campaign.store)
     limits = [Limit(CORES, max(cores(), 0 if run.here else campaign.threads), campaign.threads)]
     if solver.program.name in run.licences:
         limits.append(Limit(solver.program.name, run.licences[solver.program.name], 1))
+    counter: Limits = MachineLimits(server_home() / "limits" if run.here else None)
+    licences = study is not None and study.licences and run.here
+    if licences:
+        counter = _counted_by_prefect(counter)
     engine = JobEngine(
         plans=Plans(solver),
         store=campaign.store,
@@ -66,13 +73,79 @@ def job_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> JobEngi
         ),
         threads=campaign.threads,
         keep_jobs=run.keep_jobs,
-        cancelled=threading.Event(),
-        counter=MachineLimits(server_home() / "limits" if run.here else None),
+        cancelled=threading.Event() if study is None else study.cancellation(),
+        counter=counter,
         limits=tuple(limits),
         ledger=Ledger(),
-        watcher=displayed(watcher),
+        tasks=Tasks(
+            PoolRunner(campaign.parallel) if study is None else study.runner, current_display()
+        ),
+        order=_order(campaign, study is not None and study.licences),
     )
     return on_slurm(engine, run.slurm, campaign.name) if run.engine == "slurm" else engine
+
+
+def _counted_by_prefect(counter: Limits) -> Limits:
+    from modetune.flows.jobs.prefect_limits import PrefectLimits
+
+    return PrefectLimits(counter)
+
+
+def _order(campaign: Campaign, licences: bool) -> Order:
+    """What a process on another machine needs to solve jobs of the campaign's first case."""
+    return Order(
+        run=uuid.uuid4().hex,
+        file=campaign.file.resolve(),
+        settings=campaign.settings,
+        store=campaign.store.folder.resolve(),
+        threads=campaign.threads,
+        model=0,
+        licences=licences,
+        make=attempts_elsewhere,
+    )
+
+
+def attempts_elsewhere(order: Order, ledger: Ledger) -> Attempt:
+    """In another process: what tries the jobs of an order, its costs on a ledger."""
+    engine = replace(_engine_elsewhere(order), ledger=ledger)
+
+    def attempt(job: Job, key: str, tries: Tries) -> Solved:
+        if engine.key(job) != key:
+            raise CampaignError(
+                f"a Dask worker makes another job of {order.file} than was asked for: it has "
+                f"{engine.program.name} {engine.program.version()}; solver version, deck and "
+                "campaign must be the same on all machines"
+            )
+        return engine.attempt(job, key, tries)
+
+    return attempt
+
+
+@lru_cache(maxsize=8)
+def _engine_elsewhere(order: Order) -> JobEngine:
+    file, settings = order.file, list(order.settings)
+    try:
+        campaign = load_campaign(file, settings)
+    except CampaignError:
+        campaign = looked_at(file, settings)  # a deck alone, or a campaign without a test
+    campaign = replace(campaign, store=Store(order.store))
+    engine = engine_of(job_engine(campaign), campaign, campaign.cases[order.model])
+    if order.licences:
+        engine = replace(engine, counter=_counted_by_prefect(engine.counter))
+    return replace(engine, threads=order.threads, cancelled=run_end(order.run))
+
+
+@contextmanager
+def _runner(campaign: Campaign) -> Iterator[None]:
+    """The runner that the campaign asks for, where no study has entered one."""
+    if study_run() is not None or campaign.run.engine != "dask":
+        yield
+        return
+    from modetune.flows.jobs.dask_cluster import dask_runner
+
+    with dask_runner(campaign.run.dask, campaign.threads, campaign.parallel) as runner:
+        with running_with(StudyRun(runner)):
+            yield
 
 
 def is_same(campaign: Campaign, folder: Path) -> bool:
@@ -85,15 +158,11 @@ def update_campaign(
     campaign: Campaign,
     folder: Path,
     progress: Progress,
-    pages: Pages | None = None,
     forecast: Callable[[Forecast], None] | None = None,
-    executes: Executes | None = None,
 ) -> CampaignRun:
     """Update a campaign's model and leave record and updated deck in its run folder.
 
-    pages: on a Prefect server, that show the run; the caller tells them its end.
-    forecast: is told before the start and after each iteration what is still to come.
-    executes: carries out the jobs of an iteration; threads unless told.
+    forecast: is called before the start and after each iteration with what is still to come.
     Raises SolverError, ModesError, StoreError.
     """
     campaign.solver_version()  # a missing solver is told before anything else starts
@@ -105,22 +174,18 @@ def update_campaign(
                 f"another run of this campaign is under way in {folder}; wait for it, or name "
                 "another place for run folders with --runs"
             )
-        with campaign_log(campaign, folder), solving_engine(campaign, pages) as engine:
-            return _update(campaign, engine, folder, progress, pages, forecast, executes)
+        with campaign_log(campaign, folder), solving_engine(campaign) as engine:
+            return _update(campaign, engine, folder, progress, forecast)
 
 
 @contextmanager
-def solving_engine(campaign: Campaign, watcher: JobWatcher | None = None) -> Iterator[JobEngine]:
-    """The engine that solves a campaign's jobs where the campaign says; the store keeps what it has
-    meanwhile, and jobs of other threads end with what is done in here."""
-    made: AbstractContextManager[JobEngine] = nullcontext(job_engine(campaign))
-    if campaign.run.engine == "dask":
-        from modetune.flows.updating.dask import on_dask
-
-        made = on_dask(campaign, job_engine)
-    with in_use(campaign.store), made as engine:
+def solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
+    """The engine that solves a campaign's jobs where the campaign says. The store keeps what it has
+    in here, and jobs of other threads end when this is broken off."""
+    with in_use(campaign.store), _runner(campaign):
+        engine = job_engine(campaign)
         try:
-            yield replace(engine, watcher=displayed(watcher))
+            yield engine
         except BaseException:
             engine.cancelled.set()
             raise
@@ -131,9 +196,7 @@ def _update(
     engine: JobEngine,
     folder: Path,
     progress: Progress,
-    pages: Pages | None,
     forecast: Callable[[Forecast], None] | None,
-    executes: Executes | None,
 ) -> CampaignRun:
     earlier = read_earlier(folder)
     campaign = start_of(campaign, engine, earlier)
@@ -146,12 +209,6 @@ def _update(
         write(with_first_cost(record, earlier) if ended else record)
         logged = log_iterations(record, logged)
 
-    if pages is not None:
-        engine = _counted(engine, campaign, pages)
-        progress = PagesProgress(progress, pages, campaign.tolerances)
-    execution: Execution = ThreadExecution(engine, campaign.parallel)
-    if executes is not None:
-        execution = executes(engine, campaign.parallel)
     if campaign.sensitivity.method == "auto":
         solvers = [case.solver for case in campaign.cases]
         told = [tell(solver) for solver in solvers for tell in (not_linear, not_confirmed)]
@@ -165,7 +222,7 @@ def _update(
     if len(campaign.cases) > 1:
         forecast = None
     forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
-    evaluator = evaluator_of(campaign, engine, execution)
+    evaluator = evaluator_of(campaign, engine)
     with unfinished_record(unfinished) as write:
         record = Updating(campaign, evaluator, forecaster or progress, keep).run()
     logger.info("%s: %s", record.status, record.reason)
@@ -181,14 +238,3 @@ def _update(
     else:
         page = None
     return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)
-
-
-def _counted(engine: JobEngine, campaign: Campaign, pages: Pages) -> JobEngine:
-    """The engine, its licences counted by a server of the user's own, which other machines may use
-    too."""
-    url = os.environ.get("PREFECT_API_URL")
-    if not url or not campaign.run.here:
-        return engine
-    from modetune.flows.jobs.server_limits import ServerLimits
-
-    return replace(engine, counter=ServerLimits(engine.counter, url, pages.licence))

@@ -31,8 +31,8 @@ from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.core.updating.sensitivity import stack_derivatives, strain_energy_derivative
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.work import Work
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.semi_analytic import SemiAnalytic

@@ -37,7 +37,6 @@ from modetune.core.updating.reduced import ReducedModel
 from modetune.core.updating.reduced_basis import reduce
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.watching import told
 from modetune.flows.updating.matrix_source import MatrixSource
 from modetune.flows.updating.observed_modes import observer_of, solved_energies
 
@@ -351,8 +350,9 @@ class Solutions:
             self._first = None
             again = self._basis is None or self._basis.of is not item.start
             try:
-                with told(self.engine.watcher if again else None, AGAIN):
-                    newest = self.basis(item.start)
+                name = AGAIN if again else ""
+                around = item.start
+                newest = self.engine.tasks.compute(name, lambda: (self.basis(around), ()))
                 eigenvalues, shapes = newest.shapes(item.values, item.n_modes)
             except ModesError as error:
                 logger.debug("no start from a reduced model: %s", error)

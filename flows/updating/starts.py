@@ -17,6 +17,7 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextvars import copy_context
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -28,14 +29,11 @@ from modetune.core.storage.record_file import write_record
 from modetune.core.updating.trust import StartSpread, with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.watching import part_of
-from modetune.flows.jobs.work import Executes, ThreadExecution
 from modetune.flows.report.drawing import draw_report
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import CAMPAIGNS_OWN
 from modetune.flows.updating.forecast import Forecast
 from modetune.flows.updating.poses import settled
-from modetune.flows.updating.prefect import Pages
 from modetune.flows.updating.run import CampaignRun
 from modetune.flows.updating.running import job_engine, solving_engine, update_campaign
 from modetune.flows.updating.start_ends import (
@@ -57,9 +55,7 @@ def update_from_starts(
     campaign: Campaign,
     folder: Path,
     progress: Progress,
-    pages: Pages | None = None,
     forecast: Callable[[Forecast], None] | None = None,
-    executes: Executes | None = None,
 ) -> CampaignRun:
     """Update a campaign's model from as many starts as it asks for.
 
@@ -67,18 +63,18 @@ def update_from_starts(
     at the others too where sets cost little. Where updates from some starts fail the others stand;
     raises where all fail.
     """
-    campaign = settled(campaign, pages)
+    campaign = settled(campaign)
     n = campaign.update.starts or 1
     if n == 1:
-        return update_campaign(campaign, folder, progress, pages, forecast, executes)
+        return update_campaign(campaign, folder, progress, forecast)
     if _cost_little(campaign):
         try:
-            return update_campaign(campaign, folder, progress, pages, forecast, executes)
+            return update_campaign(campaign, folder, progress, forecast)
         except ModesError as error:  # of the campaign's own start: the others go by themselves
             logger.warning("the update from the campaign's own start failed: %s", error)
     campaign.solver_version()
     began = time.monotonic()
-    with solving_engine(campaign, pages) as engine:
+    with solving_engine(campaign) as engine:
         own = start_of(campaign, engine, read_earlier(folder))
         starts = drawn_starts(own, n)
         ends = _run_starts(own, engine, starts, progress)
@@ -103,7 +99,7 @@ def update_from_starts(
         begin=tuple(starts[spread.chosen].tolist()),
         report=own.report.model_copy(update={"page": False}),  # drawn below, of all starts
     )
-    run = update_campaign(best, folder, progress, pages, forecast, executes)
+    run = update_campaign(best, folder, progress, forecast)
     record = replace(_joined(run.record, ends, spread, spent), wall_s=time.monotonic() - began)
     write_record(folder / "campaign.h5", record)
     if campaign.report.page:
@@ -115,7 +111,7 @@ def update_from_starts(
 def _cost_little(campaign: Campaign) -> bool:
     """Whether sets cost little beside the first of them."""
     engine = job_engine(campaign)
-    return evaluator_of(campaign, engine, ThreadExecution(engine, 1)).sets_cost_little
+    return evaluator_of(campaign, engine).sets_cost_little
 
 
 def _run_starts(
@@ -123,17 +119,16 @@ def _run_starts(
 ) -> list[StartEnd]:
     """Updates from all starts, side by side. Raises what is not a start's own failure."""
     beside = min(campaign.parallel, len(starts))
-    share = max(1, campaign.parallel // beside)
     progress.working(f"updates from {len(starts)} starts")
     with ThreadPoolExecutor(beside, thread_name_prefix="modetune-start") as pool:
         try:
             futures = [
                 pool.submit(
+                    copy_context().run,
                     _run_start,
                     campaign,
-                    replace(engine, watcher=part_of(engine.watcher, f"start {number}")),
+                    replace(engine, tasks=engine.tasks.of_part(f"start {number}")),
                     start,
-                    share,
                 )
                 for number, start in enumerate(starts, start=1)
             ]
@@ -146,15 +141,15 @@ def _run_starts(
             raise
 
 
-def _run_start(campaign: Campaign, engine: JobEngine, start: Floats, share: int) -> StartEnd:
+def _run_start(campaign: Campaign, engine: JobEngine, start: Floats) -> StartEnd:
     own = replace(campaign, begin=tuple(start.tolist()))
-    execution, around = ThreadExecution(engine, share), None
+    around = None
     records: list[CampaignRecord] = []
     try:
         if _paired_once(campaign) and start.tolist() != campaign.start.tolist():
-            first = evaluator_of(campaign, engine, execution)
+            first = evaluator_of(campaign, engine)
             around = first.evaluate(0, campaign.start, None, alone=True)[0]
-        evaluator = evaluator_of(own, engine, execution)
+        evaluator = evaluator_of(own, engine)
         return end_of(start, Updating(own, evaluator, Unwatched(), records.append, around).run())
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):

@@ -8,6 +8,7 @@ convergence. A failed trial (solver failure, lost mode) is treated likewise.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -31,6 +32,9 @@ logger = logging.getLogger(__name__)
 SHORTENINGS = 5
 #: Largest parameter change that counts as none.
 NO_STEP = 1e-8
+
+#: Parameters that the task of a step names, those that change most.
+SHOWN = 8
 
 
 class Watcher(Protocol):
@@ -148,6 +152,16 @@ class Trials:
         self.newest = state.matrix or self.evaluator.matrix(self.number, state.current)
         return self.newest
 
+    def step(self, compute: Callable[[], Step]) -> Step:
+        """A step to the next set, computed as a task of its own."""
+
+        def computed() -> tuple[Step, str]:
+            step, names = compute(), self.campaign.parameters.names
+            largest = np.argsort(-np.abs(step.change), kind="stable")[:SHOWN]
+            return step, ", ".join(f"{names[n]} {step.change[n]:+.3g}" for n in largest)
+
+        return self.evaluator.step(f"iteration {self.number + 1}", computed)
+
     def better(self, state: State, matrix: Matrix) -> Trial | None:
         """The first set that is better than the current one, or None.
 
@@ -157,7 +171,8 @@ class Trials:
         round where a new matrix takes all of its own.
         """
         current, stepping = state.current, self.stepping
-        by = TrialStep(stepping.step(current, matrix, state.region), matrix, state.region, current)
+        step = self.step(lambda: stepping.step(current, matrix, state.region))
+        by = TrialStep(step, matrix, state.region, current)
         chances, failures = 2 if matrix.age > 0 else SHORTENINGS + 1, 0
         for chance in range(chances):
             if np.max(np.abs(by.step.change)) < NO_STEP or self.used_up():
@@ -193,7 +208,7 @@ class Trials:
         """From a set that an old matrix made worse, by the matrix corrected by what it showed."""
         by, begun = trial.by, trial.evaluation
         matrix = self.between.older(by.matrix, by.begun, begun)
-        step = self.stepping.step(begun, matrix, by.region)
+        step = self.step(lambda: self.stepping.step(begun, matrix, by.region))
         step = replace(step, change=begun.theta + step.change - current.theta)
         return TrialStep(step, matrix, by.region, begun)
 

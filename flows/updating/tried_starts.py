@@ -185,7 +185,7 @@ class OtherStarts:
 
     def _on(self, states: list[CaseState]) -> Evaluator:
         """What evaluates sets on reduced models."""
-        return Evaluator(self.campaign, states, self.evaluator.execution, self.evaluator.ledger)
+        return Evaluator(self.campaign, states, self.evaluator.execution)
 
     def _updated(
         self, evaluator: Evaluator, start: Floats, begin: Floats, by: str = ""

@@ -42,6 +42,10 @@ class Progress(Protocol):
         """An iteration is complete."""
         return
 
+    def page(self, address: str) -> None:
+        """Prefect shows the run at this address."""
+        return
+
 
 class Unwatched(Progress):
     """Watches nothing."""

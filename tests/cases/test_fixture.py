@@ -22,7 +22,6 @@ from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.running import screen_campaign
@@ -107,7 +106,7 @@ def test_shape_sensitivities_to_a_spring_agree_with_central_differences(folder: 
         folder / "fixture.yaml", [COARSE, "sensitivity={difference: central, step: 0.005}"]
     )
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 2))
+    evaluator = evaluator_of(campaign, engine)
     evaluation, _ = evaluator.evaluate(0, campaign.start, None, alone=True)
     point = evaluation.parts[0].point
     at_sensors = replace(evaluator.only.analysis, nodes=campaign.case.nodes)
@@ -127,7 +126,7 @@ def normalised_sensitivities(file: Path, settings: list[str]) -> tuple[tuple[str
     """Names of a campaign's parameters, and (d f / f) / (d p / p) at its start, (n_modes, n)."""
     campaign = load_campaign(file, [*settings, "residuals.shape_weight=0"])
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+    evaluator = evaluator_of(campaign, engine)
     evaluation, matrix = evaluator.evaluate(0, campaign.start, None, alone=False)
     assert matrix is not None
     measured = campaign.test.modes.eigenvalues[evaluation.pairing.measured]

@@ -13,7 +13,6 @@ from modetune.configs.garteur.twin import TRUTH
 from modetune.core.errors import SolverMissing
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import sensitivities
 from modetune.flows.updating.matrix_source import MatrixSource
@@ -43,7 +42,7 @@ def run(
 def derivatives(campaign: Campaign, method: Exact, columns: list[int]) -> Any:
     """Derivatives of all paired modes at the initial model by one method."""
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 2))
+    evaluator = evaluator_of(campaign, engine)
     evaluation, _ = evaluator.evaluate(0, campaign.parameters.initial, None, alone=True)
     chosen: list[Exact] = [method] * len(campaign.parameters)
     (part,) = evaluation.parts

@@ -14,7 +14,6 @@ from modetune.configs.launcher.launcher import GROUPS, UNIT_MOUNTS
 from modetune.core.errors import SolverMissing
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.localise.error_maps import OTHER_STIFFNESS
 from modetune.flows.studies.localise.localise import localise
@@ -66,7 +65,7 @@ def test_ten_moduli_take_five_matrix_jobs(folder: Path, eigensolver: str) -> Non
     except SolverMissing as error:
         pytest.skip(str(error))
     engine = job_engine(campaign)
-    works = evaluator_of(campaign, engine, ThreadExecution(engine, 1)).planned(campaign.start)
+    works = evaluator_of(campaign, engine).planned(campaign.start)
     jobs = [job for work in works for job in work.jobs if isinstance(job.analysis, MatrixAnalysis)]
     # The model's own, and four lots of groups that share no node; mounts belong to none.
     assert len(jobs) == 5
@@ -93,7 +92,7 @@ def test_another_model_is_met_as_far_as_the_thesis_meets_its_test(
     # Its measured modes 1 to 5 are the model's 1, 4, 5, 7 and 8.
     five = loaded(folder, "launcher", "test.use=[1,2,3,4,5]")
     engine = job_engine(five)
-    evaluator = evaluator_of(five, engine, ThreadExecution(engine, 1))
+    evaluator = evaluator_of(five, engine)
     pairing = evaluator.evaluate(0, five.start, None, alone=True)[0].pairing
     assert (pairing.computed + 1).tolist() == [1, 2, 4, 7, 8]
     assert (np.abs(last.frequency_errors) <= [0.015, 0.012, 0.014]).all()  # and after

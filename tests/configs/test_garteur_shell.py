@@ -28,7 +28,6 @@ from modetune.configs.garteur.shell import (
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import SolverMissing
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine
@@ -214,7 +213,7 @@ def evaluate(tmp_path_factory: pytest.TempPathFactory) -> Any:
     except SolverMissing as error:
         pytest.skip(str(error))
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+    evaluator = evaluator_of(campaign, engine)
 
     def at(theta: Floats) -> Evaluation:
         return evaluator.evaluate(0, theta, None, alone=True)[0]

@@ -12,7 +12,7 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
-from modetune.flows.studies.ending import StudyEnd, near
+from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.requests import ModelState
 from modetune.flows.studies.study import (
     ModelPath,
@@ -65,10 +65,6 @@ class CheckOptions(StudyOptions):
         typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
     ] = None
 
-    @property
-    def beginning(self) -> str:
-        return f"reading {near(self.campaign_file)}"
-
     def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         if self.record is not None and self.against is None:
             raise CampaignError(
@@ -79,7 +75,6 @@ class CheckOptions(StudyOptions):
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.campaign.sketch import looked_at
 
-        progress.working(self.beginning)
         changed = with_model(self.settings, self.solver, self.units)
         if campaign is None and self.against is not None:
             campaign = load_campaign(self.campaign_file, changed)

@@ -14,7 +14,7 @@ from modetune.core.near_names import listed
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, frame, json_object, table_of
-from modetune.flows.studies.ending import StudyEnd, near
+from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.requests import MassReduction, ModelState
 from modetune.flows.studies.study import (
     Figures,
@@ -74,13 +74,7 @@ class CorrelateOptions(StudyOptions):
     units: UnitsChoice = None
     figures: Figures = None
 
-    @property
-    def beginning(self) -> str:
-        sides = (", ".join(str(near(path)) for path in side) for side in (self.first, self.second))
-        return f"comparing {' with '.join(filter(None, sides))}"
-
     def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
-        progress.working(self.beginning)
         if not self.second and self.second_at:
             raise CampaignError("--second-at is of a second campaign, and none is named")
         return Opened(self.first[0].stem, progress, charted=self.figures is not None)

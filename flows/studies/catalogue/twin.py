@@ -23,7 +23,6 @@ class TwinOptions(CampaignOptions):
     at: At = None
 
     def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
-        progress.working(self.beginning)
         return Opened(self.campaign_file.stem, progress)
 
 

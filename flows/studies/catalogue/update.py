@@ -52,22 +52,32 @@ def update(on: Opened) -> StudyEnd:
     from modetune.flows.report.parameter_tables import parameter_table
     from modetune.flows.updating.forecast import told_forecast
     from modetune.flows.updating.recording import summary
+    from modetune.flows.updating.running import is_same
     from modetune.flows.updating.starts import update_from_starts
 
     campaign, progress = on.campaign, on.progress
     campaign.solver_version()  # a missing solver is reported before anything else starts
     progress.keep(on.folder)
+    same = on.scheduled and is_same(campaign, on.folder)
     run = update_from_starts(campaign, on.folder, progress, forecast=progress.forecast)
     record, converged = run.record, run.converged
+    status, reason = record.status, record.reason
+    if same and not record.runs.modal + record.runs.sensitivity:
+        reason = (
+            "nothing changed since the previous run: no solver run, all "
+            f"{record.runs.reused} results from the store; still {status.replace('_', ' ')}: "
+            f"{reason}"
+        )
+        status = "unchanged"
     forecast = told_forecast(run.forecast) if run.forecast else None
     return StudyEnd(
         run,
-        record.reason,
+        reason,
         {**summary(record, near(run.folder)), "forecast": forecast},
         [mode_table(record), parameter_table(record)],
         written=None,
-        doubts=[] if converged else [record.reason],
-        status=record.status,
+        doubts=[] if converged else [reason],
+        status=status,
         exit_code=0 if converged else 3,
         shown=partial(_show, run),
     )

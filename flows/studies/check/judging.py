@@ -22,8 +22,7 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import ThreadExecution, solved
+from modetune.flows.jobs.execution import solved
 from modetune.flows.studies.check.findings import MODEL, PAIRING, TEST, Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.memory import memory_findings
@@ -92,9 +91,7 @@ class PreCheckReport:
         return 2 if self.level == "wrong" else 0
 
 
-def check_campaign(
-    campaign: Campaign, run: bool = True, watcher: JobWatcher | None = None
-) -> PreCheckReport:
+def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     """Judge a campaign that was read; run: with the modes at its start, from the store if there.
 
     Where parameters start from nothing a second set tells whether they leave parts loose so.
@@ -106,14 +103,14 @@ def check_campaign(
     analysis, nothing = campaign_analysis(campaign), from_nothing(campaign)
     try:
         campaign.solver_version()
-        engine = job_engine(campaign, watcher)
+        engine = job_engine(campaign)
         if may_choose(campaign.case):
             (outcome,) = solved(engine, [modal_job(campaign)])
             runs = RunCounts(modal=int(not outcome.reused), reused=int(outcome.reused))
             posed = by_shapes(campaign.case, outcome.result(ModalResult))
             campaign, said = _posed(campaign, posed)
             static = _without_run(campaign, said)
-        evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, campaign.parallel))
+        evaluator = evaluator_of(campaign, engine)
         result = evaluator.modes(campaign.start, analysis)
         if nothing:
             joined = evaluator.modes(joined_values(campaign, nothing), analysis)

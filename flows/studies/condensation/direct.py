@@ -34,7 +34,6 @@ from modetune.core.updating.direct import (
     error_matrix_update,
 )
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.report.tables import Column
 from modetune.flows.studies.condensation.damage import MatrixDamage, damage_of
 from modetune.flows.studies.condensation.model import (
@@ -141,14 +140,13 @@ def correct_directly(
     method: DirectMethod = "berman",
     filling: Filling = "kidder",
     mass_normalised: bool = False,
-    watcher: JobWatcher | None = None,
 ) -> DirectCorrection:
     """Correct a model's matrices. Raises CampaignError, ModesError, ModelError, SolverError.
 
     mass_normalised: whether the test's shapes are of unit modal mass in the deck's own unit; else
     they are scaled to that in the model, and so say nothing of the whole mass.
     """
-    subject = _subject(campaign, values, watcher)
+    subject = _subject(campaign, values)
     model, own, seen = subject.model, subject.own, subject.seen
     used, partners = _imposed(subject, method, filling)
     given = subject.test.select(used)
@@ -215,9 +213,9 @@ class _Subject:
     watched: sparse.csr_array
 
 
-def _subject(campaign: Campaign, values: Values, watcher: JobWatcher | None) -> _Subject:
+def _subject(campaign: Campaign, values: Values) -> _Subject:
     names = sensor_names(campaign)
-    model = full_model(campaign, values, watcher)
+    model = full_model(campaign, values)
     n = model.stiffness.shape[0]
     if n > MOST:
         raise CampaignError(

@@ -41,9 +41,8 @@ from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
+from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import solved
 from modetune.flows.studies.condensation.model import (
     FullModel,
     by_sensors,
@@ -125,14 +124,13 @@ class _Test:
 
     campaign: Campaign
     values: Values
-    watcher: JobWatcher | None
     frequencies_hz: Floats
     shapes: Shapes
     n_modes: int | None
 
     @cached_property
     def full(self) -> FullModel:
-        return full_model(self.campaign, self.values, self.watcher)
+        return full_model(self.campaign, self.values)
 
     @cached_property
     def seen(self) -> tuple[MeasuredModel, Integers]:
@@ -180,7 +178,6 @@ def expand_shapes(
     values: Values,
     method: str | None = None,
     n_modes: int | None = None,
-    watcher: JobWatcher | None = None,
 ) -> Expansions:
     """Expand the test of a campaign, by one method or by all that the model allows.
 
@@ -191,7 +188,7 @@ def expand_shapes(
     names = sensor_names(campaign)
     measured = campaign.case.measured
     shapes: Shapes = measured.modes.mode_shapes
-    test = _Test(campaign, values, watcher, measured.modes.frequencies_hz, shapes, n_modes)
+    test = _Test(campaign, values, measured.modes.frequencies_hz, shapes, n_modes)
     held, room = set[int](), job_engine(campaign).room
     found = []
     for name in wanted:
@@ -223,9 +220,7 @@ def _serep(test: _Test) -> ExpandedShapes:
     case = test.campaign.case
     nodes = tuple(sorted(case.solver.deck.summary.node_ids))
     wanted = max(case.n_modes, RIGID_MODES + (test.n_modes or 0))
-    (outcome,) = solved(
-        job_engine(test.campaign, test.watcher), [Job(test.values, ModalAnalysis(wanted, nodes))]
-    )
+    (outcome,) = solved(job_engine(test.campaign), [Job(test.values, ModalAnalysis(wanted, nodes))])
     elastic = outcome.result(ModalResult).elastic
     seen = np.asarray(case.sensors.matrix(elastic.nodes, elastic.components) @ elastic.mode_shapes)
     most = min(elastic.n_modes, seen.shape[0] - max(map(len, test.parts)))

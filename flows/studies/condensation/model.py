@@ -21,9 +21,9 @@ from modetune.core.parameters import Values
 from modetune.core.updating.observation import Observation, sensor_observation
 from modetune.core.updating.results import MatrixResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import solved
+from modetune.flows.studies.requests import is_file
 from modetune.flows.updating.running import job_engine
 
 Dofs = list[tuple[int, int]]
@@ -88,7 +88,7 @@ class FullModel:
         return measured_model(self.stiffness, self.mass, rows), moving
 
 
-def full_model(campaign: Campaign, values: Values, watcher: JobWatcher | None = None) -> FullModel:
+def full_model(campaign: Campaign, values: Values) -> FullModel:
     """One matrix job, the store first. Raises CampaignError, SolverError, StoreError."""
     solver = campaign.case.solver
     if not solver.offers.matrices or not solver.deck.summary.matrix_shapes:
@@ -97,7 +97,7 @@ def full_model(campaign: Campaign, values: Values, watcher: JobWatcher | None = 
             f"for {solver.deck.summary.name}; `--solver` names another program, or `--solver "
             "matrices` with a file that names matrices (docs/matrices.md)"
         )
-    engine = job_engine(campaign, watcher)
+    engine = job_engine(campaign)
     (outcome,) = solved(engine, [Job(values, MatrixAnalysis())], "matrices")
     return FullModel(campaign, outcome.result(MatrixResult), engine.room)
 
@@ -125,7 +125,7 @@ def masters_of(campaign: Campaign, given: str) -> Dofs:
     """
     path = Path(given)
     items = [(f"--masters {given!r}", part.strip()) for part in given.split(",")]
-    if path.is_file():
+    if is_file(given):
         try:
             lines = read_regular(path).decode("utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:

@@ -25,7 +25,6 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import CLOSE, Floats, Integers, close_sets
 from modetune.core.parameters import Values
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.studies.condensation.model import (
     Dofs,
     FullModel,
@@ -82,12 +81,10 @@ class ModelReduction:
         )
 
 
-def reduce_model(
-    campaign: Campaign, values: Values, asked: ReductionRequest, watcher: JobWatcher | None = None
-) -> ModelReduction:
+def reduce_model(campaign: Campaign, values: Values, asked: ReductionRequest) -> ModelReduction:
     """Reduce a model at parameter values. Raises CampaignError, ModelError, SolverError."""
     names = masters_of(campaign, asked.masters) if asked.masters else sensor_names(campaign)
-    model = full_model(campaign, values, watcher)
+    model = full_model(campaign, values)
     wanted = model.observation(*dof_arrays(names)) if asked.masters else by_sensors(model)
     seen, moving = model.seen(wanted, names)
     kept = [names[place] for place in moving.tolist()]

@@ -28,9 +28,8 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.measured import tracking_nodes
 from modetune.flows.campaign.sketch import YAML, is_deck, looked_at
+from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import solved
 from modetune.flows.studies.condensation.model import by_sensors, dof_arrays, full_model
 from modetune.flows.studies.correlate.correlate import (
     Correlation,
@@ -119,23 +118,22 @@ def correlate_sources(
     state: State = "updated",
     settings: Sequence[str] = (),
     method: MassReduction | None = None,
-    watcher: JobWatcher | None = None,
 ) -> Correlation:
     """Compare two sources, or a campaign or record with its own test.
 
     state: which model of a record. method: how the mass matrix is reduced to the common degrees
-    of freedom for orthogonality, None for none; watcher: is told of each job. A test stands first
+    of freedom for orthogonality, None for none. A test comes first
     beside a model.
     Raises CampaignError, SolverError, StoreError.
     """
     model: Model | None = None
     if second is None:
-        left, right, model = _alone(first, state, settings, watcher)
+        left, right, model = _alone(first, state, settings)
     elif first.kind in MODELS and second.kind in MODELS:
-        left, right, model = _two_models(first, second, settings, watcher)
+        left, right, model = _two_models(first, second, settings)
     elif first.kind in MODELS or second.kind in MODELS:
         campaign, other = (first, second) if first.kind in MODELS else (second, first)
-        model, mine, theirs = _model_beside(campaign, other, state, settings, watcher)
+        model, mine, theirs = _model_beside(campaign, other, state, settings)
         ordered = other.kind == "test" or campaign is second
         left, right = (theirs, mine) if ordered else (mine, theirs)
     else:
@@ -147,11 +145,11 @@ def correlate_sources(
         return found
     if model is None:
         raise CampaignError("orthogonality needs a mass matrix: name a campaign file for one side")
-    return replace(found, orthogonality=_orthogonality(found, model, method, watcher))
+    return replace(found, orthogonality=_orthogonality(found, model, method))
 
 
 def _alone(
-    item: ComparedSource, state: State, settings: Sequence[str], watcher: JobWatcher | None
+    item: ComparedSource, state: State, settings: Sequence[str]
 ) -> tuple[Side, Side, Model | None]:
     """A campaign's or record's model beside its own test."""
     if item.kind == "test":
@@ -165,7 +163,7 @@ def _alone(
         return test, _read(item, state), None
     if item.kind == "deck":
         raise CampaignError(f"{item.path} is a deck; name the test that it is to be compared with")
-    model = _model(load_campaign(item.path, list(settings)), item.at, watcher)
+    model = _model(load_campaign(item.path, list(settings)), item.at)
     campaign = model.campaign
     test = Side("test", "test", campaign.test.numbers, campaign.test.modes, model.geometry)
     return test, model.side(_seen(model), campaign.name), model
@@ -176,15 +174,14 @@ def _model_beside(
     other: ComparedSource,
     state: State,
     settings: Sequence[str],
-    watcher: JobWatcher | None,
 ) -> tuple[Model, Side, Side]:
     """A campaign's model as the other side's sensors see it, and the other side."""
     if other.kind == "record":
         theirs = _read(other, state)
-        model = _model(looked_at(item.path, settings), item.at, watcher)
+        model = _model(looked_at(item.path, settings), item.at)
         return model, model.side(_seen(model), model.campaign.name), theirs
     campaign = looked_at(item.path, settings, (other.path, *other.more))
-    model = _model(campaign, item.at, watcher)
+    model = _model(campaign, item.at)
     test = model.campaign.test
     theirs = Side(other.path.name, "test", test.numbers, test.modes, model.geometry)
     return model, model.side(_seen(model), model.campaign.name), theirs
@@ -194,10 +191,9 @@ def _two_models(
     first: ComparedSource,
     second: ComparedSource,
     settings: Sequence[str],
-    watcher: JobWatcher | None,
 ) -> tuple[Side, Side, Model]:
     """Two models at the sensors of their tests, or where these share none, at common nodes."""
-    models = [_model(looked_at(item.path, settings), item.at, watcher) for item in (first, second)]
+    models = [_model(looked_at(item.path, settings), item.at) for item in (first, second)]
     seen, by_sensors = [_seen(model) for model in models], True
     if common_dofs(*seen)[0].size == 0:
         ids = (
@@ -210,7 +206,7 @@ def _two_models(
                 "both campaigns the same test, with coordinates, so that each model is seen by it"
             )
         models = [
-            _model(model.campaign, item.at, watcher, tracking_nodes(ids))
+            _model(model.campaign, item.at, tracking_nodes(ids))
             for model, item in zip(models, (first, second), strict=True)
         ]
         seen, by_sensors = [model.elastic for model in models], False
@@ -236,7 +232,6 @@ def _labels(models: list[Model], first: ComparedSource, second: ComparedSource) 
 def _model(
     campaign: Campaign,
     at: Sequence[str],
-    watcher: JobWatcher | None,
     nodes: tuple[int, ...] | None = None,
 ) -> Model:
     """The modes of a campaign's model, from the store or the solver."""
@@ -244,7 +239,7 @@ def _model(
     analysis = campaign_analysis(campaign)
     if nodes is not None:
         analysis = ModalAnalysis(analysis.n_modes, nodes)
-    (outcome,) = solved(job_engine(campaign, watcher), [Job(values, analysis)])
+    (outcome,) = solved(job_engine(campaign), [Job(values, analysis)])
     result = outcome.result(ModalResult)
     return Model(campaign, values, result.elastic)
 
@@ -271,11 +266,9 @@ def _read(item: ComparedSource, state: State) -> Side:
     return Side(item.path.name, "test", test.numbers, test.modes, measured.geometry)
 
 
-def _orthogonality(
-    found: Correlation, model: Model, method: MassReduction, watcher: JobWatcher | None
-) -> Orthogonality:
+def _orthogonality(found: Correlation, model: Model, method: MassReduction) -> Orthogonality:
     """One matrix job; common degrees of freedom that can move are masters."""
-    full, names = full_model(model.campaign, model.values, watcher), list(found.dofs)
+    full, names = full_model(model.campaign, model.values), list(found.dofs)
     sensors = model.campaign.case.sensors
     named = zip(sensors.nodes.tolist(), sensors.components.tolist(), strict=True)
     places = {name: place for place, name in enumerate(named)}

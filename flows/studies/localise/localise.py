@@ -21,8 +21,6 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.updating.localisation import Removal, removals
 from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.updating.evaluators import evaluator_of
@@ -101,21 +99,19 @@ def _updated_values(campaign: Campaign, path: Path) -> Floats:
     return record.updated
 
 
-def localise(
-    campaign: Campaign, theta: Floats | None = None, watcher: JobWatcher | None = None
-) -> Localisation:
+def localise(campaign: Campaign, theta: Floats | None = None) -> Localisation:
     """Look for the error at parameter values, at the campaign's start if left out.
 
     theta: (n_parameters,), values that updating ended on; the test for model-form error is then a
-    verdict, not a forecast. watcher: is told of each job, as Prefect's pages are.
+    verdict, not a forecast.
     Raises ModesError, SolverError, StoreError.
     """
     updated = theta is not None
     values = campaign.start if theta is None else theta
-    with solving_engine(campaign, watcher) as engine:
-        threads, why = ThreadExecution(engine, campaign.parallel), why_no_maps(campaign)
+    with solving_engine(campaign) as engine:
+        why = why_no_maps(campaign)
         demand = Demand(steps=1, matrices=not why)
-        evaluator = evaluator_of(campaign, engine, threads, demand=demand)
+        evaluator = evaluator_of(campaign, engine, demand=demand)
         evaluation, matrix = evaluator.evaluate(
             "values of the parameters", values, None, alone=False
         )

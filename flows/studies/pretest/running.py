@@ -20,9 +20,8 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import MatrixResult, ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import EXTRA_MODES, RIGID_MODES
+from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import ThreadExecution, Work
 from modetune.flows.studies.pretest.candidates import (
     CandidateSensors,
     candidates_of,
@@ -91,9 +90,7 @@ class Pretest:
         return self.quality.largest > ALIKE
 
 
-def run_pretest(
-    campaign: Campaign, settings: PretestSettings, watcher: JobWatcher | None = None
-) -> Pretest:
+def run_pretest(campaign: Campaign, settings: PretestSettings) -> Pretest:
     """Choose sensors and exciters for a model.
 
     Raises CampaignError for what is unavailable, ModesError where modes cannot be told apart,
@@ -107,8 +104,8 @@ def run_pretest(
     )
     analysis = _analysis(campaign, settings, asked)
     own = with_shapes(campaign, analysis.nodes)
-    engine = job_engine(own, watcher)
-    evaluator = evaluator_of(own, engine, ThreadExecution(engine, own.parallel), like=campaign)
+    engine = job_engine(own)
+    evaluator = evaluator_of(own, engine, like=campaign)
     modal = evaluator.modes(own.parameters.initial, analysis)
     numbers = _mode_numbers(settings.modes, modal.elastic.n_modes)
     modes = np.array(numbers, dtype=np.int64) - 1

@@ -17,8 +17,6 @@ from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample.learning import Checks, Learned, check, learn
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
@@ -44,17 +42,16 @@ def sample_campaign(
     request: SamplingRequest,
     working: Callable[[str], None],
     earlier: CampaignRecord | None = None,
-    watcher: JobWatcher | None = None,
 ) -> PosteriorRecord:
     """The posterior of a campaign's parameters. earlier: an updated campaign to start from.
 
-    working: is told what is being computed; watcher: of each job, as Prefect's pages are.
+    working: is called with what is being computed.
 
     Raises CampaignError (what was asked cannot be; the surrogate stays too poor), SolverError,
     ModesError, StoreError.
     """
     started = time.monotonic()
-    with learned_posterior(campaign, request, working, earlier, watcher) as known:
+    with learned_posterior(campaign, request, working, earlier) as known:
         learned, solver = known.learned, known.solver
         working("sampling")
         longest = LONGEST if learned.surrogate is known.reduced else LONGER
@@ -106,14 +103,13 @@ def learned_posterior(
     request: SamplingRequest,
     working: Callable[[str], None],
     earlier: CampaignRecord | None = None,
-    watcher: JobWatcher | None = None,
 ) -> Iterator[Known]:
     """What sets over the range and near the posterior tell. Raises as `sample_campaign` does."""
     campaign = campaign.alone(campaign.case)  # several are refused before anything runs
     parameters = campaign.parameters
     if problems := request.problems(len(parameters)):
         raise CampaignError(problems)
-    campaign = settled(campaign, watcher)
+    campaign = settled(campaign)
     walkers = request.walkers or max(LEAST_WALKERS, WALKERS_EACH * len(parameters))
     check_walkers(walkers, len(parameters))
     centre = campaign.start if earlier is None else carried_over(campaign, earlier)
@@ -122,10 +118,9 @@ def learned_posterior(
     asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
-    with solving_engine(campaign, watcher) as engine:
+    with solving_engine(campaign) as engine:
         try:
-            threads = ThreadExecution(engine, campaign.parallel)
-            evaluator = evaluator_of(campaign, engine, threads, demand=Demand(1, asked))
+            evaluator = evaluator_of(campaign, engine, demand=Demand(1, asked))
             evaluator.tell = working
             solver = PointSolver(campaign, evaluator)
             # Where nothing was measured but frequencies, pairs are those that updating begins with.

@@ -35,7 +35,6 @@ from modetune.core.updating.parameter_scatter import (
 )
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.watching import JobWatcher
 from modetune.flows.studies.requests import SamplingRequest, ScatterRequest
 from modetune.flows.studies.sample.running import Known, learned_posterior
 from modetune.flows.studies.sample.surrogate import fit_surrogate
@@ -64,11 +63,10 @@ def scatter_campaign(
     request: ScatterRequest,
     working: Callable[[str], None],
     earlier: CampaignRecord | None = None,
-    watcher: JobWatcher | None = None,
 ) -> ScatterRecord:
     """The scatter of a campaign's parameters behind that of its repeated tests.
 
-    earlier: an updated campaign to start from; working: is told what is being computed; watcher: of
+    earlier: an updated campaign to start from; working: is called with what is being computed;
     each job. Raises CampaignError (the test was not repeated; the tests cannot tell so many
     parameters), SolverError, ModesError, StoreError.
     """
@@ -76,7 +74,7 @@ def scatter_campaign(
     free = _free(campaign, request)
     sampling = SamplingRequest(points=request.points, seed=request.seed)
     wide = _of_one_test(campaign)
-    with learned_posterior(wide, sampling, working, earlier, watcher) as known:
+    with learned_posterior(wide, sampling, working, earlier) as known:
         values = values_of(known.campaign, known.solver.residual)
         if known.reduced is None:
             known = _nearer(known, np.random.default_rng(request.seed))

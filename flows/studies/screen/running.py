@@ -19,8 +19,6 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
-from modetune.flows.jobs.watching import JobWatcher
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
 from modetune.flows.studies.screen.design import Design, make_design
@@ -42,16 +40,15 @@ def screen_campaign(
     campaign: Campaign,
     request: ScreeningRequest,
     working: Callable[[str], None],
-    watcher: JobWatcher | None = None,
 ) -> Screening:
     """Screen a campaign's parameters within their bounds.
 
-    working: is told what is being computed; watcher: of each job, as Prefect's pages are.
+    working: is called with what is being computed.
 
     Points that fail are left out as the method allows. Raises CampaignError (a design that cannot
     be), SolverError, ModesError (too few points are left), StoreError.
     """
-    campaign = settled(campaign, watcher)
+    campaign = settled(campaign)
     started = time.monotonic()
     # One stream for the points and one for the analysis, so that either stays if the other changes.
     at_points, at_indices = np.random.default_rng(request.seed).spawn(2)
@@ -66,10 +63,9 @@ def screen_campaign(
     )
     version = campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
-    with solving_engine(campaign, watcher) as engine:
+    with solving_engine(campaign) as engine:
         working(f"{DECK}, sensitivities")
-        threads = ThreadExecution(engine, campaign.parallel)
-        evaluator = evaluator_of(campaign, engine, threads, demand=Demand(1, len(design.points)))
+        evaluator = evaluator_of(campaign, engine, demand=Demand(1, len(design.points)))
         evaluator.tell = working
         nominal, matrix = evaluator.evaluate(DECK, parameters.initial, None, alone=False)
         assert matrix is not None

@@ -15,7 +15,9 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from contextvars import copy_context
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -28,8 +30,6 @@ from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.watching import JobWatcher, part_of
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
@@ -148,25 +148,20 @@ def leave_out(campaign: Campaign, number: int, configuration: str = "") -> Campa
     return replace(campaign, cases=cases, update=campaign.update.model_copy(update={"starts": 1}))
 
 
-def leave_one_out(
-    campaign: Campaign, working: Callable[[str], None], watcher: JobWatcher | None = None
-) -> Validation:
+def leave_one_out(campaign: Campaign, working: Callable[[str], None]) -> Validation:
     """Update without each used mode in turn and judge it by that mode.
 
     The updates go side by side as far as the campaign's engine lets their jobs. One that fails is
-    told of and keeps the others from nothing. working: hears what is being done; watcher: of each
-    job, as Prefect's pages do.
+    reported and does not stop the others. working: is called with what is being done.
     Raises CampaignError, SolverMissing, LicenceDenied, StoreError.
     """
-    campaign = settled(campaign, watcher)
+    campaign = settled(campaign)
     modes = [(number, case.name) for case in campaign.used for number in case.test.numbers]
     campaigns = [leave_out(campaign, *mode) for mode in modes]
-    return _validated(campaign, modes, campaigns, working, watcher)
+    return _validated(campaign, modes, campaigns, working)
 
 
-def validate(
-    campaign: Campaign, working: Callable[[str], None], watcher: JobWatcher | None = None
-) -> Validation:
+def validate(campaign: Campaign, working: Callable[[str], None]) -> Validation:
     """Update and judge by what the campaign itself holds out; as `leave_one_out`.
 
     Raises CampaignError where it holds out nothing; SolverError, ModesError, StoreError.
@@ -176,8 +171,8 @@ def validate(
             f"{campaign.file} holds out nothing to judge by: name modes with `test.hold_out`, or "
             "leave each mode out in turn with --leave-one-out"
         )
-    campaign = settled(campaign, watcher)
-    return _validated(campaign, [(0, "")], [campaign], working, watcher)
+    campaign = settled(campaign)
+    return _validated(campaign, [(0, "")], [campaign], working)
 
 
 def _validated(
@@ -185,16 +180,14 @@ def _validated(
     modes: Sequence[tuple[int, str]],
     campaigns: Sequence[Campaign],
     working: Callable[[str], None],
-    watcher: JobWatcher | None,
 ) -> Validation:
     started = time.monotonic()
     campaign.solver_version()  # a missing solver is told before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
-    with solving_engine(campaign, watcher) as engine:
-        threads = ThreadExecution(engine, campaign.parallel)
+    with solving_engine(campaign) as engine:
         several = len(campaigns) > 1
         demand = Demand(1, STEPS * len(campaigns)) if several else UPDATING
-        whole = evaluator_of(campaign, engine, threads, demand=demand)
+        whole = evaluator_of(campaign, engine, demand=demand)
         known = _on_range(campaign, whole) if several else None
         # What is found within one process goes one after another.
         workers = 1 if known else min(len(campaigns), campaign.parallel)
@@ -203,7 +196,8 @@ def _validated(
             for (number, configuration), one in zip(modes, campaigns, strict=True):
                 unknown = np.full(len(campaign.parameters), np.nan)
                 begun = Fold(number, "failed", "", 0, unknown, None, configuration)
-                futures.append(pool.submit(_fold, begun, one, engine, working, whole, known))
+                fold = partial(_fold, begun, one, engine, working, whole, known)
+                futures.append(pool.submit(copy_context().run, fold))
             try:
                 done = [future.result() for future in futures]
             except BaseException:
@@ -253,11 +247,10 @@ def _fold(
     whole: evaluates the campaign that nothing is left out of; known: a set of it, around which its
     reduced models are made, None where there are none.
     """
-    engine = replace(engine, watcher=part_of(engine.watcher, fold.name if fold.number else ""))
+    engine = replace(engine, tasks=engine.tasks.of_part(fold.name if fold.number else ""))
     evaluator = whole.ranges.within(campaign, known) if whole.ranges and known else None
     if evaluator is None:
-        threads = ThreadExecution(engine, campaign.parallel)
-        evaluator = evaluator_of(campaign, engine, threads, like=whole.campaign)
+        evaluator = evaluator_of(campaign, engine, like=whole.campaign)
     updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
     try:
         with one_thread() if known else nullcontext():

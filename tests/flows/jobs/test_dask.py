@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from modetune.flows.updating.dask import DaskJobs, Errand, on_dask, run_errand, worker_error
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import (
@@ -30,7 +31,6 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs import dask_cluster
 from modetune.flows.jobs.job import Job
 from modetune.flows.updating import dask
-from modetune.flows.updating.dask import DaskJobs, Errand, on_dask, run_errand, worker_error
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.eventually import eventually
 

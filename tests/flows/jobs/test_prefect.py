@@ -18,6 +18,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from modetune.flows.jobs.server_limits import LEASE_S
 
 from modetune.core.errors import CampaignRunning
 from modetune.core.modes import MeasuredModes
@@ -25,7 +26,6 @@ from modetune.core.parameters import Parameter
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs import prefect_server as process
-from modetune.flows.jobs.server_limits import LEASE_S
 from modetune.flows.updating import artifacts
 from modetune.flows.updating.running import job_engine, update_campaign
 from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of

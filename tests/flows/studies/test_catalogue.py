@@ -162,6 +162,8 @@ def test_the_paths_of_a_study_are_all_files_that_it_names(
     (tmp_path / "masters.txt").write_text("1.x\n")
     parameters = study.checked({**given, "masters": "masters.txt"})
     assert set(study.paths(parameters)) == {*named, tmp_path / "masters.txt"}
+    many = ",".join(f"{node}.x" for node in range(1, 500))  # longer than a file name may be
+    assert study.checked({**given, "masters": many})["masters"] == many
 
 
 def test_a_study_without_a_solver_needs_no_server(tmp_path: Path) -> None:

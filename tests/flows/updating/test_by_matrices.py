@@ -27,7 +27,7 @@ from modetune.core.storage.store import Store
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.jobs.work import solved
+from modetune.flows.jobs.execution import solved
 from modetune.flows.updating import solutions
 from modetune.flows.updating.finders import by_solver
 from modetune.flows.updating.foresight import ReducedForesight

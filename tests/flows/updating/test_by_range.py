@@ -13,7 +13,6 @@ import pytest
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.localise.localise import Localisation, localise
 from modetune.flows.studies.pretest.running import Pretest, run_pretest
 from modetune.flows.studies.requests import (
@@ -329,7 +328,7 @@ def test_sensors_are_placed_by_matrices_that_the_store_has(
 
     campaign = load_campaign(file, [f"store={tmp_path / AUTO[-6:]}", STORED])
     engine = job_engine(campaign)
-    made = evaluator_of(campaign, engine, ThreadExecution(engine, 2))
+    made = evaluator_of(campaign, engine)
     made.evaluate(0, campaign.start, None, alone=True)
     stored, own = placed(AUTO), placed(OWN)
     assert own.runs.modal >= 1

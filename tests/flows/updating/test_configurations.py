@@ -18,7 +18,7 @@ from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.case import Case, node_base, whole_test
 from modetune.flows.campaign.schema import SensitivitySection
-from modetune.flows.jobs.work import ThreadExecution
+from modetune.flows.jobs.execution import Execution
 from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.page import page
@@ -113,7 +113,7 @@ def test_a_joint_residual_and_sensitivity_are_those_of_the_parts_in_their_order(
 ) -> None:
     campaign = both(bench, modes=(1, 2), shapes=True)
     engine = bench.engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 2))
+    evaluator = evaluator_of(campaign, engine)
     evaluation, matrix = evaluator.evaluate(0, campaign.start, None, alone=False)
     assert matrix is not None
     # Two frequencies and two shapes at six sensors in each configuration; frequencies go first.
@@ -143,14 +143,14 @@ def test_the_jobs_of_all_configurations_go_side_by_side_and_are_counted(
 ) -> None:
     asked: list[list[str]] = []
 
-    class Watched(ThreadExecution):
-        def run(self, iteration: str, work: Any) -> Any:
-            asked.append([item.name for item in work])
-            return super().run(iteration, work)
+    class Watched(Execution):
+        def _together(self, iteration: str, works: Any) -> Any:
+            asked.append([item.name for item in works])
+            return super()._together(iteration, works)
 
     campaign = both(bench)
     engine = bench.engine(campaign)
-    evaluator = evaluator_of(campaign, engine, Watched(engine, 2))
+    evaluator = evaluator_of(campaign, engine, execution=Watched(engine))
     evaluator.evaluate(0, campaign.start, None, alone=False)
     # Until a job has succeeded only those of the first kind, then all else in one go for both.
     assert asked[0] == ["modal of empty", "modal of loaded"]
@@ -223,7 +223,7 @@ def test_weights_decide_between_configurations_that_contradict(bench: Any, watch
 def test_e1_must_hold_in_every_configuration(bench: Any) -> None:
     campaign = both(bench)
     engine = bench.engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 2))
+    evaluator = evaluator_of(campaign, engine)
     evaluation, _ = evaluator.evaluate(0, np.array(list(TRUTH.values())), None, alone=True)
     assert evaluation.agrees(campaign.tolerances)
     # A set on the line of pairs that the empty configuration alone agrees with.

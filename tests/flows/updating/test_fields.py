@@ -26,7 +26,6 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.report.charts import campaign_charts
 from modetune.flows.report.field_tables import SHOWN, brief_record, told_fields
 from modetune.flows.report.form_verdict import record_verdict
@@ -275,7 +274,7 @@ def test_a_soft_patch_among_a_hundred_shells_is_found_within_its_standard_errors
     assert set(record.best.sensitivity_methods) == {"semi_analytic"}
     # Derivatives for the patch as one, by the modes of the matrices on both sides.
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+    evaluator = evaluator_of(campaign, engine)
     _, matrix = evaluator.evaluate(0, campaign.start, None, alone=False)
     assert matrix is not None
     step = 0.01

@@ -13,7 +13,6 @@ from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, mode_set
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import by_solver, campaign_analysis
@@ -61,7 +60,7 @@ def derived(file: Path, method: str, theta: Floats) -> tuple[Floats, int, Point]
     they were taken."""
     campaign = load_campaign(file, [f"sensitivity.method={method}"])
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 2))
+    evaluator = evaluator_of(campaign, engine)
     evaluation, _ = evaluator.evaluate(0, theta, None, alone=True)
     (part,) = evaluation.parts
     found = evaluator.derivatives(part.point, evaluator.only.analysis)

@@ -12,7 +12,6 @@ import pytest
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Quantity
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.modal_run import model_modes
@@ -55,7 +54,7 @@ def test_derivatives_of_a_preloaded_bar_are_those_of_its_own_runs(
     file = written(case(load), tmp_path / "bar")
     campaign = load_campaign(file, [f"store={tmp_path / 'store'}"])
     engine = job_engine(campaign)
-    evaluator = evaluator_of(campaign, engine, ThreadExecution(engine, 1))
+    evaluator = evaluator_of(campaign, engine)
     evaluation, matrix = evaluator.evaluate(0, campaign.start, None, False)
     assert matrix is not None
     assert matrix.methods == ("finite_difference",)

@@ -16,7 +16,6 @@ from modetune.core.errors import ModetuneError
 from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.running import screen_campaign
@@ -131,7 +130,7 @@ def at_points(file: Path, place: Path) -> list[Evaluation | ModetuneError]:
     campaign = load_campaign(file, [f"store={place / 'store'}", STORED])
     engine = job_engine(campaign)
     thetas = np.random.default_rng(1).uniform(0.8, 1.2, (5, 3))
-    return list(evaluator_of(campaign, engine, ThreadExecution(engine, 1)).points("points", thetas))
+    return list(evaluator_of(campaign, engine).points("points", thetas))
 
 
 def test_points_of_a_study_that_was_killed_have_the_same_bits(

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.jobs.work import ThreadExecution
 from modetune.flows.studies.sample.points import PointSolver
 from modetune.flows.updating import asked
 from modetune.flows.updating.evaluation import Evaluation
@@ -33,9 +32,8 @@ def row_solver(folder: Path) -> Iterator[PointSolver]:
     """Of the row of masses, which has solved nothing yet."""
     campaign = load_campaign(row_of_masses(folder, N_MODES), [])
     campaign = campaign.alone(campaign.case)
-    with solving_engine(campaign, None) as engine:
-        execution = ThreadExecution(engine, campaign.parallel)
-        yield PointSolver(campaign, evaluator_of(campaign, engine, execution, Demand(1, 10)))
+    with solving_engine(campaign) as engine:
+        yield PointSolver(campaign, evaluator_of(campaign, engine, Demand(1, 10)))
 
 
 def mistaken(evaluation: Evaluation) -> Evaluation:

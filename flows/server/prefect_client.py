@@ -1,0 +1,66 @@
+"""Prefect's engine as a client of one server, with all its waits bounded.
+
+Settings hold in this context and for the import of Prefect alone: solvers inherit the environment,
+and a login is none of their business. Prefect's requests end after 4 s, its own heartbeat thread is
+off (`run_page.py`), and events that a server does not take are dropped.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+#: Seconds of one request of Prefect's client.
+REQUEST_S = 4.0
+
+
+@contextmanager
+def prefect_client(settings: Mapping[str, str]) -> Iterator[None]:
+    """Make Prefect a client of a server, by its settings as environment variables."""
+    _import_prefect(settings)
+    from prefect.events.clients import PrefectEventsClient
+    from prefect.events.worker import EventsWorker
+    from prefect.settings import temporary_settings
+
+    chosen: dict[Any, Any] = {
+        "api.url": settings["PREFECT_API_URL"],
+        "api.auth_string": settings.get("PREFECT_API_AUTH_STRING"),
+        "api.key": settings.get("PREFECT_API_KEY") or None,
+        "api.request_timeout": REQUEST_S,
+        "flows.heartbeat_frequency": None,
+        "logging.to_api.enabled": False,
+        "server.ephemeral.enabled": False,
+    }
+    if settings.get("PREFECT_CLIENT_CSRF_SUPPORT_ENABLED"):
+        chosen["client.csrf_support_enabled"] = True
+    with temporary_settings(chosen):
+        EventsWorker.set_client_override(
+            PrefectEventsClient, api_url=settings["PREFECT_API_URL"], reconnection_attempts=0
+        )
+        try:
+            yield
+        finally:
+            EventsWorker.set_client_override(None)
+
+
+def _import_prefect(settings: Mapping[str, str]) -> None:
+    """Import Prefect with these settings in its environment, and keep its log to itself."""
+    if "prefect" in sys.modules:
+        return
+    before = dict(os.environ)
+    root = logging.getLogger()
+    handlers = list(root.handlers)
+    try:
+        os.environ.update(settings)
+        import prefect.main
+        import prefect.task_engine  # noqa: F401  # what flows need, at once
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+        for handler in root.handlers[:]:
+            if handler not in handlers:
+                root.removeHandler(handler)
