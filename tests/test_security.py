@@ -17,7 +17,6 @@ from modetune.core.errors import CampaignError
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs import prefect_server as process
-from modetune.flows.updating import prefect as pages
 from tests.command_line import run_command
 from tests.test_structure import MODULES, ROOT
 
@@ -47,10 +46,13 @@ def run(folder: Path, *arguments: str, **environment: str) -> subprocess.Complet
 # The network
 
 
-def test_an_address_is_shown_without_its_password() -> None:
-    address = process.Address(f"https://me:{SECRET}@prefect.example/api", 0)
-    assert address.shown == "https://prefect.example/api"
-    assert process.Address("http://127.0.0.1:4200/api", 0).shown == "http://127.0.0.1:4200/api"
+def test_an_address_has_no_password(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PREFECT_API_URL", f"https://me:{SECRET}@prefect.example/api")
+    monkeypatch.delenv("PREFECT_API_AUTH_STRING", raising=False)
+    server = process.configured_server()
+    assert server is not None
+    assert (server.address.url, server.login) == ("https://prefect.example/api", f"me:{SECRET}")
+    assert SECRET not in server.describe("does not answer") + server.pages
 
 
 # The code
@@ -216,8 +218,7 @@ def leaks(folder: Path) -> list[str]:
 def test_secrets_of_the_environment_are_in_no_log_deck_or_record(
     campaign: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(process, "NAMED_PATIENCE_S", 0.1)
-    monkeypatch.setattr(pages, "FIRST_WORD_S", 60.0)  # it is what the process beside says first
+    monkeypatch.setattr(process, "CONFIGURED_PATIENCE_S", 0.1)
     dead = f"http://me:{SECRET}@127.0.0.1:9/api"
     folder = campaign.parent
     settings = ["--set", "run.keep_jobs=true", "--json"]

@@ -57,6 +57,7 @@ class Handed:
     """What the caller in this process hands to the body of a flow, and the outcome of the body.
 
     opened: the campaign, loaded already. own_process: whether the process is the run's alone.
+    state: that the run ends in, whether or not the server receives it.
     """
 
     progress: Progress
@@ -65,6 +66,7 @@ class Handed:
     began: bool = False
     end: StudyEnd | None = None
     error: BaseException | None = None
+    state: State[Any] | None = None
 
     def outcome(self) -> StudyEnd:
         """The end of the study. Raises what ended it."""
@@ -185,6 +187,7 @@ def _body(study: Study, parameters: Mapping[str, Any], handed: Handed) -> State[
     except Exception as error:
         handed.error = error
         state = Crashed(message=f"{type(error).__name__}: {error}")
+    handed.state = state
     if not page.finish():
         raise Abort("the server does not answer")
     return state

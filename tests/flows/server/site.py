@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from modetune.core.storage.locks import FileLock
 from modetune.flows.campaign.campaign import cores
 from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
@@ -72,7 +73,7 @@ class Site:
         """Variables that make Prefect a client of the server."""
         address = process.running_address(self.home)
         assert address is not None
-        lock = process.FileLock(self.folder / "never")
+        lock = FileLock(self.folder / "never")
         return process.SharedServer(
             self.home, address, lock, process.read_login(self.home)
         ).settings()
@@ -85,22 +86,26 @@ class Site:
     def deployment(self, name: str = "update/six-mass") -> Any:
         return self.ask(f"/deployments/name/{name}")
 
-    def due(self, name: str = "update/six-mass", **parameters: object) -> str:
+    def due(self, name: str = "update/six-mass", /, **parameters: object) -> str:
         """Ask for a run of a deployment with these parameters over its own; its identity."""
         content = {"state": {"type": "SCHEDULED"}, "parameters": parameters}
         made = self.ask(f"/deployments/{self.deployment(name)['id']}/create_flow_run", content)
         return str(made["id"])
 
-    def end(self, run: str, *options: str) -> Any:
+    def end(self, run: str) -> Any:
         """Let a worker do what is due; the run once it has ended."""
-        worked = self.run("worker", "--once", *options)
+        worked = self.run("worker", "--once")
         assert worked.returncode == 0, worked.stderr
         assert worked.stdout == ""
         return self.state(run)
 
-    def worker(self, *options: str) -> subprocess.Popen[str]:
+    def worker(self) -> subprocess.Popen[str]:
+        return self.start("worker")
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Start `modetune ARGUMENTS` in the folder."""
         return subprocess.Popen(
-            [sys.executable, "-m", "modetune", "worker", *options],
+            [sys.executable, "-m", "modetune", *arguments],
             cwd=self.folder,
             env=self.environment,
             stdout=subprocess.DEVNULL,

@@ -82,7 +82,7 @@ def test_nothing_that_the_server_has_brings_a_program(site: Site, tmp_path: Path
 
 def failed(site: Site, **parameters: object) -> str:
     """The message of a run with these parameters, which must fail in one sentence."""
-    found = site.end(site.due(**parameters))
+    found = site.end(site.due("update/six-mass", **parameters))
     assert found["state_type"] == "FAILED", found["state"]
     return str(found["state"]["message"])
 

@@ -17,6 +17,7 @@ from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.jobs.silent_runs import RESOURCE, SILENT_S, SilentRuns, send_heartbeat
 from modetune.flows.server.worker import CampaignWorker, FixedConfiguration, check_login
+from tests.eventually import eventually
 from tests.flows.conftest import api_of
 from tests.flows.server.site import ENDED, GOOD, RUN, SERVER, WORKER, Site, stop
 
@@ -84,6 +85,20 @@ def test_a_server_that_is_killed_under_a_run_receives_its_end(site: Site) -> Non
     assert again.url == address.url
     assert site.slots() == 0
     assert stop(worker).count("the worker continues to try") == 1
+
+
+def test_a_run_that_is_cancelled_on_its_page_ends_and_frees_its_slot(site: Site) -> None:
+    worker = site.worker()
+    run = running(site)
+    content = {
+        "state": {"type": "CANCELLING", "name": "Cancelling"}
+    }  # what the page's button sends
+    assert site.ask(f"/flow_runs/{run}/set_state", content)["status"] == "ACCEPT"
+    found, seconds = site.wait(run, lambda run: run["state_type"] in ENDED)
+    assert (found["state_type"], seconds < 10.0) == ("CANCELLED", True)
+    assert eventually(lambda: site.processes(RUN) == [])
+    check_next(site)
+    stop(worker)
 
 
 def test_a_worker_that_is_ended_ends_its_runs(site: Site) -> None:
