@@ -68,7 +68,7 @@ def test_a_pipe_gets_plain_lines_and_the_first_one_at_once() -> None:
 
 
 def test_nothing_is_told_where_nobody_looks() -> None:
-    assert displayed(None) is None
+    assert current_display() is None
 
 
 @pytest.mark.parametrize(
