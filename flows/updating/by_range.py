@@ -181,7 +181,7 @@ class ReducedRanges:
             if case.name in named
             for state, finder in [named[case.name]]
         ]
-        return Evaluator(campaign, states, self.evaluator.execution, self.evaluator.ledger)
+        return Evaluator(campaign, states, self.evaluator.execution)
 
     def _asked(self, around: Evaluation) -> bool:
         """Whether the solver can be asked about the frequencies where they were worst; it is."""

@@ -98,7 +98,7 @@ class ReducedForesight:
             update=self.campaign.update.model_copy(update={"max_iterations": ITERATIONS}),
         )
         self.states = states
-        evaluator = Evaluator(inner, states, self.evaluator.execution, self.evaluator.ledger)
+        evaluator = Evaluator(inner, states, self.evaluator.execution)
         try:
             end = Loop(inner, evaluator, Unnoted(), region, current).run()
         except ModesError as error:

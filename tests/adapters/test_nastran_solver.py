@@ -57,10 +57,12 @@ from modetune.core.parameters import Parameter, Quantity, TargetKind, Values
 from modetune.core.storage.keys import canonical_json
 from modetune.core.storage.store import Store
 from modetune.core.updating.results import ModalResult, ModeDerivatives
-from modetune.flows.jobs.engine import JobEngine, Ledger
+from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import MachineLimits
 from modetune.flows.jobs.policy import Policy
+from modetune.flows.jobs.tasks import Tasks
+from modetune.flows.jobs.work import Ledger, PoolRunner
 
 STIFFNESS, MASS, MASSES = 1000.0, 2.0e-3, 5
 WTMASS = 0.001
@@ -160,6 +162,7 @@ class Site:
             counter=MachineLimits(self.folder / "limits"),
             limits=(),
             ledger=Ledger(),
+            tasks=Tasks(PoolRunner(1)),
         )
 
     def derivatives(

@@ -66,6 +66,7 @@ from modetune.flows.jobs import prefect_server
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.updating import Progress
 from tests.embedded import PROGRAMS
 
 SPRINGS = np.array([1500.0, 1600.0, 1400.0, 6500.0, 1300.0, 1500.0, 1300.0])
@@ -289,13 +290,10 @@ class ScriptedProgram:
 
 
 @dataclass
-class Watcher:
+class Watcher(Progress):
     """Keeps what a campaign shows."""
 
     lines: list[IterationRecord] = field(default_factory=list)
-
-    def working(self, text: str) -> None:
-        pass
 
     def iteration(self, record: IterationRecord) -> None:
         self.lines.append(record)

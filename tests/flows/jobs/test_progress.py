@@ -14,7 +14,7 @@ from rich.console import Console
 from modetune.core.errors import SolverCrashed
 from modetune.flows.jobs import progress as module
 from modetune.flows.jobs.progress import JobProgress
-from modetune.flows.jobs.watching import Derivation, ask, displayed
+from modetune.flows.jobs.watching import Derivation, current_display
 from tests.command_line import run_command
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
@@ -36,9 +36,9 @@ def test_jobs_done_of_jobs_asked_with_their_names_and_the_time_left() -> None:
     progress, _ = in_a_pipe()
     progress.working("iteration 1: sensitivities")
     with progress.shown():
-        watcher = displayed(None)
-        ask(watcher, 4)
+        watcher = current_display()
         assert watcher is not None
+        watcher.asked(4)
         ends = [watcher.began("iteration 1", name) for name in ("E_wing", "E_fin")]
         ends[0]([solved(12.0)])  # type: ignore[list-item]
     # Three wait or run, one at a time, of 12 s each: 36 s.
@@ -68,7 +68,7 @@ def test_a_pipe_gets_plain_lines_and_the_first_one_at_once() -> None:
 
 
 def test_nothing_is_told_where_nobody_looks() -> None:
-    assert displayed(None) is None
+    assert current_display() is None
 
 
 @pytest.mark.parametrize(

@@ -176,8 +176,9 @@ def test_a_reduced_model_lies_above_the_full_one_and_is_told_so(
     found = modetune.reduce(model, method, masters, modes=3, settings=UNITS)
     own = modetune.modes(model, settings=UNITS).elastic.frequencies_hz[:3]
     np.testing.assert_allclose(found.full_hz, own, rtol=2e-5)  # digits that solvers print
-    # Rayleigh and Ritz: no frequency falls by a constraint.
-    assert (found.errors > -1e-7).all()
+    # Rayleigh and Ritz: no frequency falls by a constraint, but for the rounding of the largest
+    # eigenvalue: through the strip's thickness (c / t)^2, 1e9 times the first one, times 2.2e-16.
+    assert (found.errors > -1e-6).all()
     most = {"guyan": 0.2, "irs": 0.02, "iterated_irs": 1e-3, "serep": 1e-6, "craig_bampton": 0.02}
     assert found.errors.max() < most[method]
     if method == "serep":

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import io
-import itertools
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -20,7 +19,8 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.watching import Ended
+from modetune.flows.jobs.tasks import StudyRun, running_with
+from modetune.flows.jobs.work import Piece, PoolRunner, Task
 from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.studies.requests import ScreeningMethod, ScreeningRequest
 from modetune.flows.studies.screen.figures import screening_charts
@@ -167,28 +167,27 @@ def test_the_same_screening_again_starts_no_solver(bench: Bench, method: Screeni
     np.testing.assert_array_equal(again.responses.frequencies_hz, first.responses.frequencies_hz)
 
 
-class Impatient:
-    """Stops a screening like Ctrl-C, after some jobs."""
+class Impatient(PoolRunner):
+    """A runner that is interrupted when five of its pieces have ended."""
 
     def __init__(self) -> None:
-        self.ends = itertools.count(1)
+        super().__init__(2)
+        self.begun: list[Task] = []
 
-    def began(self, iteration: str, name: str) -> Callable[[Ended], None]:
-        def ended(done: Ended) -> None:
-            if next(self.ends) >= 8:
-                raise KeyboardInterrupt
-
-        return ended
-
-    def skipped(self, iteration: str, names: object, reason: str, state: str = "") -> None:
-        return
+    def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
+        self.begun.append(super().submit(name, piece, after))
+        if len(self.begun) == 12:
+            for task in self.begun[:6]:
+                task.result()
+            raise KeyboardInterrupt
+        return self.begun[-1]
 
 
 def test_a_stopped_screening_goes_on_where_it_was(bench: Bench) -> None:
     campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2, 3))
     request = ScreeningRequest("lhs", points=60)  # so many that a stop cannot come too late
-    with pytest.raises(KeyboardInterrupt):
-        screen_campaign(campaign, request, Unwatched().working, Impatient())
+    with pytest.raises(KeyboardInterrupt), running_with(StudyRun(Impatient())):
+        screen_campaign(campaign, request, Unwatched().working)
     kept = sum(1 for _ in campaign.store.folder.glob("??/*.h5"))
     before = bench.runs()
     assert 5 <= kept < 61  # the nominal model and the points that were done
