@@ -150,10 +150,16 @@ def _flow_of(study: Study) -> Flow[..., Any]:
             return _body(study, study.checked(bound.arguments), handed)
 
     body.__name__ = body.__qualname__ = study.name
-    body.__module__, body.__doc__ = __name__, study.help
+    body.__module__, body.__doc__ = __name__, _documented(study)
     body.__signature__ = signature  # type: ignore[attr-defined]
     body.__annotations__ = {item.name: item.annotation for item in study.parameters}
     return StudyFlow(body, name=study.name, persist_result=False, log_prints=False)
+
+
+def _documented(study: Study) -> str:
+    """What a flow does, and its parameters in the form in which Prefect's pages look for help."""
+    lines = [f"    {item.name}: {item.info.help}" for item in study.fields]
+    return "\n".join([study.help, "", "Args:", *lines])
 
 
 def _body(study: Study, parameters: Mapping[str, Any], handed: Handed) -> State[Any]:
