@@ -211,9 +211,10 @@ def _carried(
     with ExitStack() as stack:
         if handed.opened is None:
             opened = stack.enter_context(study.opened(parameters, progress))
-            _rename(flow_run, opened.name)
         else:
             opened = handed.opened
+        if flow_run.name != opened.name:
+            _rename(flow_run, opened.name)
         on = replace(opened, progress=progress, scheduled=flow_run.deployment_id is not None)
         progress.name = on.name
         if study.name == "update":
