@@ -21,6 +21,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -132,8 +133,12 @@ class StudyFlow(Flow[..., Any]):
     def __call__(self, *given: Any, **named: Any) -> Any:
         context = FlowRunContext.get()
         token = _around.set(None if context is None else context.task_runner)
+        paths = [str(value) if isinstance(value, Path) else value for value in given]
+        options = {
+            key: str(value) if isinstance(value, Path) else value for key, value in named.items()
+        }
         try:
-            return super().__call__(*given, **named)
+            return super().__call__(*paths, **options)
         finally:
             _around.reset(token)
 

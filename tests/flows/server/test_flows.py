@@ -1,0 +1,177 @@
+"""Studies on Prefect's engine and a real server: states, retries and edges of task runs.
+
+These tests also run on the newest Prefect 3 (`make newest-prefect`).
+"""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modetune.core.errors import SolverCrashed
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.schema import SensitivitySection
+from modetune.flows.campaign.site import HOME_VARIABLE
+from modetune.flows.jobs.prefect_server import machine_home
+from modetune.flows.server.run import carried_out
+from modetune.flows.studies.catalogue import find_study
+from tests.flows.conftest import Bench, Watcher, api_of
+from tests.flows.server.site import SIX_MASS
+from tests.flows.updating.test_updating import settings
+
+TRUTH = {"k1": 1.2, "k4": 0.9}
+DIFFERENCES = SensitivitySection(method="finite_difference", step=0.001)
+
+
+@dataclass
+class Served:
+    """The server of the session, for studies in this process."""
+
+    bench: Bench
+    home: Path
+
+    def update(self, campaign: Campaign, folder: str = "run") -> tuple[Any, list[dict[str, Any]]]:
+        """Run an update as a flow; its end, and its task runs in the order of their begin."""
+        seen = {run["id"] for run in self.runs()}
+        parameters = {
+            "campaign_file": campaign.file,
+            "settings": [],
+            "runs": self.bench.folder / folder,
+        }
+        try:
+            end: Any = carried_out(find_study("update"), parameters, Watcher(), campaign=campaign)
+        except SolverCrashed as error:
+            end = error
+        (run,) = (run for run in self.runs() if run["id"] not in seen)
+        assert run["parameters"]["campaign_file"] == str(campaign.file)
+        return end, self.tasks(run["id"])
+
+    def runs(self) -> Any:
+        return api_of(self.home).post("/flow_runs/filter", {})
+
+    def tasks(self, run: str) -> list[dict[str, Any]]:
+        of_run = {"flow_runs": {"id": {"any_": [run]}}, "sort": "EXPECTED_START_TIME_ASC"}
+        found: list[dict[str, Any]] = []
+        before = -1
+        while len(found) != before:  # the server records them in batches
+            before = len(found)
+            threading.Event().wait(1.0)
+            found = api_of(self.home).post("/task_runs/filter", of_run)
+        return found
+
+
+@pytest.fixture
+def served(bench: Bench, server_base: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    monkeypatch.setenv(HOME_VARIABLE, str(server_base))
+    for name in ("MODETUNE_NO_PREFECT", "PREFECT_API_URL", "PREFECT_API_AUTH_STRING"):
+        monkeypatch.delenv(name, raising=False)
+    threads = set(threading.enumerate())
+    yield Served(bench, machine_home(server_base))
+    left = set(threading.enumerate()) - threads
+    assert not {thread.name for thread in left if thread.name.startswith("modetune")}
+
+
+def states(tasks: list[dict[str, Any]], part: str) -> Counter[str]:
+    return Counter(task["state_name"] for task in tasks if part in task["name"])
+
+
+def upstream(task: dict[str, Any]) -> set[str]:
+    """The task runs that a task follows from."""
+    return {item["id"] for items in task["task_inputs"].values() for item in items}
+
+
+def test_a_solver_that_fails_once_is_run_again_by_prefect(served: Served) -> None:
+    served.bench.script({1: "killed"})
+    end, tasks = served.update(served.bench.campaign(TRUTH, retries=1))
+    assert end.exit_code == 0
+    (first,) = (task for task in tasks if task["name"] == "iteration 0 / modal")
+    assert (first["run_count"], first["state_name"]) == (2, "Completed")
+    assert {task["run_count"] for task in tasks if task is not first} == {1}
+    assert not end.remark
+
+
+def test_edges_lead_from_modes_by_columns_and_the_step_to_the_next_modes(served: Served) -> None:
+    campaign = served.bench.campaign(TRUTH, sensitivity=DIFFERENCES)
+    _, tasks = served.update(campaign)
+    ids = {task["name"]: task["id"] for task in tasks}
+    by_name = {task["name"]: upstream(task) for task in tasks}
+    columns = {f"iteration 0 / sensitivity {name}" for name in TRUTH}
+    modal, step = ids["iteration 0 / modal"], "iteration 1 / step"
+    assert all(by_name[name] == {modal} for name in columns)
+    assert by_name[step] == {modal, *(ids[name] for name in columns)}
+    assert by_name["iteration 1 / modal"] == {ids[step]}
+    again = served.update(campaign, "again")[1]
+    assert states(again, "iteration 0 / modal") == {"Cached": 1}
+    assert states(again, "sensitivity") == {"Cached": states(tasks, "sensitivity").total()}
+
+
+def test_skipped_columns_and_those_without_a_job_say_so(served: Served) -> None:
+    skipping = served.bench.campaign(TRUTH, sensitivity=DIFFERENCES, update=settings(e2=0.02))
+    end, tasks = served.update(skipping)
+    spared = sum(item.sensitivity_skipped for item in end.found.record.iterations)
+    assert spared >= 1
+    assert states(tasks, "sensitivity")["Skipped"] == spared * len(TRUTH)
+    energies = served.bench.campaign(TRUTH, sensitivity=SensitivitySection(method="strain_energy"))
+    _, tasks = served.update(energies, "energies")
+    assert set(states(tasks, "sensitivity")) == {"Derived"}
+
+
+def test_what_fails_and_what_is_not_tried_are_not_green(served: Served) -> None:
+    served.bench.script(dict.fromkeys(range(2, 50), "killed"))
+    error, tasks = served.update(served.bench.campaign(TRUTH, sensitivity=DIFFERENCES))
+    assert isinstance(error, SolverCrashed)
+    assert states(tasks, "iteration 0 / modal") == {"Completed": 1}
+    assert set(states(tasks, "sensitivity")) == {"Failed"}
+    served.bench.script(dict.fromkeys(range(1, 50), "killed"))
+    campaign = served.bench.campaign(TRUTH)
+    (served.bench.folder / "runs.log").unlink()
+    (served.bench.folder / "store").rename(served.bench.folder / "first")
+    _, tasks = served.update(replace(campaign), "failed")
+    assert set(states(tasks, "modal")) == {"Failed"}
+
+
+def test_a_study_inside_a_users_flow_uses_its_runner(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from prefect import flow
+    from prefect.task_runners import ThreadPoolTaskRunner
+
+    from modetune.flows.jobs.prefect_server import use_server
+    from modetune.flows.server.flows import update
+    from modetune.flows.server.prefect_client import prefect_client
+
+    shutil.copytree(SIX_MASS, tmp_path / "six_mass")
+    monkeypatch.setenv("MODETUNE_STORE", str(tmp_path / "six"))
+    begun: list[str] = []
+
+    class OneByOne(ThreadPoolTaskRunner[Any]):
+        def __init__(self) -> None:
+            super().__init__(max_workers=1)
+
+        def duplicate(self) -> OneByOne:
+            return OneByOne()
+
+        def submit(self, task: Any, *given: Any, **named: Any) -> Any:
+            begun.append(task.task_run_name())
+            return super().submit(task, *given, **named)
+
+    @flow(task_runner=OneByOne())  # type: ignore[arg-type]
+    def nightly() -> Any:
+        return update(tmp_path / "six_mass" / "campaign.yaml", return_state=True)
+
+    server = use_server(start=False)
+    assert server is not None
+    with closing(server), prefect_client(server.settings()):
+        nightly()
+    assert any(name.endswith("modal") for name in begun)
+    run = next(run for run in served.runs() if run["name"] == "six-mass")
+    assert (run["state_name"], run["parent_task_run_id"] is None) == ("Converged", False)
+    assert {task["name"] for task in served.tasks(run["id"])} >= set(begun)
