@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench zoo kills lint format docs clean
+.PHONY: demo test prefect-versions bench zoo kills lint format docs clean
 
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
@@ -15,6 +15,10 @@ WORKERS := $(shell n=$$(nproc); echo $$((n < 4 ? n + 1 : 4)))
 test: $(VENV)/.ready-dev
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest \
 		--numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
+
+# The tests of Prefect's engine on the oldest Prefect that is allowed, and on the newest.
+prefect-versions: $(VENV)/.ready-dev
+	sh tools/prefect_versions.sh $(BIN)
 
 # All speeds in one table, some 40 minutes; options: BENCH_FLAGS="--rounds 3 --large".
 bench: $(VENV)/.ready-bench

@@ -1,6 +1,6 @@
 """Studies on Prefect's engine and a real server: states, retries and edges of task runs.
 
-These tests also run on the newest Prefect 3 (`make newest-prefect`).
+`make prefect-versions` runs these tests on the oldest and on the newest Prefect 3.
 """
 
 from __future__ import annotations
