@@ -49,6 +49,7 @@ EXTRAS = {
     **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
     **dict.fromkeys(("SALib", "emcee", "pandas"), "studies"),
     "pyoma2": "oma",
+    "prefect_dask": "cluster",
 }
 
 
