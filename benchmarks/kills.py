@@ -4,8 +4,8 @@ Campaigns, screenings and samplings are killed at random moments and run again
 (`benchmarks/killed_campaigns`). Deployed ones go in rounds: each starts a worker and a run that is
 under way, kills what the round is named for, starts another worker and waits: the run must be known
 to have crashed within a minute, its slot be free, the next run that is due start, once, and come to
-its end. Where the server alone is killed the run must go on and its end be known. What must hold of
-rounds is in tests/flows/server/test_worker.py; the first that does not ends the benchmark.
+its end. Where the server alone is killed, the run itself must come to its end. The first round that
+does not hold ends the benchmark.
 
     python -m benchmarks.kills [--matrices 100] [--solver 100] [--screening 50] [--sampling 50]
                                [--rounds 20] [--seed 1]
@@ -20,22 +20,14 @@ import time
 from pathlib import Path
 
 from benchmarks.killed_campaigns import KINDS, Field
-from tests.flows.server.test_worker import (
-    POSTER,
-    RUN,
-    SERVER,
-    WORKER,
-    Site,
-    killed_round,
-    killed_server_round,
-)
+from tests.flows.server.site import ENDED, GOOD, RUN, SERVER, WORKER, Site, stop
 
 #: What is killed at one blow, in turn.
 BLOWS = {
-    "worker and run": (WORKER, RUN),
-    "machine, server elsewhere": (WORKER, RUN, POSTER),
-    "machine with its server": (WORKER, RUN, POSTER, *SERVER),
-    "server": (),
+    "run": (RUN,),
+    "machine, server elsewhere": (WORKER, RUN),
+    "machine with its server": (WORKER, RUN, *SERVER),
+    "server": SERVER,
 }
 
 
@@ -84,15 +76,33 @@ def rounds(count: int, folder: Path) -> None:
     try:
         for number in range(count):
             name = list(BLOWS)[number % len(BLOWS)]
-            began = time.monotonic()
-            if BLOWS[name]:
-                known_s = killed_round(site, *BLOWS[name])
-            else:
-                killed_server_round(site)
-                known_s = time.monotonic() - began
+            known_s = killed_round(site, *BLOWS[name])
             _tell(f"{number + 1:3d}  {name:26}  known after {known_s:5.1f} s")
     finally:
-        site.kill(WORKER, RUN, POSTER, *SERVER)
+        site.resume()
+        site.kill(WORKER, RUN, *SERVER)
+
+
+def killed_round(site: Site, *kinds: bytes) -> float:
+    """Kill processes under a deployed run; return the seconds until its end is known."""
+    site.hang()
+    worker = site.worker()
+    run = site.due()
+    site.wait(run, lambda run: run["state_type"] == "RUNNING")
+    assert site.kill(*kinds)
+    if WORKER in kinds:
+        worker.communicate()
+        worker = site.worker()
+    if RUN not in kinds:
+        site.resume()
+    found, known_s = site.wait(run, lambda run: run["state_type"] in ENDED)
+    assert found["state_type"] == ("CRASHED" if RUN in kinds else "COMPLETED"), found["state"]
+    site.resume()
+    following, _ = site.wait(site.due(), lambda run: run["state_type"] in ENDED)
+    assert following["state_name"] in GOOD, following["state"]
+    assert (following["run_count"], site.slots()) == (1, 0)
+    assert "fault" not in stop(worker)
+    return known_s
 
 
 def _tell(line: str) -> None:

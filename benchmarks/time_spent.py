@@ -40,7 +40,7 @@ PARTS = (
     ("store and record", ("core/storage/",)),
     ("pairing, steps", ("core/correlation/", "core/updating/")),
     ("solver's jobs", ("adapters/process.py",)),
-    ("Prefect", ("flows/jobs/prefect", "flows/updating/prefect.py", "flows/updating/poster.py")),
+    ("Prefect", ("flows/jobs/prefect", "flows/server/")),
     ("rest", ("",)),
 )
 ORDER = [START, IMPORTING, *(name for name, _ in PARTS)]

@@ -44,7 +44,6 @@ def demo(
     with begun(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
         from modetune.flows.campaign.terminal import terminal
-        from modetune.flows.updating.display import show_run
         from modetune.flows.updating.recording import summary
         from modetune.flows.updating.run import CampaignRun
 
@@ -66,7 +65,8 @@ def demo(
         case_summary = json_object(found, "claims tables figures")
         typer.echo(json.dumps({**summary(run.record, near(run.folder)), **case_summary}))
     else:
-        show_run(terminal(), run)
+        assert end.shown is not None
+        end.shown(terminal())
         _show(found)
     holds = all(claim.holds for claim in found.claims)
     raise typer.Exit(0 if run.record.status == "converged" and holds else 3)
