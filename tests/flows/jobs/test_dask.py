@@ -10,13 +10,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from modetune.flows.updating.dask import DaskJobs, Errand, on_dask, run_errand, worker_error
 
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import (
@@ -28,10 +26,12 @@ from modetune.core.errors import (
 )
 from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.jobs import dask_cluster
+from modetune.flows.jobs import dask_cluster, execution
+from modetune.flows.jobs.dask_cluster import DaskRunner, dask_result
+from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.updating import dask
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.jobs.work import Piece, tried
+from modetune.flows.updating.running import job_engine, solving_engine, update_campaign
 from tests.eventually import eventually
 
 dask_library = pytest.importorskip("dask", reason="Dask is not installed (the extra `cluster`)")
@@ -164,16 +164,16 @@ def test_matrix_jobs_of_parameters_that_share_no_node_are_one_on_dask_too(
     assert bench.runs("matrices") == record.runs.sensitivity == 3
 
 
-def test_what_the_store_has_needs_no_cluster(
+def test_what_the_store_has_needs_no_worker(
     scripted: Any, bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     update_campaign(scripted("run.engine=local"), bench.folder / "run", watcher)
     runs = bench.runs()
 
     def never(*_: object) -> None:
-        raise AssertionError("a cluster was set up")
+        raise AssertionError("a worker gets a job")
 
-    monkeypatch.setattr(dask, "connect", never)
+    monkeypatch.setattr(DaskRunner, "submit", never)
     record = update_campaign(scripted(), bench.folder / "again", watcher).record
     assert record.status == "converged"
     assert bench.runs() == runs
@@ -210,13 +210,15 @@ def test_a_worker_killed_in_mid_campaign_costs_one_run_and_no_result(
     assert bench.runs() == len(set(stored)) + 1  # the run that died with its worker
 
 
-def test_two_workers_that_die_with_a_job_end_it_with_a_sentence(scripted: Any, bench: Any) -> None:
+def test_workers_that_die_with_a_job_end_it_with_a_sentence() -> None:
     class KilledWorker(Exception):
         pass
 
-    future = type("Future", (), {"status": "error", "exception": lambda self: KilledWorker("gone")})
+    def result() -> Any:
+        raise KilledWorker("gone")
+
     with pytest.raises(SolverCrashed, match="workers that ran this job died"):
-        DaskJobs(scripted(), job_engine)._answer(future())
+        dask_result(result, type("Future", (), {"status": "error"}))
 
 
 def test_stopping_a_campaign_ends_the_solvers_of_its_workers(scripted: Any, bench: Any) -> None:
@@ -226,11 +228,11 @@ def test_stopping_a_campaign_ends_the_solvers_of_its_workers(scripted: Any, benc
 
     def solve(k1: float) -> None:
         try:
-            engine.solve(modal(k1))
+            solved(engine, [modal(k1)])
         except SolverCancelled as error:
             ended.append(error)
 
-    with on_dask(scripted(), job_engine) as engine:
+    with solving_engine(scripted()) as engine:
         threads = [threading.Thread(target=solve, args=(k1,)) for k1 in (1.0, 2.0)]
         for thread in threads:
             thread.start()
@@ -266,59 +268,68 @@ def test_a_killed_campaign_leaves_no_worker_and_no_solver(scripted: Any, bench: 
 def test_an_error_of_a_solver_comes_back_as_itself(scripted: Any, bench: Any) -> None:
     bench.script({1: "rejected"})
     with (
-        on_dask(scripted(), job_engine) as engine,
+        solving_engine(scripted()) as engine,
         pytest.raises(SolverRejected, match="refused its input"),
     ):
-        engine.solve(modal())
+        solved(engine, [modal()])
 
 
-def errand(campaign: Campaign, job: Job) -> Errand:
-    jobs = DaskJobs(campaign, job_engine)
-    return Errand(jobs.order, job, jobs.engine.key(job))
+def travelled(campaign: Campaign, job: Job, key: str = "") -> Piece:
+    """A job's piece of work as it arrives in another process."""
+    engine = job_engine(campaign)
+    piece = Piece((job,), (key or engine.key(job),), engine.attempt, 2, engine.order)
+    sent = pickle.dumps(piece)
+    assert len(sent) < 64_000
+    there = pickle.loads(sent)
+    assert isinstance(there, Piece)
+    return there
 
 
 def test_a_big_job_travels_in_a_few_kilobytes(scripted: Any) -> None:
     nodes = tuple(range(1_000_000, 1_000_500))
     groups = tuple((f"E_{i}", (f"ELEMENT_SET_{i}",)) for i in range(100))
     values = {f"E_{i}": 1.0 + i / 7 for i in range(100)}
-    sent = Errand(
-        DaskJobs(scripted(), job_engine).order,
-        Job(values, ModalAnalysis(40, nodes, groups)),
-        "0" * 64,
-    )
-    assert len(pickle.dumps(sent)) < 64_000
-    answer = run_errand(replace(sent, key="f" * 64))
-    assert len(pickle.dumps(answer)) < 4_000
+    travelled(scripted(), Job(values, ModalAnalysis(40, nodes, groups)), "0" * 64)
 
 
-def test_warnings_of_a_worker_are_told_here(scripted: Any, bench: Any, caplog: Any) -> None:
+def test_answer_and_warnings_of_a_worker_come_back(
+    scripted: Any, bench: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     bench.script({1: "killed"})
-    answer = run_errand(errand(scripted("run.retries=1"), modal()))
-    assert answer.reused is False
-    assert any("trying again (1 of 1)" in line for line in answer.said)
+    answer = tried(travelled(scripted("run.retries=1"), modal()).attempt)
+    assert not answer.jobs[0].reused
+    assert any("trying again (1 of 1)" in line for line in answer.warnings)
     assert answer.core_s > 0.0
+    assert len(pickle.dumps(answer)) < 4_000
+    bench.script({4: "killed"})  # the third run is the first of a cluster
+    with solving_engine(scripted("run.retries=1", "store=other")) as engine:
+        (first,) = solved(engine, [modal(1.1)])
+        (second,) = solved(engine, [modal(1.2)])
+    assert (first.reused, second.reused) == (False, False)
+    assert bench.runs() == 5
+    assert any("trying again (1 of 1)" in line for line in caplog.messages)
+    assert engine.ledger.core_s > 0.0
+
+
+def test_an_error_says_after_its_travel_whether_another_try_may_follow() -> None:
+    error = SolverCrashed("gone")
+    error.again = True
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), again.again, str(again)) == (SolverCrashed, True, "gone")
 
 
 def test_a_worker_that_would_make_another_job_says_so(scripted: Any) -> None:
-    answer = run_errand(replace(errand(scripted(), modal()), key="0" * 64))
-    assert answer.reused is None
     with pytest.raises(CampaignError, match="must be the same on all machines"):
-        raise worker_error(answer.error, answer.message)
-
-
-def test_an_error_of_an_unknown_kind_is_a_crash() -> None:
-    assert type(worker_error("Path", "a text")) is SolverCrashed
-    assert type(worker_error("NoSuchThing", "a text")) is SolverCrashed
-    assert isinstance(worker_error("CampaignError", "a text"), CampaignError)
+        travelled(scripted(), modal(), "0" * 64).attempt()
 
 
 def test_a_store_that_is_not_shared_is_told(
     scripted: Any, bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dask, "PATIENCE_S", 0.0)
-    jobs = DaskJobs(scripted(), job_engine)
+    monkeypatch.setattr(execution, "PATIENCE_S", 0.0)
+    engine = job_engine(scripted("run.engine=local"))
     with pytest.raises(StorageUnavailable, match="on a disk that all machines share"):
-        jobs._wait_until_seen("0" * 64)
+        execution._wait_until_seen(engine, "0" * 64)
 
 
 def test_a_scheduler_that_does_not_answer_is_told(
@@ -327,10 +338,10 @@ def test_a_scheduler_that_does_not_answer_is_told(
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.5)
     campaign = scripted("run.dask={scheduler: 'tcp://127.0.0.1:9'}")
     with (
-        on_dask(campaign, job_engine) as engine,
         pytest.raises(CampaignError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"),
+        solving_engine(campaign),
     ):
-        engine.solve(modal())
+        pass
 
 
 @pytest.mark.parametrize(
@@ -348,7 +359,7 @@ def test_a_missing_package_is_told_before_anything_starts(
     told = rf"needs the package {package};.*pip install 'modetune\[cluster\]'"
     with (
         pytest.raises(CampaignError, match=told),
-        on_dask(scripted(f"run.dask={section}"), job_engine),
+        solving_engine(scripted(f"run.dask={section}")),
     ):
         pass
 
@@ -438,8 +449,8 @@ def test_a_scheduler_that_ends_is_told(
     ending = threading.Thread(target=end)
     ending.start()
     with (
-        on_dask(campaign, job_engine) as engine,
+        solving_engine(campaign) as engine,
         pytest.raises(CampaignError, match="scheduler ended or was lost"),
     ):
-        engine.solve(modal())
+        solved(engine, [modal()])
     ending.join()
