@@ -36,8 +36,9 @@ settings.load_profile("untimed")
 LONG = (
     "tests/test_gallery.py",
     "tests/flows/server/test_worker.py",
+    "tests/flows/server/test_foreign_programs.py",
     "tests/cases/test_garteur.py",
-    "tests/flows/updating/test_pages.py",
+    "tests/flows/server/test_faults.py",
     "tests/cases/test_fixture.py",
     "tests/flows/jobs/test_prefect.py",
     "tests/benchmarks/test_ways.py",
@@ -45,7 +46,7 @@ LONG = (
     "tests/flows/studies/test_kinds.py",
     "tests/flows/cli/test_cli.py",
     "tests/flows/report/test_browser.py",
-    "tests/flows/server/test_flow.py",
+    "tests/flows/server/test_flows.py",
     "tests/test_docs.py",
     "tests/test_structure.py",
 )

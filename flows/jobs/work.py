@@ -339,6 +339,10 @@ class PoolRunner:
         self.parallel = parallel
         self._pool = ThreadPoolExecutor(parallel, thread_name_prefix="modetune")
 
+    def close(self) -> None:
+        """End the threads when their pieces have ended; waits for none."""
+        self._pool.shutdown(wait=False)
+
     def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
         return PoolTask(self._pool.submit(copy_context().run, tried, piece.attempt))
 

@@ -58,7 +58,8 @@ class Handed:
     """What the caller in this process hands to the body of a flow, and the outcome of the body.
 
     opened: the campaign, loaded already. own_process: whether the process is the run's alone.
-    state: that the run ends in, whether or not the server receives it.
+    state: that the run ends in, whether or not the server receives it. lost: whether the server
+    was gone when the body ended.
     """
 
     progress: Progress
@@ -68,6 +69,7 @@ class Handed:
     end: StudyEnd | None = None
     error: BaseException | None = None
     state: State[Any] | None = None
+    lost: bool = False
 
     def outcome(self) -> StudyEnd:
         """The end of the study. Raises what ended it."""
@@ -199,7 +201,8 @@ def _body(study: Study, parameters: Mapping[str, Any], handed: Handed) -> State[
         handed.error = error
         state = Crashed(message=f"{type(error).__name__}: {error}")
     handed.state = state
-    if not page.finish():
+    handed.lost = not page.finish()
+    if handed.lost:
         raise Abort("the server does not answer")
     return state
 

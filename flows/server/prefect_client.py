@@ -1,8 +1,9 @@
 """Prefect's engine as a client of one server, with all its waits bounded.
 
 Settings hold in this context and for the import of Prefect alone: solvers inherit the environment,
-and a login is none of their business. Prefect's requests end after 4 s, its own heartbeat thread is
-off (`run_page.py`), and events that a server does not take are dropped.
+and a login is none of their business. Prefect's requests end after 4 s and are made twice at most,
+none goes to a proxy where the server is on loopback, its own heartbeat thread is off
+(`run_page.py`), and events that a server does not take are dropped.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
+from urllib.parse import urlsplit
+
+from modetune.flows.jobs.server_client import is_loopback
 
 #: Seconds of one request of Prefect's client.
 REQUEST_S = 4.0
@@ -31,13 +35,14 @@ def prefect_client(settings: Mapping[str, str]) -> Iterator[None]:
         "api.auth_string": settings.get("PREFECT_API_AUTH_STRING"),
         "api.key": settings.get("PREFECT_API_KEY") or None,
         "api.request_timeout": REQUEST_S,
+        "client.max_retries": 1,
         "flows.heartbeat_frequency": None,
         "logging.to_api.enabled": False,
         "server.ephemeral.enabled": False,
     }
     if settings.get("PREFECT_CLIENT_CSRF_SUPPORT_ENABLED"):
         chosen["client.csrf_support_enabled"] = True
-    with temporary_settings(chosen):
+    with temporary_settings(chosen), _no_proxy(settings["PREFECT_API_URL"]):
         EventsWorker.set_client_override(
             PrefectEventsClient, api_url=settings["PREFECT_API_URL"], reconnection_attempts=0
         )
@@ -45,6 +50,24 @@ def prefect_client(settings: Mapping[str, str]) -> Iterator[None]:
             yield
         finally:
             EventsWorker.set_client_override(None)
+
+
+@contextmanager
+def _no_proxy(url: str) -> Iterator[None]:
+    """Ask no proxy for a server on loopback, which no proxy can reach."""
+    host = urlsplit(url).hostname or ""
+    before = os.environ.get("no_proxy"), os.environ.get("NO_PROXY")
+    if not is_loopback(host):
+        yield
+        return
+    os.environ["no_proxy"] = ",".join(filter(None, (before[0] or before[1], host)))
+    try:
+        yield
+    finally:
+        if before[0] is None:
+            del os.environ["no_proxy"]
+        else:
+            os.environ["no_proxy"] = before[0]
 
 
 def _import_prefect(settings: Mapping[str, str]) -> None:

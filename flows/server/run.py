@@ -12,10 +12,13 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import ModetuneError
-from modetune.flows.campaign.campaign import Campaign, cores
+from modetune.flows.campaign.campaign import Campaign, campaign_form, cores
+from modetune.flows.campaign.schema import ModelFile
 from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import PoolRunner, Runner
 from modetune.flows.studies.ending import StudyEnd
@@ -27,6 +30,8 @@ if TYPE_CHECKING:
 
 #: Seconds that a study waits for a server to start.
 WAIT_S = 20.0
+#: The last line where the server was gone at the end of a flow.
+LOST = "Prefect's server no longer answers: its page of this run has no end; the result is complete"
 
 
 def carried_out(
@@ -47,7 +52,7 @@ def carried_out(
     """
     began, checked = time.monotonic(), study.checked(parameters)
     around = _in_flow()
-    if not around and (prefect == "off" or not study.solves(checked)):
+    if not around and (prefect == "off" or _off(checked) or not study.solves(checked)):
         with study.opened(checked, progress, campaign) as on:
             return _on_pool(study, checked, on)
     server, remark = (None, "") if around else _server(prefect)
@@ -80,6 +85,18 @@ def _in_flow() -> bool:
     from prefect.context import FlowRunContext
 
     return FlowRunContext.get() is not None
+
+
+def _off(parameters: Mapping[str, Any]) -> bool:
+    """Whether the campaign says `run.prefect: off`; what is wrong with it is told when it loads."""
+    file = Path(parameters.get("campaign_file") or "")
+    if file.suffix not in (".yaml", ".yml"):
+        return False
+    try:
+        form = campaign_form(read_yaml(file, "a campaign"), parameters["settings"], ModelFile)
+    except ModetuneError:
+        return False
+    return not form.run.on_site().prefect
 
 
 def _server(prefect: str) -> tuple[SharedServer | None, str]:
@@ -115,7 +132,8 @@ def _plain_runner(campaign: Campaign | None) -> Iterator[Runner]:
         with dask_runner(campaign.run.dask, campaign.threads, campaign.parallel) as runner:
             yield runner
         return
-    yield PoolRunner(cores() if campaign is None else campaign.parallel)
+    with closing(PoolRunner(cores() if campaign is None else campaign.parallel)) as pool:
+        yield pool
 
 
 def _in_pipeline(
@@ -147,4 +165,7 @@ def _as_flow(
         handed = Handed(progress, on, own_process)
         with handing(handed):
             run_as_flow(study.name, parameters, on.name, server.pages, handed)
-        return handed.outcome() if handed.began else None
+        if not handed.began:
+            return None
+        end = handed.outcome()
+        return replace(end, remark=LOST) if handed.lost else end

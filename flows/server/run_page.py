@@ -43,6 +43,8 @@ from modetune.flows.updating.updating import Progress
 LOOK_S, REQUEST_S = 3.0, 4.0
 #: Seconds that a cancelled study has to end, before its process ends.
 GRACE_S = 5.0
+#: Seconds in which a server must answer after the study, to receive its end.
+END_S = 2.0
 #: Seconds after the study in which a server that answers takes what is left.
 FLUSH_S = 10.0
 #: Exit code of a process that was stopped by the user.
@@ -111,8 +113,7 @@ class RunPage:
             self._send()
             self._over.wait(min(0.5, LOOK_S))
         self._send()
-        if not self._waiting.empty() or self._silent:
-            self._silent = self.client.answer(2.0) != "ready"
+        self._silent = self.client.answer(END_S) != "ready"
 
     def _asked(self, request: Callable[[], Any]) -> Any:
         """The answer to a request; None where the server gives none."""

@@ -1,5 +1,5 @@
-"""What is shown never decides: whatever stands in a server's place, a campaign's result, its exit
-code and its time stay the same, and nothing of it is left behind in the process."""
+"""A server is never a reason to fail: whatever answers in its place, or ends it, a study has the
+same numbers and exit code, takes at most 20 s more, and leaves no thread."""
 
 from __future__ import annotations
 
@@ -21,18 +21,17 @@ from typing import Any
 
 import pytest
 
-from modetune.core.errors import CampaignStopped, ModesError
 from modetune.flows.jobs import prefect_server as process
-from modetune.flows.updating import poster, prefect
-from modetune.flows.updating.prefect import Pages, shown
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.server.run import LOST, carried_out
+from modetune.flows.studies.catalogue import find_study
 from tests.eventually import eventually
 from tests.flows.conftest import Bench, Watcher
+from tests.flows.server.site import SERVER, SIX_MASS, Site
 
 TRUTH = {"k1": 1.2, "k4": 0.9}
-SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
-#: Seconds by which a campaign may be later for what stands in a server's place, on a busy machine.
-LATER_S = prefect.FIRST_WORD_S + prefect.END_S + 2.0
+#: Seconds that a study may take longer; the machine is busy with other tests besides.
+LATER_S = 20.0
+HIDDEN = ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "NO_PROXY", "no_proxy")
 
 
 def page(status: str, body: str, kind: str = "application/json") -> bytes:
@@ -148,137 +147,86 @@ STATES = [
 ]
 
 
-def updated(bench: Bench, name: str) -> tuple[Any, float]:
-    """A campaign with pages, its record and its wall time."""
+def updated(bench: Bench, prefect: Any = "start") -> tuple[Any, float]:
+    """The end of an update without results in the store, and its seconds."""
+    shutil.rmtree(bench.folder / "store", ignore_errors=True)
+    campaign = bench.campaign(TRUTH)
+    parameters = {"campaign_file": campaign.file, "runs": bench.folder / "runs"}
     began = time.monotonic()
-    with shown("chain") as pages:
-        run = update_campaign(bench.campaign(TRUTH), bench.folder / name, Watcher(), pages)
-        pages.ended(run.record, run.folder)
-    return run.record, time.monotonic() - began
+    end = carried_out(
+        find_study("update"), parameters, Watcher(), prefect=prefect, campaign=campaign
+    )
+    return end, time.monotonic() - began
+
+
+def ours(threads: set[threading.Thread]) -> set[str]:
+    """Threads of modetune; others are connections of this test."""
+    return {thread.name for thread in threads if thread.name.startswith(("modetune", "prefect"))}
+
+
+def check_same(end: Any, plain: Any) -> None:
+    assert (end.exit_code, end.status, end.sentence) == (0, plain.status, plain.sentence)
+    assert end.found.record.updated.tobytes() == plain.found.record.updated.tobytes()
 
 
 @pytest.mark.parametrize("state", STATES, ids=lambda state: state.__qualname__.partition(".")[0])
-def test_what_stands_in_a_servers_place_changes_nothing(
+def test_what_answers_in_a_servers_place_changes_no_result(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, state: Callable[[socket.socket, bytes], None]
 ) -> None:
-    plain = update_campaign(bench.campaign(TRUTH), bench.folder / "plain", Watcher()).record
+    for name in HIDDEN:
+        monkeypatch.delenv(name, raising=False)
+    plain, plain_s = updated(bench, "off")
+    assert not plain.remark
     with listening(state) as url:
         monkeypatch.setenv("PREFECT_API_URL", url)
         monkeypatch.setenv("HTTP_PROXY", "http://192.0.2.1:3128")  # nobody has this address
-        before = threading.active_count()
-        record, wall_s = updated(bench, "shown")
-        assert threading.active_count() <= before + 1  # the connection under way, of this test
-        end_poster(url)
-    assert (record.status, record.reason) == (plain.status, plain.reason)
-    assert record.updated.tobytes() == plain.updated.tobytes()
-    assert wall_s < LATER_S + plain.wall_s * 3
+        before = set(threading.enumerate())
+        end, wall_s = updated(bench)
+        assert eventually(lambda: not ours(set(threading.enumerate()) - before), 5.0)
+    check_same(end, plain)
+    assert end.remark.startswith(("run without Prefect: ", LOST))
+    assert wall_s - plain_s < LATER_S
 
 
-def end_poster(value: str, variable: str = "PREFECT_API_URL") -> None:
-    """Do not wait the minute for which it would go on trying."""
-    wanted = f"{variable}={value}".encode()
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            if b"updating.poster" in (entry / "cmdline").read_bytes():
-                if wanted in (entry / "environ").read_bytes().split(b"\0"):
-                    os.kill(int(entry.name), 9)
-        except OSError:
-            continue
-
-
-def test_a_login_that_is_asked_for_is_told_in_one_sentence(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_a_login_that_is_asked_for_is_named_with_its_remedy(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with listening(asks_for_a_login) as url:
         monkeypatch.setenv("PREFECT_API_URL", url)
-        pages = Pages("chain")
-        time.sleep(3.0)  # as long as a short campaign
-        pages.end("COMPLETED", "Converged", "")
-    said = [entry.getMessage() for entry in caplog.records if entry.name == prefect.__name__]
-    assert len(said) == 1
-    assert "asks for a login; set PREFECT_API_AUTH_STRING=name:password" in said[0]
+        end, _ = updated(bench)
+    assert "asks for a login; set PREFECT_API_AUTH_STRING=name:password" in end.remark
 
 
-def test_a_home_that_cannot_be_used_changes_nothing(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.delenv("PREFECT_API_URL", raising=False)
-    (bench.folder / "file").write_text("not a folder")
-    campaign = bench.campaign(TRUTH)
-    monkeypatch.setenv(process.HOME_VARIABLE, str(bench.folder / "file"))
-    pages = Pages("chain")
-    time.sleep(3.0)
-    pages.failed(ModesError("the modes were lost"))
-    assert campaign.name == "chain"
-    said = [entry.getMessage() for entry in caplog.records if entry.name == prefect.__name__]
-    assert len(said) == 1
-    assert "goes on without" in said[0]
-
-
-def test_a_process_that_does_not_read_holds_nobody_up(
+def test_a_home_that_cannot_be_used_changes_no_result(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(prefect, "FIRST_WORD_S", 0.2)
-    monkeypatch.setattr(prefect, "COMMAND", (sys.executable, "-c", "import time; time.sleep(4)"))
-    began = time.monotonic()
-    pages = Pages("chain")
-    for number in range(2000):
-        pages.log(f"{number} {'x' * 1000}")  # far more than a pipe holds
-    assert time.monotonic() - began < 2.0
-    pages.end("COMPLETED", "Converged", "")
-
-
-@pytest.mark.parametrize(
-    ("error", "state"),
-    [
-        (KeyboardInterrupt(), "CANCELLED"),
-        (CampaignStopped("stopped"), "CANCELLED"),
-        (ModesError("lost"), "FAILED"),
-        (ZeroDivisionError("a fault"), "CRASHED"),
-    ],
-)
-def test_how_a_campaign_was_broken_off_is_its_runs_state(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: BaseException, state: str
-) -> None:
-    heard = tmp_path / "heard"
-    program = f"import sys; open({str(heard)!r}, 'w').write(sys.stdin.read())"
-    monkeypatch.setattr(prefect, "COMMAND", (sys.executable, "-c", program))
-    with pytest.raises(type(error)), shown("chain"):
-        raise error
-    lines = [json.loads(line) for line in heard.read_text().splitlines()]
-    assert [line["end"]["type"] for line in lines if "end" in line] == [state]
-
-
-def test_a_campaign_that_is_killed_has_crashed() -> None:
-    assert poster.KILLED["end"]["type"] == "CRASHED"
-    read, write = os.pipe()
-    heard = poster.Poster("chain", None, "update", os.getpid())
-    os.write(write, b'{"log": {"message": "one"}}\n{"log": {"mess')
-    os.close(write)
-    with os.fdopen(read) as pipe:
-        heard.hear(pipe)
-    assert [heard.waiting.get(), heard.waiting.get()] == [
-        {"log": {"message": "one"}},
-        poster.KILLED,
-    ]
+    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    plain, _ = updated(bench, "off")
+    (bench.folder / "file").write_text("not a folder")
+    unusable = bench.folder / "file" / "home"
+    monkeypatch.setattr(process, "server_home", lambda: unusable)
+    end, _ = updated(bench)
+    check_same(end, plain)
+    assert end.remark.startswith("run without Prefect: ")
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """What a campaign without Prefect prints."""
-    return told(commanded(tmp_path_factory.mktemp("plain"), {}, "--no-prefect"))
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, float]:
+    """What a campaign without Prefect prints, and its seconds."""
+    began = time.monotonic()
+    found = printed(commanded(tmp_path_factory.mktemp("plain"), {}, "--no-prefect"))
+    return found, time.monotonic() - began
 
 
 def commanded(
     folder: Path, variables: dict[str, str], *options: str, command: str = "update"
 ) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own: with the interpreter's exit, which threads of others
-    can abort. A proxy is named that nobody answers for."""
+    """The command in a process of its own, whose exit threads of others can abort; a proxy is
+    named at whose address nobody answers."""
     shutil.copytree(SIX_MASS, folder / "x", ignore=shutil.ignore_patterns("__pycache__", "*.py"))
     proxies = {name: "http://192.0.2.1:3128" for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY")}
     environment = {**os.environ, **proxies, process.HOME_VARIABLE: str(folder / "home")}
-    hidden = ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "NO_PROXY", "no_proxy")
-    for name in (*hidden, "MODETUNE_NO_PREFECT"):
+    for name in (*HIDDEN, "MODETUNE_NO_PREFECT"):
         environment.pop(name, None)
     return subprocess.run(
         [sys.executable, "-m", "modetune", command, "campaign.yaml", "--json", *options],
@@ -291,35 +239,25 @@ def commanded(
     )
 
 
-def told(done: subprocess.CompletedProcess[str]) -> Any:
-    """The numbers that a command printed that ended well, without a word on threads or faults."""
+def printed(done: subprocess.CompletedProcess[str]) -> Any:
+    """The numbers of a command that ended well, without a word on threads or faults."""
     assert done.returncode == 0, done.stderr
     assert not {"fault", "Traceback", "thread"} & set(done.stderr.split())
     found = json.loads(done.stdout)
     return {name: found[name] for name in ("status", "reason", "parameters", "modes")}
 
 
-@pytest.mark.parametrize("state", [says_nothing, asks_for_a_login])
-def test_the_command_ends_as_ever_whatever_stands_in_a_servers_place(
-    plain: Any, tmp_path: Path, state: Callable[[socket.socket, bytes], None]
+@pytest.mark.parametrize("state", [says_nothing, lies])
+@pytest.mark.parametrize("command", ["update", "screen", "check"])
+def test_a_command_ends_as_ever_whatever_answers(
+    tmp_path: Path, state: Callable[[socket.socket, bytes], None], command: str
 ) -> None:
     with listening(state) as url:
-        done = commanded(tmp_path, {"PREFECT_API_URL": url})
-        end_poster(url)
-    assert told(done) == plain
-
-
-@pytest.mark.parametrize("command", ["screen", "check", "correlate"])
-def test_a_study_ends_as_ever_beside_a_server_that_answers_late(
-    tmp_path: Path, command: str
-) -> None:
-    """And whoever reads its JSON sees nothing of it."""
-    with listening(answers_late) as url:
         done = commanded(tmp_path, {"PREFECT_API_URL": url}, command=command)
-        end_poster(url)
     assert done.returncode == 0, done.stderr
     assert not {"fault", "Traceback", "thread"} & set(done.stderr.split())
     assert isinstance(json.loads(done.stdout), dict)
+    assert done.stderr.splitlines()[-1].startswith("modetune: run without Prefect: ")
 
 
 @contextmanager
@@ -344,8 +282,10 @@ def full(database: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("spoilt", [corrupt, locked, full], ids=lambda spoilt: spoilt.__name__)
-def test_the_command_ends_as_ever_where_the_shared_servers_database_is(
-    plain: Any, tmp_path: Path, spoilt: Callable[[Path], AbstractContextManager[None]]
+def test_a_command_ends_as_ever_where_the_shared_servers_database_is(
+    plain: tuple[Any, float],
+    tmp_path: Path,
+    spoilt: Callable[[Path], AbstractContextManager[None]],
 ) -> None:
     home = process.machine_home(tmp_path / "home")
     database = home / "prefect" / "prefect.db"
@@ -353,10 +293,52 @@ def test_the_command_ends_as_ever_where_the_shared_servers_database_is(
     for folder in (tmp_path / "home", home):
         folder.chmod(0o700)
     with spoilt(database):
+        began = time.monotonic()
         done = commanded(tmp_path, {})
-        assert eventually((home / "prefect.log").is_file)  # it was tried
+        wall_s = time.monotonic() - began
+        assert (home / "prefect.log").is_file()  # it was tried
         if address := process.read_address(home):  # it may have ended by itself
             with suppress(ProcessLookupError):
                 os.kill(address.pid, signal.SIGKILL)
-        end_poster(str(tmp_path / "home"), process.HOME_VARIABLE)
-    assert told(done) == plain
+    assert printed(done) == plain[0]
+    assert wall_s - plain[1] < LATER_S + 5.0  # other tests run beside this one
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    site = Site(tmp_path_factory.mktemp("site"))
+    yield site
+    site.resume()
+    site.kill(*SERVER)
+
+
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("moment", ["start", "middle"])
+def test_a_server_that_dies_or_hangs_under_a_run_changes_no_result(
+    site: Site, plain: tuple[Any, float], blow: signal.Signals, moment: str
+) -> None:
+    site.run("server", "start")
+    site.hang()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "modetune", "update", "campaign.yaml", "--json"],
+        cwd=site.folder,
+        env=site.environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(0.5 if moment == "start" else 8.0)
+    try:
+        for pid in site.processes(*SERVER):
+            os.kill(pid, blow)
+        site.resume()
+        began = time.monotonic()
+        printed_json, said = run.communicate(timeout=100)
+        wall_s = time.monotonic() - began
+    finally:
+        site.resume()
+        site.kill(*SERVER)
+    assert run.returncode == 0, said
+    assert not {"fault", "Traceback", "thread"} & set(said.split())
+    assert wall_s < plain[1] + LATER_S
+    assert json.loads(printed_json)["parameters"] == plain[0]["parameters"]
