@@ -19,6 +19,7 @@ from typing import Any
 
 from modetune.core.errors import CampaignError, ModetuneError, SolverCrashed
 from modetune.flows.campaign.site import DaskSection, server_home
+from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.jobs.work import Answer, Piece, PoolRunner, Task, run_end, tried
 
 #: How long a scheduler may take to answer, and workers to end their solvers, seconds.
@@ -78,6 +79,16 @@ def connected(connect: Callable[[], Any], section: DaskSection) -> Any:
             f"no Dask scheduler answers at {section.scheduler or section.cluster} within "
             f"{CONNECT_S:g} s; start it (`dask scheduler`) or correct `run.dask.scheduler`"
         ) from error
+
+
+def workers_apart(client: Any, url: str) -> list[str]:
+    """Addresses of workers that reach no Prefect server at this URL."""
+    found = client.run(_reaches, url, on_error="return")
+    return [address for address, reached in found.items() if reached is not True]
+
+
+def _reaches(url: str) -> bool:
+    return ServerClient(url).answer() in ("ready", "asks for a login")
 
 
 def end_runs(client: Any, runs: Sequence[str]) -> None:
@@ -147,6 +158,8 @@ class DaskRunner(PoolRunner):
         self.runs: set[str] = set()
 
     def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
+        if piece.stays:
+            return super().submit(name, piece, after)
         if piece.order is not None:
             self.runs.add(piece.order.run)
         return DaskTask(self.client.submit(tried, piece.attempt, key=uuid.uuid4().hex, pure=False))

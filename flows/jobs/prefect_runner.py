@@ -18,6 +18,9 @@ from prefect import Task as PrefectTask
 from prefect import task
 from prefect.cache_policies import NO_CACHE
 from prefect.client.schemas.objects import RunInput, State, TaskRun, TaskRunResult
+from prefect.context import get_settings_context
+from prefect.events.clients import PrefectEventsClient
+from prefect.events.worker import EventsWorker
 from prefect.futures import PrefectFuture
 from prefect.states import Cancelled, Completed
 from prefect.task_engine import run_task_sync
@@ -25,7 +28,15 @@ from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
 from modetune.core.errors import ModetuneError, SolverCancelled
 from modetune.flows.campaign.site import DaskSection
-from modetune.flows.jobs.dask_cluster import CONNECT_S, cluster, connected, dask_result, end_runs
+from modetune.flows.jobs.dask_cluster import (
+    CONNECT_S,
+    DaskRunner,
+    cluster,
+    connected,
+    dask_result,
+    end_runs,
+    workers_apart,
+)
 from modetune.flows.jobs.work import Answer, Computation, Piece, Task, TaskEnd, task_end, tried
 
 logger = logging.getLogger(__name__)
@@ -86,8 +97,9 @@ class PrefectTaskRun:
             self._future.wait(seconds)
 
     def result(self) -> Answer:
-        assert self._future is not None
         assert self._piece is not None
+        if self._future is None:
+            return self._piece.attempt()
         try:
             self._future.wait()
             state = self._future.state
@@ -110,7 +122,9 @@ class PrefectTaskRun:
             self._future.wrapped_future.cancel()  # type: ignore[attr-defined]
 
     def on_end(self, call: Callable[[], None]) -> None:
-        if self._future is not None:
+        if self._future is None:
+            call()
+        else:
             self._future.add_done_callback(lambda _: call())
 
 
@@ -145,7 +159,11 @@ class PrefectRunner:
         return PrefectTaskRun(future.task_run_id, future, piece)
 
     def _here(
-        self, of: PrefectTask[..., Any], parameters: dict[str, Any], after: Sequence[Task]
+        self,
+        of: PrefectTask[..., Any],
+        parameters: dict[str, Any],
+        after: Sequence[Task],
+        piece: Piece | None = None,
     ) -> PrefectTaskRun:
         run = uuid4()
         run_task_sync(
@@ -155,7 +173,7 @@ class PrefectRunner:
             return_type="state",
             dependencies=_edges(after),
         )
-        return PrefectTaskRun(run, None, None)
+        return PrefectTaskRun(run, None, piece)
 
 
 class DaskTaskRun(PrefectTaskRun):
@@ -179,12 +197,20 @@ class PrefectDaskRunner(PrefectRunner):
         self.runs: set[str] = set()
 
     def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
+        if piece.stays:
+            end = {"end": task_end(piece.attempt().jobs)}
+            return self._here(note.with_options(**_named(name)), end, after, piece)
         if piece.order is not None:
             self.runs.add(piece.order.run)
         return super().submit(name, piece, after)
 
     def _run(self, future: PrefectFuture[Any], piece: Piece) -> Task:
         return DaskTaskRun(future.task_run_id, future, piece)
+
+
+def bounded_events(url: str) -> None:
+    """From now on this process drops events that the server does not take at once."""
+    EventsWorker.set_client_override(PrefectEventsClient, api_url=url, reconnection_attempts=0)
 
 
 @contextmanager
@@ -198,20 +224,45 @@ def task_runner(runner: TaskRunner[Any], parallel: int) -> Iterator[PrefectRunne
 @contextmanager
 def dask_task_runner(
     section: DaskSection, threads: int, parallel: int
-) -> Iterator[PrefectDaskRunner]:
-    """A runner on the cluster that a campaign asks for. Raises CampaignError."""
-    from prefect_dask.task_runners import DaskTaskRunner
+) -> Iterator[PrefectDaskRunner | DaskRunner]:
+    """A runner on the cluster that a campaign asks for. Raises CampaignError.
 
+    Where workers do not reach Prefect's server, they get the same work without Prefect.
+    """
     with cluster(section, threads) as own:
+        from prefect_dask.task_runners import DaskTaskRunner
+
         place = {"address": own} if isinstance(own, str) else {"cluster": own}
         made = DaskTaskRunner(**place, client_kwargs={"timeout": CONNECT_S})
         with made as runner:
             client = connected(lambda: runner.client, section)
-            found = PrefectDaskRunner(runner, parallel)
+            url = str(get_settings_context().settings.api.url)
+            found: PrefectDaskRunner | DaskRunner = PrefectDaskRunner(runner, parallel)
+            if apart := workers_apart(client, url):
+                logger.warning(
+                    "%d Dask workers do not reach Prefect's server at %s (%s): they solve without "
+                    "Prefect; set PREFECT_API_URL to an address that they reach",
+                    len(apart), url, ", ".join(apart[:3])
+                )  # fmt: skip
+                found = DaskRunner(client, parallel)
+            client.register_plugin(_bounded_events(url))
             try:
                 yield found
             finally:
                 end_runs(client, sorted(found.runs))
+
+
+def _bounded_events(url: str) -> Any:
+    """A plugin of Dask workers: events that a server does not take are dropped at once."""
+    from distributed import WorkerPlugin
+
+    class BoundedEvents(WorkerPlugin):
+        name = "modetune-events"
+
+        def setup(self, worker: Any) -> None:
+            bounded_events(url)
+
+    return BoundedEvents()
 
 
 def _named(name: str) -> dict[str, Any]:

@@ -36,11 +36,12 @@ from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
 from modetune.core.errors import CampaignRunning, ModetuneError
 from modetune.flows.campaign.campaign import Campaign, cores
-from modetune.flows.jobs.prefect_runner import PrefectRunner, dask_task_runner, task_runner
+from modetune.flows.jobs.prefect_runner import dask_task_runner, task_runner
 from modetune.flows.jobs.prefect_server import configured_server
 from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.jobs.silent_runs import TAG
 from modetune.flows.jobs.tasks import StudyRun, running_with
+from modetune.flows.jobs.work import Runner
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
 from modetune.flows.studies.catalogue import STUDIES, find_study
 from modetune.flows.studies.ending import StudyEnd
@@ -131,6 +132,10 @@ _around: ContextVar[TaskRunner[Any] | None] = ContextVar("around", default=None)
 
 class StudyFlow(Flow[..., Any]):
     """The flow of a study; inside another flow it runs on that one's task runner."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to Dask workers by name, as part of the context of a task."""
+        return find_flow, (self.name,)
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         context = FlowRunContext.get()
@@ -248,7 +253,7 @@ def _sheets(study: Study, name: str, end: StudyEnd) -> list[Any]:
     return sheets + ([files_sheet(name, end.written)] if end.written else [])
 
 
-def _runner(campaign: Campaign | None) -> AbstractContextManager[PrefectRunner]:
+def _runner(campaign: Campaign | None) -> AbstractContextManager[Runner]:
     """The runner that the campaign asks for, or one on the task runner of the user's flow."""
     parallel = cores() if campaign is None else campaign.parallel
     around = _around.get()

@@ -26,9 +26,10 @@ REQUEST_S = 4.0
 def prefect_client(settings: Mapping[str, str]) -> Iterator[None]:
     """Make Prefect a client of a server, by its settings as environment variables."""
     _import_prefect(settings)
-    from prefect.events.clients import PrefectEventsClient
     from prefect.events.worker import EventsWorker
     from prefect.settings import temporary_settings
+
+    from modetune.flows.jobs.prefect_runner import bounded_events
 
     chosen: dict[Any, Any] = {
         "api.url": settings["PREFECT_API_URL"],
@@ -43,9 +44,7 @@ def prefect_client(settings: Mapping[str, str]) -> Iterator[None]:
     if settings.get("PREFECT_CLIENT_CSRF_SUPPORT_ENABLED"):
         chosen["client.csrf_support_enabled"] = True
     with temporary_settings(chosen), _no_proxy(settings["PREFECT_API_URL"]):
-        EventsWorker.set_client_override(
-            PrefectEventsClient, api_url=settings["PREFECT_API_URL"], reconnection_attempts=0
-        )
+        bounded_events(settings["PREFECT_API_URL"])
         try:
             yield
         finally:

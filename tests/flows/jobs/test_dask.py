@@ -27,7 +27,7 @@ from modetune.core.errors import (
 from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs import dask_cluster, execution
-from modetune.flows.jobs.dask_cluster import DaskRunner, dask_result
+from modetune.flows.jobs.dask_cluster import DaskRunner, dask_result, workers_apart
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Piece, tried
@@ -426,6 +426,7 @@ def test_a_scheduler_that_runs_is_used_and_left_running(
         assert record.status == "converged"
         with distributed.Client(cluster) as client:
             assert client.submit(abs, -1).result() == 1
+            assert len(workers_apart(client, "http://127.0.0.1:9/api")) == 1
 
 
 def test_a_scheduler_that_ends_is_told(

@@ -5,7 +5,11 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
+import subprocess
+import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -175,3 +179,31 @@ def test_a_study_inside_a_users_flow_uses_its_runner(
     run = next(run for run in served.runs() if run["name"] == "six-mass")
     assert (run["state_name"], run["parent_task_run_id"] is None) == ("Converged", False)
     assert {task["name"] for task in served.tasks(run["id"])} >= set(begun)
+
+
+def test_workers_of_a_dask_cluster_run_the_same_tasks(
+    served: Served, tmp_path: Path, server_base: Path
+) -> None:
+    pytest.importorskip("prefect_dask", reason="prefect-dask is not installed (extra `cluster`)")
+    shutil.copytree(SIX_MASS, tmp_path / "six")
+    found = []
+    for engine in ("dask", "local"):
+        ended = subprocess.run(
+            [
+                *(sys.executable, "-m", "modetune", "update", "campaign.yaml", "--json"),
+                *("--set", f"run.engine={engine}", "--runs", engine),
+            ],
+            cwd=tmp_path / "six",
+            env={**os.environ, "MODETUNE_STORE": str(tmp_path / engine)},
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+        assert ended.returncode == 0, ended.stderr
+        found.append(json.loads(ended.stdout)["parameters"])
+    assert found[0] == found[1]
+    newest = sorted(served.runs(), key=lambda run: str(run["expected_start_time"]))[-2:]
+    on_dask, on_threads = (served.tasks(run["id"]) for run in newest)
+    assert states(on_dask, "modal") == states(on_threads, "modal") == {"Completed": 5}
+    assert {task["name"] for task in on_dask} == {task["name"] for task in on_threads}
