@@ -25,7 +25,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.objects import write_campaign
-from modetune.flows.campaign.terminal import terminal
+from modetune.flows.report.terminal import terminal
 from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.identify.identify import Identification, IdentificationSettings

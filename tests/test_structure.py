@@ -129,6 +129,7 @@ FLOWS = (
     ("updating",),
     ("report", "jobs"),
     ("campaign",),
+    ("responses",),
 )
 #: Rooms that know several solvers: a translation from one to another, the table of all, and the
 #: reading of what any program left.

@@ -44,8 +44,6 @@ from modetune.flows.campaign.refusals import (
     method_problems,
     target_problems,
 )
-from modetune.flows.campaign.residual_section import ResidualSection
-from modetune.flows.campaign.response_section import TestedModel
 from modetune.flows.campaign.schema import (
     STORE_VARIABLE,
     CampaignFile,
@@ -55,11 +53,13 @@ from modetune.flows.campaign.schema import (
     SensitivitySection,
     UpdateSection,
 )
-from modetune.flows.campaign.section import override, section_problems
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.campaign.solvers import bind_solver
 from modetune.flows.campaign.units import KILOGRAMS, METRES
 from modetune.flows.campaign.weights import weighting_of
+from modetune.flows.responses.residuals import ResidualSection
+from modetune.flows.responses.response import TestedModel
+from modetune.flows.responses.section import override, section_problems
 
 logger = logging.getLogger(__name__)
 

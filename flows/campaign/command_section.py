@@ -8,8 +8,8 @@ from pydantic import Field, model_validator
 
 from modetune.adapters.command.settings import CommandSettings, NumberRule
 from modetune.core.modes import COMPONENTS
-from modetune.flows.campaign.section import Name, Section
 from modetune.flows.campaign.site import Word
+from modetune.flows.responses.section import Name, Section
 
 Number = Annotated[int, Field(ge=1)]
 Delimiter = Annotated[str, Field(pattern=r"^[^\w\s.:=-]{1,8}$")]

@@ -18,7 +18,7 @@ from typing import Any
 from modetune.core.parameters import QUANTITIES
 from modetune.flows.campaign.parameter_section import TARGET_KEYS
 from modetune.flows.campaign.schema import CampaignFile
-from modetune.flows.campaign.section import Section
+from modetune.flows.responses.section import Section
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 #: A name, not an address: the file is wherever it was put.

@@ -18,7 +18,7 @@ from modetune.core.parameters import (
     counted_from,
 )
 from modetune.core.updating.fields import MOST_ZONES, Smoothing
-from modetune.flows.campaign.section import Finite, Name, Positive, Section
+from modetune.flows.responses.section import Finite, Name, Positive, Section
 
 #: Keys that name what a parameter's quantity belongs to.
 TARGET_KEYS: tuple[TargetKind, ...] = ("material", "elset", "property", "element", "part")

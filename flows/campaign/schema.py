@@ -22,10 +22,10 @@ from modetune.core.parameters import ParameterSet
 from modetune.core.updating.estimation import Found, StepForm
 from modetune.flows.campaign.command_section import CommandSection
 from modetune.flows.campaign.parameter_section import ParameterSection
-from modetune.flows.campaign.residual_section import ResidualSection
-from modetune.flows.campaign.section import Name, NotNegative, Positive, Section, Share
 from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.site import RunSection
+from modetune.flows.responses.residuals import ResidualSection
+from modetune.flows.responses.section import Name, NotNegative, Positive, Section, Share
 
 #: e2 where old matrices are kept as they are: nothing corrects them for what has changed.
 KEPT_E2 = 0.002

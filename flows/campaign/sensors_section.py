@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from modetune.core.modes import Floats
-from modetune.flows.campaign.section import Section
+from modetune.flows.responses.section import Section
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Number, Number, Number]

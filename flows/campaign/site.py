@@ -22,7 +22,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError
 from modetune.core.storage.files import machine_user
-from modetune.flows.campaign.section import Name, Positive, Section, section_problems
+from modetune.flows.responses.section import Name, Positive, Section, section_problems
 
 #: Names a site file in another place.
 SITE_VARIABLE = "MODETUNE_SITE"

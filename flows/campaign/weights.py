@@ -18,9 +18,9 @@ from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, dof_name
 from modetune.core.near_names import suggestion
 from modetune.core.updating.weighting import Weighting
-from modetune.flows.campaign.residual_section import ResidualSection, SensorKey
 from modetune.flows.campaign.schema import CampaignFile
-from modetune.flows.campaign.section import OTHERS
+from modetune.flows.responses.residuals import ResidualSection, SensorKey
+from modetune.flows.responses.section import OTHERS
 
 #: Steps that know no weights, but which responses there are (thesis (34), (45)).
 UNWEIGHTED = ("pseudo_inverse", "minimum_norm")

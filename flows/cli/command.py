@@ -55,8 +55,8 @@ def command_of(
 
 def run_study(study: Study, parameters: Mapping[str, Any], no_prefect: bool) -> StudyEnd:
     """Run a study with its progress on standard error. Raises the errors of the study."""
-    from modetune.flows.campaign.terminal import terminal
     from modetune.flows.jobs.progress import JobProgress
+    from modetune.flows.report.terminal import terminal
 
     console = terminal(stderr=True)
     with JobProgress(console).shown() as jobs:

@@ -43,7 +43,7 @@ def demo(
     """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
     with begun(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
-        from modetune.flows.campaign.terminal import terminal
+        from modetune.flows.report.terminal import terminal
         from modetune.flows.updating.recording import summary
         from modetune.flows.updating.run import CampaignRun
 

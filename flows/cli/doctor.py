@@ -44,7 +44,7 @@ def doctor(
     and `auto` uses it from then on. Ends with 4 where something failed.
     """
     from modetune.flows.campaign.schema import NastranDialect
-    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.terminal import terminal
     from modetune.flows.studies.doctor.doctor import run_doctor
 
     chosen: NastranDialect = named("--dialect", dialect, get_args(NastranDialect))

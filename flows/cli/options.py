@@ -55,8 +55,8 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
 @contextmanager
 def begun(text: str) -> Iterator[Callable[[str], None]]:
     """Say at once what begins, then the jobs of what is in here; gives what tells what is done."""
-    from modetune.flows.campaign.terminal import terminal
     from modetune.flows.jobs.progress import JobProgress
+    from modetune.flows.report.terminal import terminal
 
     with JobProgress(terminal(stderr=True)).shown() as progress:
         progress.working(text)

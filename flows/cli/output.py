@@ -31,7 +31,7 @@ def print_end(end: StudyEnd, as_json: bool) -> None:
         with writing(end.json_file) as part:
             part.write_text(json.dumps(result, indent=1), encoding="utf-8")
     if end.shown is not None and not as_json:
-        from modetune.flows.campaign.terminal import terminal
+        from modetune.flows.report.terminal import terminal
 
         end.shown(terminal())
     else:

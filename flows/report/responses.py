@@ -23,8 +23,8 @@ from modetune.core.modes import COMPONENTS, Floats, ModeSet
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.responses.frf import Frf, fracs
 from modetune.core.updating.responses.response import block_parts
-from modetune.flows.campaign.frf_section import curve_name, receptance
 from modetune.flows.campaign.units import KILOGRAMS, METRES
+from modetune.flows.responses.frf import curve_name, receptance
 
 #: So many functions are shown, driving points first.
 SHOWN = 6

@@ -165,7 +165,7 @@ def show(parts: Iterable[Table | Text | str], console: Console | None = None) ->
     """Print tables that have rows, and sentences, on the terminal or another console."""
     from rich.text import Text
 
-    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.terminal import terminal
 
     console = console or terminal()
     for part in parts:

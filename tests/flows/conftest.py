@@ -53,7 +53,6 @@ from modetune.core.updating.weighting import even_weighting
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.mapping import map_sensors
-from modetune.flows.campaign.residual_section import ResidualSection
 from modetune.flows.campaign.schema import (
     E1Section,
     ReportSection,
@@ -65,6 +64,7 @@ from modetune.flows.campaign.site import RetriesSection, RunSection
 from modetune.flows.jobs import prefect_server
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.server_client import ServerClient
+from modetune.flows.responses.residuals import ResidualSection
 from modetune.flows.updating.running import job_engine
 from modetune.flows.updating.updating import Progress
 from tests.embedded import PROGRAMS

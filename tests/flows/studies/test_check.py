@@ -798,7 +798,7 @@ def test_long_findings_go_on_under_their_own_beginning(
     wide = Console(file=said, force_terminal=True, width=60, color_system=None)
     spare = Console(file=StringIO())
     monkeypatch.setattr(
-        "modetune.flows.campaign.terminal.terminal", lambda stderr=False: spare if stderr else wide
+        "modetune.flows.report.terminal.terminal", lambda stderr=False: spare if stderr else wide
     )
     command(monkeypatch, campaign, "--no-run")
     lines = said.getvalue().splitlines()

@@ -164,7 +164,7 @@ def test_an_iteration_appears_while_the_page_is_open(
                 page.wait_for_selector("#tables td:has-text('initial model')")
                 self.seen = (page.inner_text("#status"), page.inner_text("#log"))
 
-    from modetune.flows.campaign.terminal import terminal
+    from modetune.flows.report.terminal import terminal
 
     progress = Watching(terminal(stderr=True))
     run = update_campaign(campaign, folder, progress)

@@ -14,8 +14,8 @@ from modetune.core.modes import COMPONENTS, Floats, Integers
 from modetune.core.parameters import Values
 from modetune.core.updating.responses.static import Static
 from modetune.core.updating.static import LoadCase, Reading
-from modetune.flows.campaign.response_section import ResponseSection, TestedModel
-from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section, by_name
+from modetune.flows.responses.response import ResponseSection, TestedModel
+from modetune.flows.responses.section import Finite, NotNegative, Positive, Section, by_name
 
 ByName = Annotated[dict[str, Finite], BeforeValidator(by_name)]
 

@@ -10,13 +10,14 @@ from pydantic import BeforeValidator, Field
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.updating.responses.response import Response
-from modetune.flows.campaign.complex_section import ComplexSection
-from modetune.flows.campaign.damping_section import DampingSection
-from modetune.flows.campaign.frf_section import FrfSection
-from modetune.flows.campaign.mac_section import MacSection
-from modetune.flows.campaign.mass_section import MassSection
-from modetune.flows.campaign.response_section import ResponseSection, TestedModel
-from modetune.flows.campaign.section import (
+from modetune.flows.responses.complex_shapes import ComplexSection
+from modetune.flows.responses.damping import DampingSection
+from modetune.flows.responses.frf import FrfSection
+from modetune.flows.responses.mac import MacSection
+from modetune.flows.responses.mass_properties import MassSection
+from modetune.flows.responses.modal_strain import ModalStrainSection
+from modetune.flows.responses.response import ResponseSection, TestedModel
+from modetune.flows.responses.section import (
     OTHERS,
     Deviations,
     NotNegative,
@@ -25,8 +26,7 @@ from modetune.flows.campaign.section import (
     Weights,
     by_name,
 )
-from modetune.flows.campaign.static_section import StaticSection
-from modetune.flows.campaign.strain_section import ModalStrainSection
+from modetune.flows.responses.static import StaticSection
 
 #: What a key of modes stands for.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]

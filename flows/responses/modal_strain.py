@@ -11,9 +11,9 @@ from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.errors import ModelError
 from modetune.core.updating.responses.modal_strain import Gauge, ModalStrain, StrainScale
-from modetune.flows.campaign.response_section import ResponseSection, TestedModel
-from modetune.flows.campaign.section import Finite, NotNegative, Positive, by_name
-from modetune.flows.campaign.static_section import elongation
+from modetune.flows.responses.response import ResponseSection, TestedModel
+from modetune.flows.responses.section import Finite, NotNegative, Positive, by_name
+from modetune.flows.responses.static import elongation
 
 
 class ModalStrainSection(ResponseSection):

@@ -15,13 +15,8 @@ from modetune.core.modes import dof_name
 from modetune.core.parameters import DAMPING
 from modetune.core.updating.damping import Linear
 from modetune.core.updating.responses.frf import Frf, FrfCurve
-from modetune.flows.campaign.response_section import (
-    ResponseSection,
-    TestedModel,
-    nothing_seen,
-    observer,
-)
-from modetune.flows.campaign.section import OTHERS, Name, NotNegative, Positive, Share, by_mode
+from modetune.flows.responses.response import ResponseSection, TestedModel, nothing_seen, observer
+from modetune.flows.responses.section import OTHERS, Name, NotNegative, Positive, Share, by_mode
 
 #: Of the lowest and the highest frequency of the used modes: where the band ends by itself.
 BELOW, ABOVE = 0.7, 1.1

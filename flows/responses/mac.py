@@ -8,8 +8,8 @@ from typing import ClassVar
 from pydantic import Field
 
 from modetune.core.updating.responses.mac import Mac, MacQuantity
-from modetune.flows.campaign.response_section import ModewiseSection, TestedModel, of_modes
-from modetune.flows.campaign.section import Deviations
+from modetune.flows.responses.response import ModewiseSection, TestedModel, of_modes
+from modetune.flows.responses.section import Deviations
 
 
 class MacSection(ModewiseSection):

@@ -8,8 +8,8 @@ from modetune.adapters.yaml_file import Place
 from modetune.core.measurement.repeated import damping_covariance
 from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.damping import DampingRatios
-from modetune.flows.campaign.response_section import ModewiseSection, TestedModel
-from modetune.flows.campaign.section import Positive
+from modetune.flows.responses.response import ModewiseSection, TestedModel
+from modetune.flows.responses.section import Positive
 
 
 class DampingSection(ModewiseSection):

@@ -11,13 +11,8 @@ from pydantic import Field
 from modetune.adapters.yaml_file import Place
 from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.complex_shapes import ComplexShapes
-from modetune.flows.campaign.response_section import (
-    ModewiseSection,
-    TestedModel,
-    nothing_seen,
-    observer,
-)
-from modetune.flows.campaign.section import Positive
+from modetune.flows.responses.response import ModewiseSection, TestedModel, nothing_seen, observer
+from modetune.flows.responses.section import Positive
 
 
 class ComplexSection(ModewiseSection):

@@ -13,8 +13,8 @@ from modetune.core.updating.responses.mass_properties import (
     MassResponse,
     MassTarget,
 )
-from modetune.flows.campaign.response_section import ResponseSection, TestedModel
-from modetune.flows.campaign.section import Finite, NotNegative, Positive, Section
+from modetune.flows.responses.response import ResponseSection, TestedModel
+from modetune.flows.responses.section import Finite, NotNegative, Positive, Section
 
 
 class MassQuantitySection(Section):

@@ -24,7 +24,7 @@ from modetune.core.parameters import ParameterSet
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.observation import sensor_observation
 from modetune.core.updating.responses.response import Response
-from modetune.flows.campaign.section import OTHERS, Section, Weights
+from modetune.flows.responses.section import OTHERS, Section, Weights
 
 
 @dataclass(frozen=True, slots=True)
