@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.numbers import Number
+from modetune.adapters.deck_numbers import Number
 from modetune.adapters.solver import AffectedElements, Deck
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError

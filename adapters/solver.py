@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from modetune.adapters.numbers import Number, refusals
+from modetune.adapters.deck_numbers import Number, refusals
 from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh, shortest_length

@@ -23,7 +23,7 @@ from modetune.adapters.calculix.sections import (
     targets,
 )
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
-from modetune.adapters.numbers import Number
+from modetune.adapters.deck_numbers import Number
 from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Target
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree

@@ -14,7 +14,7 @@ from modetune.adapters.calculix.deck import (
     replace_field,
 )
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel, read_number
-from modetune.adapters.numbers import Number, check_moved, check_one, moved_numbers
+from modetune.adapters.deck_numbers import Number, check_moved, check_one, moved_numbers
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.near_names import suggestion

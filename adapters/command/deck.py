@@ -18,7 +18,7 @@ from modetune.adapters.command.template import (
     read_template,
     read_value,
 )
-from modetune.adapters.numbers import Number, moved_numbers
+from modetune.adapters.deck_numbers import Number, moved_numbers
 from modetune.adapters.solver import Deck, ModelSummary
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError, ModelError

@@ -1,17 +1,17 @@
-"""The model's file: a YAML mapping that is a spring-mass system, or names matrix files.
+"""The file of a matrix model: a YAML mapping with a spring-mass system or names of matrix files.
 
-A spring-mass system; each mass is one unknown, component x of node 1, 2, ... in their order:
+In a spring-mass system each mass is one unknown: component x of node 1, 2, ... in their order.
 
     masses:  {m1: 2.0, m2: 2.5}
     springs:
       k1: {between: [ground, m1], stiffness: 1100.0}
       k2: {between: [m1, m2], stiffness: 1000.0}
-    dampers:                                     # optional; modes leave them aside
+    dampers:                                     # optional; modes ignore them
       c1: {between: [ground, m1], viscous: 0.4}
       h2: {between: [m1, m2], structural: 10.0}  # imaginary part of a stiffness
 
-Matrices (`matrix_files.py` has the forms); unknown i is component x of node i unless `dofs` names
-a text file with a `node.component` a line:
+With matrix files (forms: `matrix_files.py`), unknown i is component x of node i unless `dofs`
+names a text file with a `node.component` on each line.
 
     stiffness: K.mtx
     mass: M.mtx
@@ -20,26 +20,30 @@ a text file with a `node.component` a line:
       wing: {stiffness: K_wing.mtx, mass: M_wing.npz}
       joint: {stiffness: "parts.h5:joint/K"}
 
-An updated model is the same text with other numbers, or the same files with other matrices in
-them: parts are then scaled too, so that 1 is again the value in the file.
+An updated model is the same text with other numbers, or the same file names with other matrices.
+Its parts are scaled too, so that a factor of 1 again means the value in the file.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from modetune.adapters.matrices.index import read_index, write_index
-from modetune.adapters.matrices.model import Factors, MatrixModel
-from modetune.adapters.matrices.spring_mass import read_spring_mass
-from modetune.adapters.numbers import Number
+import numpy as np
+from scipy import sparse
+
+from modetune.adapters.deck_numbers import Number
+from modetune.adapters.matrices.matrix_files import read_matrices, split_reference, write_matrix
+from modetune.adapters.matrices.model import MATRIX_KINDS, Factors, MatrixModel, MatrixPart
+from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import Deck, ModelSummary
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
 from modetune.core.errors import CampaignError, ModelError
-from modetune.core.modes import Integers
+from modetune.core.modes import COMPONENTS, Integers
 from modetune.core.near_names import suggestion
-from modetune.core.parameters import Parameter, Values, assigned
+from modetune.core.parameters import Parameter, Quantity, Values, assigned
 from modetune.core.storage.files import storage_errors, writing
 from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation, observe
@@ -179,3 +183,224 @@ def write_updated(deck: MatrixDeck, factors: Factors, folder: Path) -> Path:
     with writing(path) as part:
         part.write_bytes(text.encode("utf-8"))
     return path
+
+
+def read_index(file: YamlFile) -> MatrixModel:
+    """The model whose matrices a file names. Raises ModelError with every problem and its line."""
+    problems: list[str] = []
+    matrices = dict(_matrices(file, problems))
+    stiffness, mass = matrices.get(("stiffness",)), matrices.get(("mass",))
+    if stiffness is None or mass is None or problems:
+        raise ModelError("\n".join(problems))
+    size = stiffness.shape[0]
+    problems += [
+        f"{file.where(place)}: the matrix is {matrix.shape[0]} x {matrix.shape[1]}, but "
+        f"`stiffness` is {size} x {size}"
+        for place, matrix in matrices.items()
+        if matrix.shape != stiffness.shape
+    ]
+    nodes, components = _dofs(file, size, problems)
+    names = dict.fromkeys(str(place[1]) for place in matrices if place[0] == "parts")
+    if problems:
+        raise ModelError("\n".join(problems))
+    parts = {
+        name: MatrixPart(
+            "matrix_factor", 1.0, *(matrices.get(("parts", name, kind)) for kind in MATRIX_KINDS)
+        )
+        for name in names
+    }
+    return MatrixModel(file.path.stem, stiffness, mass, nodes, components, parts)
+
+
+def _matrices(file: YamlFile, problems: list[str]) -> list[tuple[Place, sparse.csr_array]]:
+    """Place and matrix of everything the file names."""
+    places: list[Place] = [("stiffness",), ("mass",)]
+    for name in file.entries(("parts",), problems) if "parts" in file.data else {}:
+        given = file.entries(("parts", name), problems)
+        if not given or not set(given) <= set(MATRIX_KINDS):
+            problems.append(
+                f"{file.where(('parts', name))}: part {name} needs one or several of "
+                f"{', '.join(f'`{kind}`' for kind in MATRIX_KINDS)}, and nothing else"
+            )
+            continue
+        places += [("parts", name, kind) for kind in given]
+    references = [str(file.at(place)) for place in places]
+    found = []
+    for place, matrix in zip(places, read_matrices(file.path.parent, references), strict=True):
+        if isinstance(matrix, ModelError):
+            problems.append(f"{file.where(place)}: {matrix}")
+        else:
+            found.append((place, matrix))
+    return found
+
+
+def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Integers]:
+    """Node and component of each unknown."""
+    if "dofs" not in file.data:
+        return np.arange(1, size + 1, dtype=np.int64), np.ones(size, dtype=np.int64)
+    path = file.path.parent / str(file.data["dofs"])
+    try:
+        lines = read_regular(path).decode("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        problems.append(f"{file.where(('dofs',))}: {path} cannot be read: {error}")
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    found: dict[tuple[int, int], int] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        node, _, component = line.strip().partition(".")
+        axis = COMPONENTS.index(component) + 1 if component in COMPONENTS else component
+        if not (node.isdecimal() and len(node) < 19) or str(axis) not in "123456" or axis == "":
+            problems.append(
+                f"{path}, line {number}: {line.strip()!r} is not an unknown such as 101.x"
+            )
+            break
+        if (int(node), int(axis)) in found:
+            problems.append(f"{path}, line {number}: {line.strip()} stands twice")
+            break
+        found[(int(node), int(axis))] = number
+    else:
+        if len(found) != size:
+            problems.append(f"{path} names {len(found)} unknowns for matrices of {size}")
+    names = np.array(list(found), dtype=np.int64).reshape(-1, 2)
+    return names[:, 0], names[:, 1]
+
+
+def write_index(file: YamlFile, model: MatrixModel, factors: Factors, folder: Path) -> str:
+    """Write all matrices of an updated model below a folder; returns the main file's text."""
+    scaled = model.assembled(factors)
+    new: dict[Place, sparse.csr_array] = {("stiffness",): scaled.stiffness, ("mass",): scaled.mass}
+    for name, part in model.parts.items():
+        for kind, matrix in part.matrices.items():
+            new[("parts", name, kind)] = sparse.csr_array(factors.get(name, 1.0) * matrix)
+    words: dict[Place, str] = {}
+    within = _below(file, [*new, ("dofs",)] if "dofs" in file.data else list(new), words)
+    for name in {split_reference(reference)[0] for reference in within.values()}:
+        (folder / name).unlink(missing_ok=True)  # of an earlier run
+    for place, matrix in new.items():
+        write_matrix(folder, within[place], matrix)
+    if "dofs" in file.data:
+        target = folder / within[("dofs",)]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes((file.path.parent / str(file.data["dofs"])).read_bytes())
+    return file.replaced(words)
+
+
+def _below(file: YamlFile, places: list[Place], words: dict[Place, str]) -> dict[Place, str]:
+    """Each reference as it is where that stays below the new folder, else by its name alone.
+
+    Changed ones are added to words.
+    """
+    found: dict[Place, str] = {}
+    for place in places:
+        name, dataset = split_reference(str(file.at(place)))
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts:
+            name = path.name
+            words[place] = f'"{name}:{dataset}"' if dataset else f'"{name}"'
+        found[place] = f"{name}:{dataset}" if dataset else name
+    return found
+
+
+GROUND = "ground"
+#: Sections of what stands between masses, and of each the key of its number with its quantity.
+LINKS: dict[str, dict[str, Quantity]] = {
+    "springs": {"stiffness": "spring_stiffness"},
+    "dampers": {"viscous": "viscous_damping", "structural": "structural_damping"},
+}
+NOTHING: dict[str, None] = dict.fromkeys(MATRIX_KINDS)
+
+
+def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
+    """The model of a spring-mass file, and where each element's number stands in it.
+
+    Raises ModelError with every problem, each with file and line.
+    """
+    problems: list[str] = []
+    masses = file.entries(("masses",), problems)
+    links = {
+        section: file.entries((section,), problems) if section in file.data else {}
+        for section in LINKS
+    }
+    parts: dict[str, MatrixPart] = {}
+    row_of = {name: row for row, name in enumerate(masses)}
+    size = len(masses)
+    if not masses or GROUND in masses:
+        problems.append(f"{file.where(('masses',))}: a mass is needed, and none called {GROUND}")
+    for name in masses:
+        value = _number(file, ("masses", name), problems)
+        parts[name] = MatrixPart("mass", value, None, _element(size, [row_of[name]], value))
+    places: dict[str, Place] = {name: ("masses", name) for name in masses}
+    for place in ((section, name) for section, names in links.items() for name in names):
+        name = place[1]
+        if name in parts:
+            what = {"masses": "mass", "springs": "spring"}[str(places[name][0])]
+            problems.append(f"{file.where(place)}: {name} is a {what} already")
+        rows, key, value = _link(file, place, row_of, problems)
+        parts[name] = MatrixPart(
+            LINKS[place[0]][key], value, **{**NOTHING, key: _element(size, rows, value)}
+        )
+        places[name] = (*place, key)
+    if problems:
+        raise ModelError("\n".join(problems))
+    zero = sparse.csr_array((size, size))
+    stiffness = sum((p.stiffness for p in parts.values() if p.stiffness is not None), start=zero)
+    mass = sum((p.mass for p in parts.values() if p.mass is not None), start=zero)
+    model = MatrixModel(
+        name=file.path.stem,
+        stiffness=sparse.csr_array(stiffness),
+        mass=sparse.csr_array(mass),
+        nodes=np.arange(1, size + 1, dtype=np.int64),
+        components=np.ones(size, dtype=np.int64),
+        parts=parts,
+    )
+    return model, places
+
+
+def _link(
+    file: YamlFile, place: Place, row_of: Mapping[str, int], problems: list[str]
+) -> tuple[list[int], str, float]:
+    """Rows of the masses that a spring or damper holds, one or two, its key, and its value."""
+    where, given, keys = file.where(place), file.entries(place, problems), LINKS[str(place[0])]
+    unknown = [key for key in given if key not in ("between", *keys)]
+    if unknown:
+        problems.append(
+            f"{where}: unknown key `{unknown[0]}`{suggestion(unknown[0], ('between', *keys))}"
+        )
+    ends = given.get("between")
+    if not isinstance(ends, list) or len(ends) != 2 or ends[0] == ends[1]:
+        problems.append(f"{where}: `between` must name two ends, such as [{GROUND}, m1]")
+        ends = []
+    names = [str(end) for end in ends if end != GROUND]
+    problems += [f"{where}: there is no mass {name}" for name in names if name not in row_of]
+    rows = [row_of[name] for name in names if name in row_of]
+    own = [key for key in keys if key in given]
+    if len(own) != 1:
+        said = " or ".join(f"`{key}`" for key in keys)
+        what = "is missing" if not own else "is given twice: a damper has one of them"
+        problems.append(f"{where}: the key {said} {what}")
+        return rows, next(iter(keys)), 0.0
+    return rows, own[0], _number(file, (*place, own[0]), problems)
+
+
+def _element(size: int, rows: list[int], value: float) -> sparse.csr_array:
+    """A spring or mass on one unknown, or a spring between two."""
+    signs = np.array([1.0, -1.0])[: len(rows)]
+    values = value * np.outer(signs, signs).ravel()
+    i, j = np.repeat(rows, len(rows)), np.tile(rows, len(rows))
+    return sparse.csr_array((values, (i.astype(np.int64), j.astype(np.int64))), shape=(size, size))
+
+
+def _number(file: YamlFile, place: Place, problems: list[str]) -> float:
+    """The number at a place as the text has it (YAML takes 1e3 for a word and 010 for 8)."""
+    word = file.word(place)
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        problems.append(
+            f"{file.where(place)}: {place[1]} needs a plain number above zero, found {word!r}"
+        )
+        return 1.0
+    return value

@@ -1,36 +1,52 @@
-"""Files that hold one real symmetric matrix: Matrix Market, SciPy's npz, HDF5.
+"""Files of real symmetric matrices: Matrix Market, SciPy's npz, HDF5 and Nastran's OUTPUT4.
 
     FILE.mtx            Matrix Market, coordinate or array, general or symmetric
-    FILE.npz            scipy.sparse.save_npz; nothing pickled is ever read
+    FILE.npz            scipy.sparse.save_npz; pickled objects are never read
     FILE.h5:NAME        a dataset (n, n), or a group with the datasets data, indices, indptr of a
-                        CSR matrix (n, n); of a symmetric matrix both triangles
-    FILE.op4:NAME       a matrix of an OUTPUT4 file, text or binary; one alone needs no name
+                        CSR matrix (n, n) with both triangles
+    FILE.op4:NAME       a matrix of an OUTPUT4 file, text or binary; NAME may be left out if the
+                        file has only one
 
-A name with `:` in front of the dataset is how models and the functions here refer to a matrix.
+Models and the functions here refer to a matrix by such a name.
 
-What a file declares is compared with its size before memory is asked for it, and HDF5 is read by a
-program of its own (`hdf5_reader.py`).
+The size that a file declares is compared with its length before memory is allocated. A separate
+program reads HDF5 (`hdf5_reader.py`). SciPy's reader of Matrix Market files (1.17) writes past its
+memory where an array has more values than declared, and reads past it where the last line has no
+end, so these files are read here:
+
+    %%MatrixMarket matrix coordinate real symmetric
+    % comments
+    3 3 5                rows, columns, entries
+    1 1 2.0              row, column, value; one triangle of a symmetric matrix
+
+`array` files have rows and columns as their size, then only values, column by column (R. F.
+Boisvert, R. Pozo, K. A. Remington, The Matrix Market exchange formats, NISTIR 5935, 1996).
+
+OUTPUT4 is written as Nastran's FORMATTED, BIGMAT=NO: a header with columns, rows, form (6
+symmetric), type (2 real double) and name, then each column from its first entry to its last, and
+one more column at the end. pyNastran reads these files, binary ones too.
 """
 
 from __future__ import annotations
 
+import io
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from scipy import io, sparse
+import scipy.io
+from scipy import sparse
 
 from modetune.adapters.hdf5_reader import CSR, DEFLATE, read_hdf5
-from modetune.adapters.matrices.matrix_market import MOST_EQUATIONS, read_market
-from modetune.adapters.matrices.op4 import op4_lines, read_op4
-from modetune.adapters.regular_file import largest, open_regular
+from modetune.adapters.regular_file import largest, open_regular, read_regular
 from modetune.core.algebra.factorisation import symmetric_matrix
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
+from modetune.core.near_names import suggestion
 
 HDF5, OP4 = (".h5", ".hdf5"), ".op4"
 #: What SciPy and NumPy raise on files that are cut, damaged or something else.
@@ -157,7 +173,7 @@ def write_matrix(folder: Path, reference: str, matrix: sparse.csr_array) -> None
     path = folder / file
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() == ".mtx":
-        io.mmwrite(path, sparse.coo_array(matrix), precision=17, symmetry="symmetric")
+        scipy.io.mmwrite(path, sparse.coo_array(matrix), precision=17, symmetry="symmetric")
     elif path.suffix.lower() == ".npz":
         sparse.save_npz(path, matrix)
     elif path.suffix.lower() == OP4:
@@ -168,3 +184,135 @@ def write_matrix(folder: Path, reference: str, matrix: sparse.csr_array) -> None
             group = out.create_group(name)
             for part in CSR:
                 group.create_dataset(part, data=getattr(matrix, part))
+
+
+#: Beyond what is solved here; row pointers of so many take 160 MB.
+MOST_EQUATIONS = 20_000_000
+#: Numbers in a line by the field; of complex ones it is told that they are complex.
+FIELDS = {"real": 3, "double": 3, "integer": 3, "pattern": 2}
+
+
+def read_market(path: Path) -> sparse.csr_array:
+    """The matrix of a file, (n_rows, n_columns), both triangles.
+
+    Raises OSError, ValueError where it is complex, no Matrix Market file, or declares other than it
+    holds.
+    """
+    text = read_regular(path, largest(0.25))
+    head, form, field, symmetry = _banner(text)
+    start = head
+    while (line := text[start : text.find(b"\n", start) + 1]) and (
+        line.startswith(b"%") or not line.strip()
+    ):
+        start += len(line)
+    sizes = [int(word) for word in line.split()]
+    body = text[start + len(line) :]
+    if len(sizes) != (2 if form == "array" else 3) or min(sizes) < 0:
+        raise ValueError(f"its size line is {line[:40]!r}")
+    if max(sizes[:2]) > MOST_EQUATIONS:
+        raise ValueError(f"it declares {sizes[0]} x {sizes[1]}; {MOST_EQUATIONS} is the most")
+    rows, columns = sizes[:2]
+    if form == "array":
+        count = rows * columns if symmetry == "general" else rows * (rows + 1) // 2
+        values = _table(body, count, 1)[:, 0]
+        column, row = (
+            np.divmod(np.arange(count), rows) if symmetry == "general" else np.triu_indices(rows)
+        )
+    else:
+        table = _table(body, sizes[2], FIELDS[field])
+        places = table[:, :2]
+        if not ((places >= 1) & (places <= (rows, columns)) & (places == np.floor(places))).all():
+            raise ValueError("an entry's row or column is none of the matrix")
+        row, column = places.astype(np.int64).T - 1
+        values = table[:, 2] if table.shape[1] == 3 else np.ones(len(table))
+    if symmetry == "symmetric":
+        off = row != column
+        row, column = np.concatenate([row, column[off]]), np.concatenate([column, row[off]])
+        values = np.concatenate([values, values[off]])
+    return sparse.csr_array(sparse.coo_array((values, (row, column)), shape=(rows, columns)))
+
+
+def _banner(text: bytes) -> tuple[int, str, str, str]:
+    """Where the first line ends, and what it says: form, field and symmetry."""
+    end = text.find(b"\n", 0, 1024) + 1
+    words = text[:end].decode("ascii", "replace").lower().split()
+    if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
+        raise ValueError("it does not start with a line `%%MatrixMarket matrix ...`")
+    form, field, symmetry = words[2:]
+    if field == "complex":
+        raise ValueError("it is complex; real ones are needed")
+    if (
+        form not in ("coordinate", "array")
+        or field not in FIELDS
+        or symmetry not in ("general", "symmetric")
+        or (form == "array" and field == "pattern")
+    ):
+        raise ValueError(f"{form} {field} {symmetry} is not read here")
+    return end, form, field, symmetry
+
+
+def _table(body: bytes, count: int, width: int) -> Floats:
+    """So many lines of so many numbers."""
+    if count * 2 * width > len(body) + 1:  # a digit and what parts it from the next
+        raise ValueError(f"it declares {count} entries and has {len(body)} bytes of them")
+    if not body.strip():
+        if count:
+            raise ValueError(f"it declares {count} entries and has none")
+        return np.zeros((0, width))
+    table = np.loadtxt(io.BytesIO(body), comments=None, ndmin=2)
+    if table.shape != (count, width):
+        raise ValueError(
+            f"it declares {count} lines of {width} numbers and has {len(table)} of {table.shape[1]}"
+        )
+    return np.asarray(table)
+
+
+#: Numbers a line, and their form: 17 digits, which is all that a double has.
+ON_A_LINE, FORM = 3, "1P,3E23.16"
+
+
+def read_op4(path: Path, name: str) -> Any:
+    """The matrix of a name, dense or sparse; the only one where the name is empty.
+
+    Raises OSError, ValueError where it is not there, and what pyNastran raises of files that are
+    damaged or something else.
+    """
+    from pyNastran.op4.op4 import OP4  # takes a moment, and most models have none
+
+    with open_regular(path) as stream:
+        size = stream.seek(0, 2)
+    if size > largest(0.25):
+        raise ValueError("it is larger than can be read here")
+    try:
+        found = OP4(debug=None).read_op4(str(path))
+    except (AssertionError, NotImplementedError, SyntaxError) as error:
+        raise ValueError(f"pyNastran does not read it as OUTPUT4: {error}") from error
+    names = {key.upper(): item for key, item in found.items()}
+    if not name and len(names) == 1:
+        return next(iter(names.values())).data
+    if name.upper() not in names:
+        there = ", ".join(names) or "none"
+        raise ValueError(
+            f"it has the matrices {there}{suggestion(name.upper(), names)}; name one as "
+            f"{path.name}:NAME"
+        )
+    return names[name.upper()].data
+
+
+def op4_lines(name: str, matrix: Floats) -> Iterator[str]:
+    """The text of a symmetric dense matrix (n, n); name: of eight letters at most."""
+    n = matrix.shape[0]
+    yield f"{n:8d}{n:8d}{6:8d}{2:8d}{name:8s}{FORM}\n"
+    for column in range(n):
+        there = np.flatnonzero(matrix[:, column])
+        if there.size:
+            first, last = int(there[0]), int(there[-1]) + 1
+            yield f"{column + 1:8d}{first + 1:8d}{2 * (last - first):8d}\n"
+            yield from _numbers(matrix[first:last, column].tolist())
+    yield f"{n + 1:8d}{1:8d}{2:8d}\n"
+    yield from _numbers([1.0])
+
+
+def _numbers(numbers: list[float]) -> Iterator[str]:
+    for start in range(0, len(numbers), ON_A_LINE):
+        yield "".join(f"{value:23.16E}" for value in numbers[start : start + ON_A_LINE]) + "\n"

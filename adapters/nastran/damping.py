@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
+from modetune.adapters.deck_numbers import Number
 from modetune.adapters.nastran.deck import NastranCard
 from modetune.adapters.nastran.element_axes import bush_axes, bush_place
 from modetune.adapters.nastran.geometry import output_frames
 from modetune.adapters.nastran.places import ELEMENT_ENTRIES, MATERIAL_ENTRIES
 from modetune.adapters.nastran.sections import FIELDS, holds, section_entries
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.numbers import Number
 from modetune.adapters.solver import Deck
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats

@@ -30,11 +30,11 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from modetune.adapters.deck_numbers import moved_numbers
 from modetune.adapters.nastran.deck import NastranCard, with_lines
 from modetune.adapters.nastran.model import NastranModel, ValuePlace
 from modetune.adapters.nastran.number import format_number, read_number
 from modetune.adapters.nastran.sections import station_rows
-from modetune.adapters.numbers import moved_numbers
 from modetune.adapters.solver import SensitivityAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of, parts, read

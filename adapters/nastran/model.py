@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
+from modetune.adapters.deck_numbers import Number, moved_numbers
 from modetune.adapters.nastran.affected_elements import affected_elements_of, powers_of
 from modetune.adapters.nastran.bulk import Bulk, Objection, read_bulk
 from modetune.adapters.nastran.case_control import read_case_control
@@ -32,7 +33,6 @@ from modetune.adapters.nastran.places import find_places
 from modetune.adapters.nastran.splitting import split_materials, split_properties
 from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.nastran.targets import targets
-from modetune.adapters.numbers import Number, moved_numbers
 from modetune.adapters.solver import AffectedElements, Deck, Edited, MassKind, ModelSummary, Target
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from modetune.adapters.deck_numbers import FROM_ZERO, check_moved, check_one
 from modetune.adapters.nastran.deck import NastranCard
 from modetune.adapters.nastran.sections import (
     ACTS_WITH,
@@ -21,7 +22,6 @@ from modetune.adapters.nastran.sections import (
     section_entries,
 )
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.numbers import FROM_ZERO, check_moved, check_one
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter

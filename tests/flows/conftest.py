@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from modetune.adapters.numbers import Number
+from modetune.adapters.deck_numbers import Number
 from modetune.adapters.process import LOG
 from modetune.adapters.solver import (
     AffectedElements,

@@ -43,7 +43,7 @@ def direct(
     ] = None,
 ) -> StudyEnd:
     """Correct stiffness and mass as whole matrices, and tell what that breaks in them."""
-    from modetune.adapters.matrices.exchange import check_form, write_matrices
+    from modetune.adapters.matrices.export import check_form, write_matrices
     from modetune.flows.studies.condensation.direct import CorrectedMode, correct_directly
 
     if out is not None:

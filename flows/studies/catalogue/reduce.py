@@ -30,7 +30,7 @@ def reduce(
     ] = None,
 ) -> StudyEnd:
     """Reduce a model to a few unknowns, its frequencies beside the full model's."""
-    from modetune.adapters.matrices.exchange import check_form, write_matrices
+    from modetune.adapters.matrices.export import check_form, write_matrices
     from modetune.core.modes import dof_name
     from modetune.flows.studies.condensation.reduce import reduce_model
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import spsolve
 
-from modetune.adapters.matrices.exchange import WrittenMatrices
+from modetune.adapters.matrices.export import WrittenMatrices
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.brief import brief
 from modetune.core.condensation.measured_unknowns import MeasuredModel

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modetune.adapters.matrices.exchange import WrittenMatrices
+from modetune.adapters.matrices.export import WrittenMatrices
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief

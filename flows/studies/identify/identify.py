@@ -1,6 +1,6 @@
 """Modes from measured response functions, without a user where that is wanted.
 
-The steps: the functions in the band; poles of all orders (adapters/lscf.py) and their residues;
+The steps: the functions in the band; poles of all orders (adapters/pole_estimators); residues;
 stability and tracks (core/measurement/stabilisation); the choice; better poles and final residues
 (core/measurement/modal_fit); shapes, of unit modal mass where a driving point was measured; real
 shapes and how real they were; synthesised against measured functions.
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.lscf import lscf_poles
+from modetune.adapters.pole_estimators import lscf_poles
 from modetune.adapters.test_files import writing
 from modetune.core.brief import brief
 from modetune.core.correlation.complexity import DOUBTFUL, modal_phase_collinearity, real_shapes

@@ -1,6 +1,6 @@
 """Modes from responses alone, where nobody knows the forces: subspace identification by pyOMA2.
 
-Poles of all orders (`adapters/ssi.py`) are judged and followed as those of response functions are;
+Poles of all orders (`pole_estimators.py`) are judged and followed as those of response functions:
 of each track the stable pole of middle frequency and its shape are the mode, since single orders
 split poles of close modes. Shapes have no scale that forces would give: their largest entry is 1.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy import signal
 
-from modetune.adapters.ssi import ssi_poles
+from modetune.adapters.pole_estimators import ssi_poles
 from modetune.adapters.test_files import writing
 from modetune.core.brief import brief
 from modetune.core.correlation.complexity import modal_phase_collinearity, real_shapes

@@ -7,8 +7,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from modetune.adapters.yaml_edit import edited
-from modetune.adapters.yaml_file import Place, YamlFile, parse_yaml
+from modetune.adapters.yaml_file import Place, YamlFile, edited, parse_yaml
 from modetune.core.errors import CampaignError
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json

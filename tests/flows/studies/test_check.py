@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from modetune.adapters.numbers import Number
+from modetune.adapters.deck_numbers import Number
 from modetune.adapters.solver import ModelSummary
 from modetune.configs.cases import write_case
 from modetune.core.algebra.rigid_modes import RigidByHand

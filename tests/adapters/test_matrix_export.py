@@ -10,7 +10,7 @@ import pytest
 from pyNastran.bdf.bdf import BDF
 from pyNastran.op4.op4 import OP4
 
-from modetune.adapters.matrices.exchange import FORMS, WrittenMatrices, write_matrices
+from modetune.adapters.matrices.export import FORMS, WrittenMatrices, write_matrices
 from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.core.errors import CampaignError, ModelError
 from tests.one_matrix import read_matrix

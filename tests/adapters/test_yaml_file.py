@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from modetune.adapters.yaml_edit import edited
-from modetune.adapters.yaml_file import Place, YamlFile, parse_yaml, read_yaml
+from modetune.adapters.yaml_file import Place, YamlFile, edited, parse_yaml, read_yaml
 from modetune.core.errors import CampaignError
 
 ROOT = Path(__file__).resolve().parents[2]

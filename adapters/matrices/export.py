@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from modetune.adapters.matrices.matrix_files import write_matrix
-from modetune.adapters.matrices.op4 import op4_lines
+from modetune.adapters.matrices.matrix_files import op4_lines, write_matrix
 from modetune.adapters.nastran.number import format_number
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers, dof_name

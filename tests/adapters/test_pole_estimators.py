@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modetune.adapters.lscf import lscf_poles
+from modetune.adapters.pole_estimators import lscf_poles
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import Complexes, NormalModes, modal_frf
 from modetune.core.modes import Floats
