@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.flows.campaign.arrays import write_campaign
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.campaign.objects import write_campaign
 from modetune.flows.report.terminal import terminal
 from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study

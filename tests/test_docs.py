@@ -22,8 +22,7 @@ from pydantic import ValidationError
 
 from modetune.adapters.solver import Deck, Program
 from modetune.core import errors
-from modetune.flows.campaign.json_schema import campaign_schema
-from modetune.flows.campaign.schema import CampaignFile
+from modetune.flows.campaign.schema import CampaignFile, campaign_schema
 from modetune.flows.cli.main import app
 from tests.command_line import run_command
 

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 import typer
 
-from modetune.flows.campaign.json_schema import campaign_schema
+from modetune.flows.campaign.schema import campaign_schema
 from modetune.flows.cli.main import app
 
 ROOT = Path(__file__).resolve().parent.parent

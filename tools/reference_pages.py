@@ -19,7 +19,7 @@ from typing import Any, get_args
 
 import typer
 
-from modetune.flows.campaign.json_schema import campaign_schema, schema_text
+from modetune.flows.campaign.schema import campaign_schema, schema_text
 from modetune.flows.cli.main import app
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -26,7 +26,7 @@ from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.store import Entry, Store
 from modetune.core.surface import facets
-from modetune.flows.campaign.sensors_section import SensorSection
+from modetune.flows.campaign.schema import SensorSection
 from modetune.flows.campaign.units import LENGTH_METRES
 
 #: Boxes of test and model that differ by more than this factor are hardly of one structure.

@@ -1,6 +1,6 @@
-"""From a campaign file to a Campaign whose every part has been looked at.
+"""From a campaign file to a Campaign whose every part has been checked.
 
-All problems are collected and told at once, each with file and line, before any solver runs.
+All problems are collected and reported at once, each with file and line, before any solver runs.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import logging
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -28,8 +29,24 @@ from modetune.core.updating.fields import Field, prior_precision
 from modetune.core.updating.weighting import Weighting, weighting_side_by_side
 from modetune.flows.campaign.case import Case, whole_test
 from modetune.flows.campaign.configurations import configuration_files
-from modetune.flows.campaign.fields import with_fields
-from modetune.flows.campaign.measured import (
+from modetune.flows.campaign.matrix_plan import unsuitable
+from modetune.flows.campaign.parameters import targets_of, with_fields
+from modetune.flows.campaign.schema import (
+    BY_NAME,
+    NO_TEST,
+    STORE_VARIABLE,
+    CampaignFile,
+    ModelFile,
+    OpenFile,
+    ReportSection,
+    SensitivitySection,
+    SolverName,
+    UpdateSection,
+    override,
+)
+from modetune.flows.campaign.site import RunSection
+from modetune.flows.campaign.solvers import bind_solver, not_confirmed
+from modetune.flows.campaign.test import (
     complex_shapes,
     frfs_on_model,
     held_out_modes,
@@ -38,28 +55,10 @@ from modetune.flows.campaign.measured import (
     read_test,
     used_modes,
 )
-from modetune.flows.campaign.refusals import (
-    core_problems,
-    licence_problems,
-    method_problems,
-    target_problems,
-)
-from modetune.flows.campaign.schema import (
-    STORE_VARIABLE,
-    CampaignFile,
-    ModelFile,
-    OpenFile,
-    ReportSection,
-    SensitivitySection,
-    UpdateSection,
-)
-from modetune.flows.campaign.site import RunSection
-from modetune.flows.campaign.solvers import bind_solver
 from modetune.flows.campaign.units import KILOGRAMS, METRES
-from modetune.flows.campaign.weights import weighting_of
-from modetune.flows.responses.residuals import ResidualSection
+from modetune.flows.responses.residuals import ResidualSection, weighting_of
 from modetune.flows.responses.response import TestedModel
-from modetune.flows.responses.section import override, section_problems
+from modetune.flows.responses.section import section_problems
 
 logger = logging.getLogger(__name__)
 
@@ -217,7 +216,7 @@ def load_campaign(
     file = campaign_form(source, settings, form)
     run = file.run.on_site()
     problems: list[str] = []
-    source, file, fields = with_fields(source, file, problems)
+    source, file, fields = _with_fields(source, file, problems)
     parameters = file.parameter_set()
     cases = _read_cases(source, file, problems, solver)
     problems += core_problems(source, run, cores()) + licence_problems(source, file)
@@ -270,6 +269,21 @@ def campaign_form(
     except ValidationError as error:
         raise CampaignError(section_problems(error, source, form, "campaign")) from None
     return file
+
+
+def _with_fields(
+    source: YamlFile, file: CampaignFile, problems: list[str]
+) -> tuple[YamlFile, CampaignFile, tuple[Field, ...]]:
+    """Return the file with a parameter for each zone of its fields, and the fields."""
+    if not any(item.field for item in file.parameters):
+        return source, file, ()
+    base = tuple(item.parameter() for item in file.parameters)
+    try:
+        solver = bind_solver(file.model, source.path.parent / file.model.deck, base)
+    except ModelError:  # reported where the model is read
+        return source, file, ()
+    source, sections, fields = with_fields(source, file.parameters, solver, problems)
+    return source, file.model_copy(update={"parameters": sections}), fields
 
 
 def _read_cases(
@@ -398,3 +412,86 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
         return solver
     where = f"{source.where(('model', 'rigid_modes'))}: model.rigid_modes"
     return replace(solver, rigid_modes=RigidByHand(number, where))
+
+
+def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:
+    """Jobs in parallel times threads of each must not be more than the machine's cores."""
+    wanted = max(run.parallel, 1) * max(run.threads, 1)
+    if wanted <= cores or not run.here:
+        return []
+    return [
+        f"{source.where(('run',))}: run: {max(run.parallel, 1)} jobs of {max(run.threads, 1)} "
+        f"threads need {wanted} cores, this machine has {cores}; lower `parallel` or `threads`, "
+        "or leave them out"
+    ]
+
+
+def target_problems(source: YamlFile, file: CampaignFile) -> list[str]:
+    """Parameters that name nothing, on a solver that needs to be told what they scale."""
+    if file.model.solver not in get_args(SolverName) or file.model.solver in BY_NAME:
+        return []
+    return [
+        f"{source.where(('parameters', place))}: parameters.{place}: {item.quantity} needs "
+        f"{targets_of(item.quantity)}; it has none"
+        for place, item in enumerate(file.parameters)
+        if item.by() == "placeholder" and item.quantity != "variable"
+    ]
+
+
+def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
+    """A licence that no solver has would limit nothing, without a word."""
+    models = [item.model for item in file.configurations] + ([file.model] if file.model else [])
+    known = [*get_args(SolverName), *(model.program for model in models)]
+    unknown = sorted(set(file.run.licences) - set(known))
+    if not unknown:
+        return []
+    return [
+        f"{source.where(('run', 'licences'))}: run.licences names {', '.join(unknown)}; licences "
+        f"go by the solver's name: {', '.join(dict.fromkeys(known))}"
+    ]
+
+
+def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
+    """Why the campaign's sensitivity method is unavailable."""
+    method, has = file.sensitivity.method, solver.program.capabilities
+    shapes = file.residuals.with_shapes or file.residuals.modal_strain is not None
+    place = source.where(("sensitivity", "method"))
+    offered = {
+        "strain_energy": has.strain_energies,
+        "semi_analytic": solver.offers.matrices,
+        "solver": has.shape_sensitivities if shapes else has.frequency_sensitivities,
+    }
+    if not offered.get(method, True):
+        why = not_confirmed(solver) if method == "semi_analytic" and has.matrices else ""
+        said = f"{solver.program.name} does not offer {method} here"
+        return [f"{place}: {why or said}; use `auto`"]
+    if file.model.eigensolver == "solver" and file.update.confirm == "matrices":
+        where = source.where(("update", "confirm"))
+        return [
+            f"{where}: update.confirm: matrices confirms modes that come from matrices, and "
+            "`model.eigensolver: solver` takes the solver's own; leave one of the two out"
+        ]
+    if file.model.eigensolver not in ("auto", "solver"):
+        where = f"{source.where(('model', 'eigensolver'))}: eigensolver {file.model.eigensolver}"
+        reason = (
+            "before there is a test the modes are the solver's own"
+            if file.test.modes == NO_TEST
+            else unsuitable(solver, file.parameter_set().parameters, method)
+        )
+        if reason is not None:
+            return [f"{where}: {reason}; use `auto` or solver"]
+    if method == "semi_analytic" and shapes and not solver.deck.summary.solid_shapes:
+        return [
+            f"{place}: shape sensitivities from matrices need a model of solids without dependent "
+            "nodes; use `auto` or finite_difference"
+        ]
+    if method != "strain_energy":
+        return []
+    if shapes:
+        return [f"{place}: strain energies give no shape sensitivities; use `auto`"]
+    return [
+        f"{place}: the stiffness is not proportional to {item.name} "
+        f"({solver.deck.preload() or item.quantity}); use `auto`"
+        for item in file.parameter_set().parameters
+        if not solver.deck.problems((item,)) and not solver.deck.energy_sets(item)
+    ]

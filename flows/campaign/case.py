@@ -26,7 +26,8 @@ from modetune.core.updating.responses.response import Need, Response
 from modetune.core.updating.responses.shapes import Shapes
 from modetune.core.updating.weighting import Weighting
 from modetune.flows.campaign.mapping import Mapping
-from modetune.flows.campaign.schema import Eigensolver, ModelCheck, Units
+from modetune.flows.campaign.schema import Eigensolver, ModelCheck
+from modetune.flows.campaign.units import Units
 
 #: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
 EXTRA_MODES = 4

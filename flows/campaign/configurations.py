@@ -13,6 +13,7 @@ from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of
 from modetune.core.near_names import suggestion
+from modetune.flows.campaign.parameters import moved
 from modetune.flows.campaign.schema import CampaignFile, ConfigurationSection
 from modetune.flows.campaign.solvers import bind_solver
 
@@ -175,18 +176,4 @@ def _view(source: YamlFile, place: Place) -> YamlFile:
     instead = {*OWN, *(key[0] for key in own)}
     lines = {key: line for key, line in source.lines.items() if not key or key[0] not in instead}
     lines |= own
-    return replace(source, lines=lines)
-
-
-def moved(source: YamlFile, columns: Sequence[int]) -> YamlFile:
-    """The file with the lines of these parameters where they are among themselves."""
-    lines = {key: line for key, line in source.lines.items() if key[:1] != ("parameters",)}
-    lines[("parameters",)] = source.lines.get(("parameters",), 1)
-    for now, column in enumerate(columns):
-        then = ("parameters", column)
-        lines |= {
-            ("parameters", now, *key[2:]): line
-            for key, line in source.lines.items()
-            if key[:2] == then
-        }
     return replace(source, lines=lines)

@@ -25,7 +25,7 @@ from modetune.adapters.solver import AffectedElements, Solver
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.schema import Method
-from modetune.flows.campaign.self_test import not_confirmed
+from modetune.flows.campaign.solvers import not_confirmed
 
 #: Factor on a parameter in which the matrices are linear. It is exact anyhow, and as stored
 #: matrices are text of some digits a far one is the most exact.

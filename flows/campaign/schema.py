@@ -1,13 +1,24 @@
 """The campaign file's keys: what each means, its unit, its default.
 
 Field names are the campaign's keys; unknown keys are refused. `campaign.py` turns a valid file
-into a Campaign.
+into a Campaign. `campaign_schema` gives the keys as a JSON schema, for editors and other programs:
+what pydantic derives, and the rules that only validators here know (which keys exclude each other,
+which targets belong to which quantity). An editor that reads it (VS Code through the first line of
+a campaign, `# yaml-language-server: $schema=campaign.schema.json`) completes keys and shows
+mistakes while the user types.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
+import json
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
+import numpy as np
+import yaml
 from pydantic import (
     Field,
     ValidationInfo,
@@ -17,24 +28,221 @@ from pydantic import (
 )
 from pydantic_core import PydanticKnownError
 
+from modetune.adapters.command.settings import CommandSettings, NumberRule
+from modetune.adapters.yaml_file import YamlFile
+from modetune.core.errors import CampaignError
 from modetune.core.expressions import names_of
-from modetune.core.parameters import ParameterSet
+from modetune.core.modes import COMPONENTS, Floats
+from modetune.core.parameters import QUANTITIES, ParameterSet
 from modetune.core.updating.estimation import Found, StepForm
-from modetune.flows.campaign.command_section import CommandSection
-from modetune.flows.campaign.parameter_section import ParameterSection
-from modetune.flows.campaign.sensors_section import SensorSection
-from modetune.flows.campaign.site import RunSection
+from modetune.flows.campaign.parameters import TARGET_KEYS, ParameterSection
+from modetune.flows.campaign.site import RunSection, Word
+from modetune.flows.campaign.units import LengthUnit, Units
 from modetune.flows.responses.residuals import ResidualSection
 from modetune.flows.responses.section import Name, NotNegative, Positive, Section, Share
+
+Number = Annotated[int, Field(ge=1)]
+Delimiter = Annotated[str, Field(pattern=r"^[^\w\s.:=-]{1,8}$")]
+
+
+class EditSection(Section):
+    """Where a number of the deck stands that has no placeholder."""
+
+    parameter: Name
+    """The parameter that scales it."""
+    file: str | None = None
+    """Which of `inputs` it stands in; without it the deck."""
+    line: Number | None = None
+    """Its line, with `field` or `columns`."""
+    field: Number | None = None
+    """Which word of the line: between commas, or between blanks where the line has none."""
+    columns: tuple[Number, Number] | None = None
+    """First and last column, for decks of fixed fields."""
+    pattern: str | None = None
+    """A regular expression with one group, the number, wherever it matches."""
+    format: str = ""
+    """How it is written, `12.5E`; without it all digits, in `columns` as many as fit."""
+
+    @model_validator(mode="after")
+    def _placed(self) -> EditSection:
+        by_line = [key for key in ("field", "columns") if getattr(self, key) is not None]
+        if (self.line is None) == (self.pattern is None) or len(by_line) != (self.line is not None):
+            raise ValueError("give `line` with `field` or `columns`, or `pattern`")
+        if self.columns is not None and self.columns[0] > self.columns[1]:
+            raise ValueError("columns: the first must not be behind the last")
+        return self
+
+    def rule(self) -> NumberRule:
+        """The edit as the adapter has it."""
+        return NumberRule(
+            self.parameter,
+            self.file,
+            self.line or 0,
+            self.field or 0,
+            self.columns or (0, 0),
+            self.pattern or "",
+            self.format,
+        )
+
+
+class CommandSection(Section):
+    """The program of `solver: command`: how it is started, and what it leaves. Its files are named
+    relative to the deck."""
+
+    run: Annotated[tuple[Word, ...], Field(min_length=1)]
+    """Program and arguments, one a word, no shell: `[abaqus, "job={job}", interactive]`. {deck},
+    {job} (the deck without its ending), {cores}, {folder} and {python} stand for those of the
+    job."""
+    version: Annotated[str, Field(min_length=1)] | Annotated[tuple[Word, ...], Field(min_length=1)]
+    """The program's version, or the command line that prints it: results of another version are
+    other results."""
+    name: Name = "command"
+    """What the program is called in tables and in `run.licences`."""
+    nodes: str
+    """File of the nodes that results have: `node,x,y,z` as CSV, a universal file, or HDF5; lines
+    and faces in it are drawn."""
+    components: Annotated[
+        tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...], Field(min_length=1)
+    ] = ("x", "y", "z")
+    """Which motions results have at each node."""
+    results: str | None = None
+    """File that the program leaves with frequencies and shapes: .csv, .unv, .h5, .op2, .f06, .pch
+    or .frd."""
+    reader: str | None = None
+    """In place of `results` a function that reads them, `file.py:function` or
+    `package.module:function`."""
+    normalisation: Literal["mass", "max", "unknown"] = "mass"
+    """How the program scales shapes, where the file does not tell."""
+    most_modes: Number | None = None
+    """How many modes the deck gives at most, where that is fewer than are asked for."""
+    inputs: tuple[str, ...] = ()
+    """More files that the deck needs beside it; numbers may stand in them too."""
+    delimiters: tuple[Delimiter, Delimiter] = ("{", "}")
+    """What stands around placeholders."""
+    edits: tuple[EditSection, ...] = ()
+    """Where numbers without a placeholder stand."""
+    success: tuple[str, ...] = ()
+    """Patterns that each must be found in a line of `logs`: without them a run has failed."""
+    fatal: tuple[str, ...] = ()
+    """Patterns of lines by which the program refuses a deck."""
+    logs: tuple[str, ...] = ("solver.log",)
+    """Files that both are looked for in, `*.msg`; solver.log is what the program prints."""
+    exit_codes: Annotated[tuple[int, ...], Field(min_length=1)] = (0,)
+    """Codes that the program ends with after a good run."""
+
+    @model_validator(mode="after")
+    def _one_form(self) -> CommandSection:
+        if (self.results is None) == (self.reader is None):
+            raise ValueError("give either `results` or `reader`")
+        outside = [
+            name
+            for name in (*self.inputs, self.results or "")
+            if name.startswith("/") or ".." in name.split("/")
+        ]
+        if outside:
+            raise ValueError(f"{outside[0]} is not in the deck's folder, or below it")
+        return self
+
+    def settings(self, metres: float) -> CommandSettings:
+        """The program as the adapter has it; metres: of the deck's unit of length."""
+        return CommandSettings(
+            name=self.name,
+            run=self.run,
+            version=self.version,
+            nodes=self.nodes,
+            results=self.results or "",
+            reader=self.reader or "",
+            components=tuple(COMPONENTS.index(name) + 1 for name in self.components),
+            normalisation=self.normalisation,
+            inputs=self.inputs,
+            delimiters=self.delimiters,
+            edits=tuple(item.rule() for item in self.edits),
+            most_modes=self.most_modes or 0,
+            success=self.success,
+            fatal=self.fatal,
+            logs=self.logs,
+            exit_codes=self.exit_codes,
+            metres=metres,
+        )
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Triple = tuple[Number, Number, Number]
+Node = Annotated[int, Field(ge=1)]
+
+
+class SensorSection(Section):
+    """How a test's points are laid over the model."""
+
+    by: Literal["position", "number"] = "position"
+    """`position` finds nodes by the test's coordinates, `number` takes the node of the same number;
+    so does a test without coordinates."""
+    align: Literal["none", "fit"] | None = None
+    """`fit` finds rotation and translation, and the scale where no unit tells it; those given here
+    choose then among fits that cannot be told apart. `none` takes those given here, and else the
+    model's axes. Without it: `match` alone fixes the alignment, else `none`."""
+    scale: Annotated[Number, Field(gt=0.0)] | None = None
+    """Model lengths a test length; without it from the units of both."""
+    rotation: Triple | tuple[Triple, Triple, Triple] | None = None
+    """From the test's axes to the model's: degrees about the model's x, then y, then z; or a
+    matrix, three rows."""
+    translation: Triple | None = None
+    """Where the test's origin lies in the model, in the model's length."""
+    match: dict[Node, Node | Triple] = Field(default={})
+    """Landmarks by hand: test node to model node, or to a place in the model's axes and length.
+    Three or more, not on one line, fix the alignment; with `align: fit` fewer do, which choose."""
+    tolerance: Annotated[Number, Field(gt=0.0)] | None = None
+    """How far a sensor may be from its node, in the model's length; without it 2 % of the model's
+    box diagonal, or half the mean element edge where that is more."""
+    unmapped: Literal["refuse", "leave_out"] = "refuse"
+    """What is done with sensors that no node is near enough to, or whose motion the model's results
+    lack."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> SensorSection:
+        if self.by == "number" and self.places:
+            raise ValueError(
+                "sensors by number have no place; leave out align, scale, rotation, translation"
+            )
+        matrix = self.matrix()
+        if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix) < 0.0:
+            raise ValueError(
+                "`rotation` is not a rotation: its rows must be unit vectors at right angles, its "
+                "determinant 1"
+            )
+        return self
+
+    @property
+    def fits(self) -> bool:
+        """Whether the alignment is to be found."""
+        given = self.rotation is not None or self.translation is not None
+        return self.align == "fit" or (self.align is None and bool(self.match) and not given)
+
+    @property
+    def places(self) -> bool:
+        """Whether anything here needs the test's coordinates."""
+        return self.align == "fit" or any(
+            item is not None for item in (self.scale, self.rotation, self.translation)
+        )
+
+    def matrix(self) -> Floats:
+        """The rotation (3, 3); the identity where none is given."""
+        if self.rotation is None:
+            return np.eye(3)
+        given = np.array(self.rotation)
+        if given.shape == (3, 3):
+            return given
+        from scipy.spatial.transform import Rotation  # few campaigns turn their sensors
+
+        return np.asarray(Rotation.from_euler("xyz", given, degrees=True).as_matrix())
+
 
 #: e2 where old matrices are kept as they are: nothing corrects them for what has changed.
 KEPT_E2 = 0.002
 
-Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
 SolverName = Literal["calculix", "nastran", "mystran", "matrices", "command"]
 #: Solvers that take parameters by their names alone, without a target.
 BY_NAME = ("command",)
-LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 NastranDialect = Literal["msc", "nx"]
 Eigensolver = Literal["auto", "solver", "pardiso", "mixed_precision"]
 ModelCheck = Literal["units", "size", "mass"]
@@ -348,3 +556,103 @@ class ModelFile(OpenFile):
     @classmethod
     def _without_test(cls, given: Any) -> Any:
         return {**given, "test": {"modes": NO_TEST}} if isinstance(given, dict) else given
+
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+#: A name, not an address: the file is wherever it was put.
+IDENTIFIER = "urn:modetune:campaign"
+
+
+def campaign_schema() -> dict[str, Any]:
+    """The JSON schema of a campaign file, draft 2020-12."""
+    schema = CampaignFile.model_json_schema()
+    sections = schema["$defs"]
+    meanings = {kind.__name__: _meanings(kind) for kind in _kinds(Section)}
+    for name, section in ((CampaignFile.__name__, schema), *sections.items()):
+        section.pop("title", None)
+        for key, told in section.get("properties", {}).items():
+            told.pop("title", None)  # only the key's name again
+            told["description"] = meanings[name][key]
+            section["properties"][key] = dict(sorted(told.items()))
+    _add_rules(sections)
+    for key in ("model", "test"):
+        del schema["properties"][key]["default"]
+    schema["anyOf"] = [{"required": ["model", "test"]}, {"required": ["configurations"]}]
+    schema["dependentRequired"] = {"model": ["test"], "test": ["model"]}
+    return {"$schema": DIALECT, "$id": IDENTIFIER, "title": "modetune campaign", **schema}
+
+
+def schema_text() -> str:
+    """The schema as it is published, with an end of line."""
+    return json.dumps(campaign_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def _kinds(section: type[Section]) -> Iterator[type[Section]]:
+    """All sections that are of a kind."""
+    for kind in section.__subclasses__():
+        yield kind
+        yield from _kinds(kind)
+
+
+def _meanings(section: type[Section]) -> dict[str, str]:
+    """What the docstrings below a section's fields say of its keys.
+
+    Pydantic would read them whenever a campaign is loaded, for a third of the time of its imports.
+    """
+    (body,) = ast.parse(inspect.getsource(section)).body
+    assert isinstance(body, ast.ClassDef)
+    (above,) = section.__bases__
+    told = _meanings(above) if issubclass(above, Section) else {}
+    return told | {
+        field.target.id: inspect.cleandoc(text.value.value)
+        for field, text in pairwise(body.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+        if isinstance(text.value.value, str)
+    }
+
+
+def _add_rules(sections: dict[str, Any]) -> None:
+    """What validators of the sections ask beyond types."""
+    retries = sections["RunSection"]["properties"]["retries"]
+    one_number = sections["RetriesSection"]["properties"]["stopped"]
+    retries["anyOf"] = [
+        {"$ref": retries.pop("$ref")},
+        {key: one_number[key] for key in ("type", "minimum", "maximum")},
+    ]
+    parameter = sections["ParameterSection"]
+    none = {"not": {"anyOf": _one_of(TARGET_KEYS)}}  # a placeholder of `solver: command`
+    parameter["oneOf"] = [*_one_of(TARGET_KEYS), none]
+    parameter["allOf"] = [
+        {
+            "if": {"properties": {"quantity": {"const": quantity}}, "required": ["quantity"]},
+            "then": {"anyOf": [*_one_of(facts.targets), none]},
+        }
+        for quantity, facts in QUANTITIES.items()
+        if facts.targets
+    ]
+
+
+def _one_of(keys: tuple[str, ...]) -> list[dict[str, Any]]:
+    return [{"required": [key]} for key in keys]
+
+
+def override(file: YamlFile, settings: list[str]) -> dict[str, object]:
+    """The file's data with `key.key=value` settings applied, values read as YAML.
+
+    Raises CampaignError where a setting has no such form or leads through a value.
+    """
+    data = yaml.safe_load(file.text)
+    for setting in settings:
+        path, separator, text = setting.partition("=")
+        *outer, last = path.strip().split(".")
+        target = data
+        for key in outer:
+            target = target.setdefault(key, {}) if isinstance(target, dict) else None
+        if not separator or not last or not isinstance(target, dict):
+            raise CampaignError(f"--set {setting!r}: expected KEY.KEY=VALUE, e.g. update.e2=0.002")
+        try:
+            target[last] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise CampaignError(f"--set {setting!r}: the value is not YAML") from error
+    return dict(data)

@@ -21,10 +21,10 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import DECK_SUFFIXES, YamlFile
 from modetune.core.errors import CampaignError, ModelError, SolverMissing
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.campaign.schema import ModelSection, OpenFile, Units
+from modetune.flows.campaign.schema import ModelSection, OpenFile, override
 from modetune.flows.campaign.solvers import bind_solver, is_nastran
-from modetune.flows.campaign.units import guessed_units
-from modetune.flows.responses.section import override, section_problems
+from modetune.flows.campaign.units import Units, guessed_units
+from modetune.flows.responses.section import section_problems
 
 logger = logging.getLogger(__name__)
 

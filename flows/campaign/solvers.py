@@ -1,27 +1,35 @@
 """Which solver runs a campaign's model: the one place that names the adapters.
 
-An adapter is imported when a campaign asks for it. `calculix` takes CalculiX decks as they are and
+An adapter is imported when a campaign needs it. `calculix` takes CalculiX decks as they are and
 Nastran decks through their translation. Other packages bring solvers by an entry point of the group
 `modetune.solvers`: its name is what campaigns call the solver, its object a function of a deck's
 path and the parameters that gives a Solver.
+
+Some capabilities are used only after the self-test of the installation (`modetune doctor`) has
+passed them. An installation is a program's name, version and command line; a new version, another
+start script or another option requires a new test. What passed is noted in the user's own folder,
+one file per installation, so that machines that share a home share it.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from modetune.adapters.regular_file import open_regular, read_errors
-from modetune.adapters.solver import Solver
-from modetune.core.errors import ModelError
+from modetune.adapters.solver import Program, Solver
+from modetune.core.errors import ModelError, SolverMissing
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter
+from modetune.core.storage.files import writing
+from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.flows.campaign.schema import ModelSection
-from modetune.flows.campaign.self_test import passed_here
+from modetune.flows.campaign.site import HOME_VARIABLE, user_home
 from modetune.flows.campaign.units import METRES
 
 #: Entry points of packages that bring a solver.
@@ -133,3 +141,55 @@ def _nastran_deck(deck: Path) -> Path:
     if not is_nastran(deck):
         raise ModelError(f"{deck} is not a Nastran deck; `solver: calculix` runs CalculiX decks")
     return deck
+
+
+#: Threads with which the command line is asked for: options for several are part of it.
+THREADS = 2
+REMEDY = f"name another place with {HOME_VARIABLE}"
+
+
+def passed_here(program: Program) -> frozenset[str]:
+    """The capabilities that the self-test has passed; none where the program is missing."""
+    if not program.capabilities.to_confirm:
+        return frozenset()
+    try:
+        told = json.loads(_place(program).read_text(encoding="utf-8"))
+        return frozenset(map(str, told["passed"]))
+    except (OSError, ValueError, KeyError, TypeError, SolverMissing):
+        return frozenset()
+
+
+def note_passed(program: Program, passed: Iterable[str]) -> Path:
+    """Note what the self-test passed, in place of what it passed before.
+
+    Raises StorageUnavailable, SolverMissing.
+    """
+    place = _place(program)
+    told = {**_installation(program), "passed": sorted(passed)}
+    with writing(place, REMEDY) as part:
+        part.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    return place
+
+
+def not_confirmed(solver: Solver) -> str:
+    """What of the solver is left aside until a self-test has passed it; empty where nothing is."""
+    names = " and ".join(name.replace("_", " ") for name in solver.unconfirmed)
+    name = solver.program.name
+    dialect = " (with --dialect as in the campaign)" if name == "nastran" else ""
+    return names and (
+        f"{names} of {name} are not used, because `modetune doctor --solver {name}`{dialect} has "
+        "not passed for this installation (its version and command line)"
+    )
+
+
+def _installation(program: Program) -> dict[str, Json]:
+    return {
+        "solver": program.name,
+        "version": program.version(),
+        "command": list(program.command(THREADS).arguments),
+    }
+
+
+def _place(program: Program) -> Path:
+    key = content_key(canonical_json(_installation(program)))
+    return user_home() / "self_tests" / f"{program.name}-{key[:16]}.json"

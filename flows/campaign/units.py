@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from modetune.adapters.solver import Solver
-from modetune.flows.campaign.schema import LengthUnit, Units
+
+Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
+LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 
 KILOGRAMS: dict[Units, float] = {
     "m-kg-s": 1.0,

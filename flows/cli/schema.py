@@ -16,7 +16,7 @@ def schema(
     ] = None,
 ) -> None:
     """Tell the JSON schema of campaign files, by which editors complete and check them."""
-    from modetune.flows.campaign.json_schema import schema_text
+    from modetune.flows.campaign.schema import schema_text
 
     text = schema_text()
     if out is None:

@@ -20,7 +20,7 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.mapping import TOLD, Mapping, pose_of
-from modetune.flows.campaign.measured import pairing_nodes
+from modetune.flows.campaign.test import pairing_nodes
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
 from modetune.flows.updating.finders import campaign_analysis

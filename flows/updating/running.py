@@ -18,9 +18,9 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.store import Store
 from modetune.flows.campaign.campaign import Campaign, cores, load_campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
-from modetune.flows.campaign.self_test import not_confirmed
 from modetune.flows.campaign.site import server_home
 from modetune.flows.campaign.sketch import looked_at
+from modetune.flows.campaign.solvers import not_confirmed
 from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, Plans

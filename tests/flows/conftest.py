@@ -57,9 +57,9 @@ from modetune.flows.campaign.schema import (
     E1Section,
     ReportSection,
     SensitivitySection,
+    SensorSection,
     UpdateSection,
 )
-from modetune.flows.campaign.sensors_section import SensorSection
 from modetune.flows.campaign.site import RetriesSection, RunSection
 from modetune.flows.jobs import prefect_server
 from modetune.flows.jobs.engine import JobEngine

@@ -16,8 +16,8 @@ from modetune.core.modes import Floats, ModeSet
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
-from modetune.flows.campaign.schema import ModelCheck, Units
-from modetune.flows.campaign.units import KILOGRAMS, METRES, unit_doubt
+from modetune.flows.campaign.schema import ModelCheck
+from modetune.flows.campaign.units import KILOGRAMS, METRES, Units, unit_doubt
 from modetune.flows.studies.check.findings import MODEL, Finding
 
 #: Structures that are tested, metres and kilograms; beyond it the units are likely wrong.

@@ -12,7 +12,7 @@ from modetune.core.parameters import DAMPING, QUANTITIES, Parameter
 from modetune.core.updating.judgement import NOTHING, UNSEEN_SHARE
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.campaign.self_test import not_confirmed
+from modetune.flows.campaign.solvers import not_confirmed
 from modetune.flows.studies.check.findings import PARAMETERS, Finding
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 

@@ -26,8 +26,8 @@ from modetune.core.parameters import Values
 from modetune.core.storage.record_file import is_record, read_record
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.campaign.measured import tracking_nodes
 from modetune.flows.campaign.sketch import YAML, is_deck, looked_at
+from modetune.flows.campaign.test import tracking_nodes
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.condensation.model import by_sensors, dof_arrays, full_model

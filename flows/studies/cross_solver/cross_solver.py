@@ -21,7 +21,7 @@ from modetune.core.storage.keys import Json
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.case import EXTRA_MODES
-from modetune.flows.campaign.measured import tracking_nodes
+from modetune.flows.campaign.test import tracking_nodes
 from modetune.flows.report.tables import Column, Table, json_object
 from modetune.flows.updating.modal_run import model_modes, parse_values
 

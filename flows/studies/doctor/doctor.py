@@ -20,9 +20,8 @@ from modetune.core.storage.files import storage_errors
 from modetune.core.storage.keys import Json
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import ModelFile, NastranDialect
-from modetune.flows.campaign.self_test import note_passed
 from modetune.flows.campaign.site import RunSection
-from modetune.flows.campaign.solvers import SOLVERS, registered
+from modetune.flows.campaign.solvers import SOLVERS, note_passed, registered
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.doctor.installation import look_around
 from modetune.flows.studies.doctor.lines import DoctorLine, Tell, without_names

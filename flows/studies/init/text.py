@@ -18,9 +18,9 @@ import yaml
 from modetune.core.errors import CampaignError
 from modetune.core.storage.files import writing
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.campaign.schema import CampaignFile, OpenFile, Units
+from modetune.flows.campaign.schema import CampaignFile, OpenFile
 from modetune.flows.campaign.sketch import campaign_name
-from modetune.flows.campaign.units import METRES
+from modetune.flows.campaign.units import METRES, Units
 from modetune.flows.studies.init.candidates import Candidate
 from modetune.flows.studies.init.draft import Draft, TestDraft, draft_campaign, keep
 

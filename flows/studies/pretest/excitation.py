@@ -17,8 +17,7 @@ from modetune.core.planning.excitation import (
     rigid_mass,
 )
 from modetune.core.planning.spacing import Spacing
-from modetune.flows.campaign.schema import Units
-from modetune.flows.campaign.units import KILOGRAMS
+from modetune.flows.campaign.units import KILOGRAMS, Units
 from modetune.flows.studies.pretest.candidates import CandidateSensors
 
 #: A mode of which the exciters reach less than this share of its largest motion is hardly driven.

@@ -11,8 +11,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.flows.campaign.schema import Units
-from modetune.flows.campaign.units import METRES
+from modetune.flows.campaign.units import METRES, Units
 from modetune.flows.studies.pretest.choice import PlacedSensor
 from modetune.flows.studies.pretest.running import Pretest
 

@@ -19,8 +19,8 @@ from modetune.core.storage.keys import Json
 from modetune.core.surface import display_surface, facets
 from modetune.flows.campaign.alignment import align_test
 from modetune.flows.campaign.mapping import tolerance_of
-from modetune.flows.campaign.measured import read_test
 from modetune.flows.campaign.solvers import bind_solver
+from modetune.flows.campaign.test import read_test
 from modetune.flows.campaign.units import METRES
 from modetune.flows.report.scene import packed
 from modetune.flows.studies.view.changes import Change, Part, part_of

@@ -29,7 +29,7 @@ from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign, store_of
-from modetune.flows.campaign.sensors_section import Triple
+from modetune.flows.campaign.schema import Triple
 from modetune.flows.report.page import page
 from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
 from modetune.flows.studies.view.live import LiveRecord, told_live

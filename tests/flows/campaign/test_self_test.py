@@ -11,9 +11,8 @@ import pytest
 from modetune.adapters.solver import Capabilities, Command, Program, Solver
 from modetune.core.errors import SolverMissing
 from modetune.flows.campaign.schema import ModelSection
-from modetune.flows.campaign.self_test import not_confirmed, note_passed, passed_here
 from modetune.flows.campaign.site import HOME_VARIABLE
-from modetune.flows.campaign.solvers import bind_solver
+from modetune.flows.campaign.solvers import bind_solver, not_confirmed, note_passed, passed_here
 
 SENSITIVITIES = frozenset(("frequency_sensitivities", "shape_sensitivities"))
 DECK = """\

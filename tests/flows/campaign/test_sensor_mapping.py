@@ -17,7 +17,7 @@ from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.flows.campaign.mapping import Mapping, map_sensors
-from modetune.flows.campaign.sensors_section import SensorSection
+from modetune.flows.campaign.schema import SensorSection
 from modetune.flows.cli.sensors import sensor_lines, sensor_table, told_sensors
 from modetune.flows.report import mesh_picture
 from modetune.flows.report.mesh_picture import save_sensor_picture

@@ -20,7 +20,7 @@ from modetune.core.storage.store import Store
 from modetune.flows.campaign.mapping import Mapping, map_sensors
 from modetune.flows.campaign.schema import NO_TEST, CampaignFile, OpenFile
 from modetune.flows.campaign.units import LENGTH_METRES, METRES
-from modetune.flows.campaign.weights import kept_sensors, weight_problems
+from modetune.flows.responses.residuals import kept_sensors, weight_problems
 
 #: Nodes whose shapes are kept where the test has no sensors, to track modes by.
 TRACKING_NODES = 500
@@ -76,9 +76,9 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
             f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
             f"{said} holds frequencies only"
         )
-    problems += weight_problems(
-        source, file, measurement, used_numbers(file, test), file.test.hold_out
-    )
+    used, held_out = used_numbers(file, test), file.test.hold_out
+    step = file.update.step
+    problems += weight_problems(source, file.residuals, step, measurement, used, held_out)
     return measurement
 
 

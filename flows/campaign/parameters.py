@@ -1,14 +1,25 @@
-"""A parameter of the campaign file, and its field: what of the model may change, and how far."""
+"""Parameters of a campaign: what of the model may change, and how far.
+
+A parameter that has a field becomes a parameter for each element or zone: the deck knows which
+elements the parameter scales, and its mesh which of them are neighbours. What zones share with
+others, a material or a section, is copied for them as for any elements that parameters name.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from modetune.adapters.solver import Solver
+from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of
+from modetune.core.modes import Integers
 from modetune.core.parameters import (
     QUANTITIES,
     Parameter,
@@ -17,7 +28,14 @@ from modetune.core.parameters import (
     ValueKind,
     counted_from,
 )
-from modetune.core.updating.fields import MOST_ZONES, Smoothing
+from modetune.core.updating.fields import (
+    MOST_ZONES,
+    Smoothing,
+    element_graph,
+    joined,
+    zones_of,
+)
+from modetune.core.updating.fields import Field as ZoneField
 from modetune.flows.responses.section import Finite, Name, Positive, Section
 
 #: Keys that name what a parameter's quantity belongs to.
@@ -168,3 +186,100 @@ class ParameterSection(Section):
 def targets_of(quantity: Quantity) -> str:
     """The keys that may name what a quantity belongs to, for messages."""
     return " or ".join(f"`{key}`" for key in QUANTITIES[quantity].targets) or "`solver: command`"
+
+
+def moved(source: YamlFile, columns: Sequence[int]) -> YamlFile:
+    """The file with the lines of these parameters where they are among themselves."""
+    lines = {key: line for key, line in source.lines.items() if key[:1] != ("parameters",)}
+    lines[("parameters",)] = source.lines.get(("parameters",), 1)
+    for now, column in enumerate(columns):
+        then = ("parameters", column)
+        lines |= {
+            ("parameters", now, *key[2:]): line
+            for key, line in source.lines.items()
+            if key[:2] == then
+        }
+    return replace(source, lines=lines)
+
+
+def with_fields(
+    source: YamlFile, given: Sequence[ParameterSection], solver: Solver, problems: list[str]
+) -> tuple[YamlFile, tuple[ParameterSection, ...], tuple[ZoneField, ...]]:
+    """Return the parameters with one for each zone, the fields, and the file with their lines.
+
+    solver: bound to the deck with the parameters as given. Problems of the deck or of the
+    parameters themselves are reported where they are read.
+    """
+    sections: list[ParameterSection] = []
+    places: list[int] = []
+    fields: list[ZoneField] = []
+    for place, item in enumerate(given):
+        found = [item]
+        if item.field is not None and not solver.deck.problems((item.parameter(),)):
+            try:
+                field, found = _expanded(item, item.field, solver)
+            except ModelError as error:
+                where = source.where(("parameters", place, "field"))
+                problems.append(f"{where}: parameters.{place}.field: {item.name}: {error}")
+            else:
+                start = sum(section.expression is None for section in sections)
+                fields.append(replace(field, columns=field.columns + start))
+        sections += found
+        places += [place] * len(found)
+    names = [item.name for item in sections]
+    problems += [
+        f"{source.where(('parameters', place))}: the name {name} is that of a field's zone too"
+        for place, name in zip(places, names, strict=True)
+        if names.count(name) > 1 and given[place].field is None
+    ]
+    return moved(source, places), tuple(sections), tuple(fields)
+
+
+def _expanded(
+    item: ParameterSection, asked: FieldSection, solver: Solver
+) -> tuple[ZoneField, list[ParameterSection]]:
+    """A field, its columns counted from 0, and its parameters. Raises ModelError."""
+    affected = solver.deck.affected_elements(item.parameter())
+    if affected is None:
+        raise ModelError(
+            f"{solver.program.name} does not tell which elements {item.quantity} scales here"
+        )
+    elements, centres, pairs = element_graph(solver.deck.mesh(), affected.elements)
+    each = asked.zones == "elements"
+    owners = np.arange(elements.size) if each else zones_of(centres, pairs, int(asked.zones))
+    n = int(owners.max()) + 1
+    if n > MOST_ZONES:
+        raise ModelError(
+            f"{n:,} elements, and a field may have {MOST_ZONES:,} values; ask for `zones: 200`"
+        )
+    if n < 2:
+        raise ModelError("a field has two zones or more; leave `field` out")
+    field = ZoneField(
+        item.name,
+        np.arange(n),
+        joined(pairs, owners),
+        elements,
+        owners,
+        centres,
+        asked.smoothing,
+        asked.length,
+    )
+    nothing: dict[str, object] = dict.fromkeys(TARGET_KEYS)
+    sections = [
+        item.model_copy(
+            update={
+                **nothing,
+                "name": f"{item.name}.{own[0]}" if each else f"{item.name}.zone{zone + 1}",
+                "element": _ranges(own),
+            }
+        )
+        for zone in range(n)
+        for own in [np.sort(elements[owners == zone])]
+    ]
+    return field, sections
+
+
+def _ranges(numbers: Integers) -> tuple[str, ...]:
+    """Element numbers as ranges, in ascending order."""
+    runs: Sequence[Integers] = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    return tuple(f"{run[0]}-{run[-1]}" if run.size > 1 else str(run[0]) for run in runs)
