@@ -28,9 +28,9 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.terminal import terminal
 from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study
-from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
-from modetune.flows.studies.identify.operational import OperationalModes, identified
-from modetune.flows.studies.identify.reading import SpectraSettings, read_functions
+from modetune.flows.studies.identify.identification import Identification, IdentificationSettings
+from modetune.flows.studies.identify.measured_functions import SpectraSettings, read_functions
+from modetune.flows.studies.identify.operational_modes import OperationalModes, identified
 from modetune.flows.studies.init.draft import Draft
 from modetune.flows.studies.init.text import init_campaign
 from modetune.flows.studies.requests import (
@@ -51,18 +51,18 @@ from modetune.flows.updating.updating import Progress, Unwatched
 
 if TYPE_CHECKING:
     from modetune.core.updating.results import ModalResult
-    from modetune.flows.studies.check.judging import PreCheckReport
-    from modetune.flows.studies.condensation.direct import DirectCorrection
-    from modetune.flows.studies.condensation.expand import Expansions
-    from modetune.flows.studies.condensation.reduce import ModelReduction
-    from modetune.flows.studies.correlate.correlate import Correlation
-    from modetune.flows.studies.cross_solver.cross_solver import Twin
-    from modetune.flows.studies.localise.localise import Localisation
-    from modetune.flows.studies.pretest.running import Pretest
+    from modetune.flows.studies.check.pre_check import PreCheckReport
+    from modetune.flows.studies.correlate.correlation import Correlation
+    from modetune.flows.studies.direct.correction import DirectCorrection
+    from modetune.flows.studies.expand.expansion import Expansions
+    from modetune.flows.studies.localise.localisation import Localisation
+    from modetune.flows.studies.pretest.plan import Pretest
+    from modetune.flows.studies.reduce.reduction import ModelReduction
     from modetune.flows.studies.sample.record import PosteriorRecord
     from modetune.flows.studies.scatter.record import ScatterRecord
     from modetune.flows.studies.screen.record import Screening
-    from modetune.flows.studies.validate.leave_out import Validation
+    from modetune.flows.studies.twin.solver_modes import Twin
+    from modetune.flows.studies.validate.validation import Validation
 
 StrPath = str | Path
 #: A campaign, the path of its file, or its keys with arrays in place of files.

@@ -14,7 +14,7 @@ from modetune.core.near_names import named
 from modetune.flows.cli.options import AsJson, NoPrefect, stoppable
 from modetune.flows.cli.output import print_end
 from modetune.flows.studies.catalogue import find_study
-from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import REQUIRED, Study, StudyParameter
 
 #: Options of every command that are no parameters of its study, and those that `deploy` has itself.
@@ -53,7 +53,7 @@ def command_of(
     return command
 
 
-def run_study(study: Study, parameters: Mapping[str, Any], no_prefect: bool) -> StudyEnd:
+def run_study(study: Study, parameters: Mapping[str, Any], no_prefect: bool) -> StudyResult:
     """Run a study with its progress on standard error. Raises the errors of the study."""
     from modetune.flows.jobs.progress import JobProgress
     from modetune.flows.report.terminal import terminal

@@ -19,7 +19,7 @@ from modetune.flows.cli.command import run_study
 from modetune.flows.cli.options import AsJson, begun, stoppable
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 from modetune.flows.studies.catalogue import find_study
-from modetune.flows.studies.ending import near
+from modetune.flows.studies.result import near
 
 if TYPE_CHECKING:
     from modetune.configs.claims import Beside, Claim
@@ -76,7 +76,7 @@ def _identify_modes(folder: Path) -> None:
     """Make lab.unv as the lab sends it, and identify modes.csv from it."""
     from modetune.adapters.test_files.measurements import read_measurement
     from modetune.configs.garteur.lab import BAND_HZ, write_lab
-    from modetune.flows.studies.identify.identify import (
+    from modetune.flows.studies.identify.identification import (
         IdentificationSettings,
         identify,
         write_modes,

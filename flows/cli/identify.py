@@ -18,9 +18,12 @@ from modetune.flows.report.tables import Column, json_object, table_of
 from modetune.flows.studies.study import Figures
 
 if TYPE_CHECKING:
-    from modetune.flows.studies.identify.identify import Identification, IdentificationSettings
-    from modetune.flows.studies.identify.operational import OperationalModes
-    from modetune.flows.studies.identify.reading import SpectraSettings
+    from modetune.flows.studies.identify.identification import (
+        Identification,
+        IdentificationSettings,
+    )
+    from modetune.flows.studies.identify.measured_functions import SpectraSettings
+    from modetune.flows.studies.identify.operational_modes import OperationalModes
 
 #: Functions that are named as the worst.
 WORST = 5
@@ -69,8 +72,8 @@ def identify(
         begun(f"reading {names}") as tell,
     ):
         from modetune.adapters.test_files.writing import check_out
-        from modetune.flows.studies.identify.operational import identified, write_identified
-        from modetune.flows.studies.identify.reading import read_functions
+        from modetune.flows.studies.identify.measured_functions import read_functions
+        from modetune.flows.studies.identify.operational_modes import identified, write_identified
 
         settings = _settings(band, order, pick, criteria)
         if out is not None:
@@ -95,7 +98,7 @@ def _settings(
     band: tuple[float, float] | None, order: int, pick: str | None, criteria: str
 ) -> IdentificationSettings:
     from modetune.core.measurement.stabilisation import Criteria
-    from modetune.flows.studies.identify.identify import IdentificationSettings
+    from modetune.flows.studies.identify.identification import IdentificationSettings
 
     picked = _numbers("--pick", pick) if pick else ()
     limits = _numbers("--criteria", criteria)
@@ -106,7 +109,7 @@ def _settings(
 
 def _spectra(estimator: str | None, segment: float | None, window: str | None) -> SpectraSettings:
     from modetune.core.measurement.time_histories import Estimator, Window
-    from modetune.flows.studies.identify.reading import SpectraSettings
+    from modetune.flows.studies.identify.measured_functions import SpectraSettings
 
     return SpectraSettings(
         None if estimator is None else named("--estimator", estimator, get_args(Estimator)),
@@ -148,7 +151,7 @@ def _told(
 ) -> tuple[dict[str, Json], list[str], tuple[Path, ...]]:
     """What the `--json` object has of response functions beside modes, or of none; the fit in a
     sentence; and the figures, written where they are asked for."""
-    from modetune.flows.studies.identify.identify import Identification
+    from modetune.flows.studies.identify.identification import Identification
 
     about = json_object(normalisation=found.modes.modes.normalisation)
     if not isinstance(found, Identification):

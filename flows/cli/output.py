@@ -11,7 +11,7 @@ from rich.text import Text
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Table, show
-from modetune.flows.studies.ending import StudyEnd, near
+from modetune.flows.studies.result import StudyResult, near
 
 
 def print_result(
@@ -24,7 +24,7 @@ def print_result(
         show(parts)
 
 
-def print_end(end: StudyEnd, as_json: bool) -> None:
+def print_end(end: StudyResult, as_json: bool) -> None:
     """Print the end of a study. Raises typer.Exit with its exit code unless that is 0."""
     result = end.to_json() if as_json else {}
     if as_json and end.json_file is not None:

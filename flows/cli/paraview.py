@@ -18,7 +18,7 @@ from modetune.flows.report.tables import json_object
 from modetune.flows.studies.study import Settings
 
 if TYPE_CHECKING:
-    from modetune.flows.studies.paraview.paraview import Series
+    from modetune.flows.studies.paraview import Series
 
 
 def paraview(
@@ -40,7 +40,7 @@ def paraview(
     as_json: AsJson = False,
 ) -> None:
     """Write mode shapes on the whole mesh, before and after updating, for ParaView."""
-    from modetune.flows.studies.paraview.paraview import (
+    from modetune.flows.studies.paraview import (
         open_source,
         states_of,
         write_field_file,

@@ -44,7 +44,7 @@ from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import Runner
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
 from modetune.flows.studies.catalogue import STUDIES, find_study
-from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Opened, Study
 from modetune.flows.updating.artifacts import files_sheet, result_sheets, table_sheet
 from modetune.flows.updating.run import CampaignRun
@@ -67,12 +67,12 @@ class Handed:
     opened: Opened | None = None
     own_process: bool = False
     began: bool = False
-    end: StudyEnd | None = None
+    end: StudyResult | None = None
     error: BaseException | None = None
     state: State[Any] | None = None
     lost: bool = False
 
-    def outcome(self) -> StudyEnd:
+    def outcome(self) -> StudyResult:
         """The end of the study. Raises what ended it."""
         if self.error is not None:
             raise self.error
@@ -246,7 +246,7 @@ def _carried(
     return made(name=name, message=reason, data=end.to_json())
 
 
-def _sheets(study: Study, name: str, end: StudyEnd) -> list[Any]:
+def _sheets(study: Study, name: str, end: StudyResult) -> list[Any]:
     if isinstance(end.found, CampaignRun):
         return result_sheets(end.found.record, end.found.folder)
     sheets = [table_sheet(name, table.title, table) for table in end.tables]

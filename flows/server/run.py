@@ -21,7 +21,7 @@ from modetune.flows.campaign.campaign import Campaign, campaign_form, cores
 from modetune.flows.campaign.schema import ModelFile
 from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import PoolRunner, Runner
-from modetune.flows.studies.ending import StudyEnd
+from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Opened, Study
 from modetune.flows.updating.updating import Progress
 
@@ -42,7 +42,7 @@ def carried_out(
     prefect: Literal["start", "find", "off"] = "start",
     campaign: Campaign | None = None,
     own_process: bool = False,
-) -> StudyEnd:
+) -> StudyResult:
     """Run a study.
 
     prefect: find or start a server, find one that is configured or running, or do without.
@@ -118,7 +118,7 @@ def _used(server: SharedServer | None) -> Iterator[None]:
         yield
 
 
-def _on_pool(study: Study, parameters: Mapping[str, Any], on: Opened) -> StudyEnd:
+def _on_pool(study: Study, parameters: Mapping[str, Any], on: Opened) -> StudyResult:
     """The study without Prefect: on threads, or on the campaign's Dask cluster."""
     with _plain_runner(on.loaded) as runner, running_with(StudyRun(runner)):
         return study.call(on, parameters)
@@ -138,7 +138,7 @@ def _plain_runner(campaign: Campaign | None) -> Iterator[Runner]:
 
 def _in_pipeline(
     study: Study, parameters: Mapping[str, Any], on: Opened, progress: Progress
-) -> StudyEnd:
+) -> StudyResult:
     """The study as a flow inside the flow that calls it, on that one's server."""
     from modetune.flows.server.flows import Handed, find_flow, handing
 
@@ -155,7 +155,7 @@ def _as_flow(
     progress: Progress,
     server: SharedServer,
     own_process: bool,
-) -> StudyEnd | None:
+) -> StudyResult | None:
     """The study as a flow on a server; None where the flow is refused before it begins."""
     from modetune.flows.server.prefect_client import prefect_client
 

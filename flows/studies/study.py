@@ -3,7 +3,7 @@
 A study is a function of what was opened for it and of its request, and returns its end:
 
     @study(ModelOptions)
-    def reduce(on: Opened, request: ReductionRequest, out: Out = None) -> StudyEnd:
+    def reduce(on: Opened, request: ReductionRequest, out: Out = None) -> StudyResult:
 
 Its parameters are the fields of the options, which say what to open, the fields of the request and
 the other arguments of the function, each described once: `Annotated[TYPE, typer.Option(...)]`. The
@@ -42,8 +42,8 @@ from typer.models import ArgumentInfo, OptionInfo
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
-from modetune.flows.studies.ending import StudyEnd, near
 from modetune.flows.studies.requests import FILE_OR_WORDS, is_file
+from modetune.flows.studies.result import StudyResult, near
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
@@ -389,7 +389,7 @@ class Study:
     """A study: its name, its function, and the options that say what to open for it."""
 
     name: str
-    function: Callable[..., StudyEnd]
+    function: Callable[..., StudyResult]
     options: type[StudyOptions]
 
     @property
@@ -483,7 +483,7 @@ class Study:
         progress.working(self.beginning(parameters))
         yield self._opening(parameters).open(progress, campaign)
 
-    def call(self, on: Opened, parameters: Mapping[str, Any]) -> StudyEnd:
+    def call(self, on: Opened, parameters: Mapping[str, Any]) -> StudyResult:
         """Run the study and write its page and figures. Raises the errors of its function."""
         values = self._values(parameters)
         given = {
@@ -520,10 +520,10 @@ def _of(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: values[name] for name in inspect.signature(kind).parameters}
 
 
-def study(options: type[StudyOptions]) -> Callable[[Callable[..., StudyEnd]], Study]:
+def study(options: type[StudyOptions]) -> Callable[[Callable[..., StudyResult]], Study]:
     """Make a study of a function, with these options that say what to open for it."""
 
-    def made(function: Callable[..., StudyEnd]) -> Study:
+    def made(function: Callable[..., StudyResult]) -> Study:
         return Study(function.__name__, function, options)
 
     return made

@@ -16,7 +16,7 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.localise.error_maps import OTHER_STIFFNESS
-from modetune.flows.studies.localise.localise import localise
+from modetune.flows.studies.localise.localisation import localise
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
 

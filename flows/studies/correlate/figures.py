@@ -16,7 +16,7 @@ from modetune.flows.report.chart import (
     HeatMap,
     Panel,
 )
-from modetune.flows.studies.correlate.correlate import Correlation, Side
+from modetune.flows.studies.correlate.correlation import Correlation, Side
 
 #: Sensors of which bars are drawn; the worst where there are more.
 BARS = 40

@@ -30,14 +30,14 @@ from modetune.flows.campaign.sketch import YAML, is_deck, looked_at
 from modetune.flows.campaign.test import tracking_nodes
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.studies.condensation.model import by_sensors, dof_arrays, full_model
-from modetune.flows.studies.correlate.correlate import (
+from modetune.flows.studies.correlate.correlation import (
     Correlation,
     Orthogonality,
     Side,
     correlate,
     orthogonality,
 )
+from modetune.flows.studies.full_model import by_sensors, dof_arrays, full_model
 from modetune.flows.studies.requests import MassReduction
 from modetune.flows.updating.baseline import State
 from modetune.flows.updating.finders import campaign_analysis

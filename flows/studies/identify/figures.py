@@ -16,7 +16,7 @@ from modetune.flows.report.charts import responses
 from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.report.page import write_chart
 from modetune.flows.report.responses import ResponseCurve
-from modetune.flows.studies.identify.identify import Identification
+from modetune.flows.studies.identify.identification import Identification
 
 #: Mark, colour, size and name of a pole, by what it agrees in with the order before.
 POLES: dict[Stability, tuple[str, str, float, str]] = {

@@ -16,8 +16,12 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
 from modetune.flows.campaign.mapping import Mapping
 from modetune.flows.campaign.sketch import DeckSketch, sketch_deck, sketched_campaign
-from modetune.flows.studies.identify.identify import IdentificationSettings, identify, write_modes
-from modetune.flows.studies.init.candidates import Candidate, candidates
+from modetune.flows.studies.identify.identification import (
+    IdentificationSettings,
+    identify,
+    write_modes,
+)
+from modetune.flows.studies.init.candidate_parameters import Candidate, candidates
 
 #: Settings of `test.sensors` that are tried, and what each means.
 POSES: tuple[tuple[dict[str, str], str], ...] = (

@@ -21,7 +21,7 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import CampaignFile, OpenFile
 from modetune.flows.campaign.sketch import campaign_name
 from modetune.flows.campaign.units import METRES, Units
-from modetune.flows.studies.init.candidates import Candidate
+from modetune.flows.studies.init.candidate_parameters import Candidate
 from modetune.flows.studies.init.draft import Draft, TestDraft, draft_campaign, keep
 
 #: Columns of the text.

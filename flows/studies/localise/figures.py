@@ -23,7 +23,7 @@ from modetune.core.updating.localisation import Removal
 from modetune.flows.report.chart import AFTER, BEFORE, Axis, Bars, Chart, Panel
 from modetune.flows.report.matplotlib_charts import new_figure, plain
 from modetune.flows.studies.localise.error_maps import ErrorMaps
-from modetune.flows.studies.localise.localise import Localisation
+from modetune.flows.studies.localise.localisation import Localisation
 
 #: Bars that can be told apart on a page.
 BARS = 30

@@ -18,7 +18,7 @@ from modetune.core.planning.excitation import (
 )
 from modetune.core.planning.spacing import Spacing
 from modetune.flows.campaign.units import KILOGRAMS, Units
-from modetune.flows.studies.pretest.candidates import CandidateSensors
+from modetune.flows.studies.pretest.candidate_sensors import CandidateSensors
 
 #: A mode of which the exciters reach less than this share of its largest motion is hardly driven.
 DRIVEN = 0.1

@@ -11,7 +11,7 @@ import pyvista as pv
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.flows.report.mesh_picture import ARROW, LABELS, PIXELS, mesh_picture
-from modetune.flows.studies.pretest.running import Pretest
+from modetune.flows.studies.pretest.plan import Pretest
 
 #: Colours of Okabe and Ito (2008), as in the other figures.
 SENSOR, EXCITER, SUSPENSION = "#0072B2", "#D55E00", "#009E73"

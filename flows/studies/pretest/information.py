@@ -24,7 +24,7 @@ from modetune.core.updating.weighting import even_weighting
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.report.tables import Column
-from modetune.flows.studies.pretest.candidates import CandidateSensors
+from modetune.flows.studies.pretest.candidate_sensors import CandidateSensors
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.evaluator import Evaluator
 

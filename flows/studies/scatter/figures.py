@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from modetune.core.modes import Floats
 from modetune.flows.report.chart import PARAMETER_COLOURS, TEST, Axis, Chart, Curve, Panel
 from modetune.flows.studies.scatter.record import ScatterRecord
-from modetune.flows.studies.scatter.telling import is_frequency
+from modetune.flows.studies.scatter.summary import is_frequency
 
 #: Pairs of neighbours that are drawn, at most; points of an ellipse.
 SHOWN, POINTS = 9, 181

@@ -14,7 +14,7 @@ from modetune.core.measurement.measurement import Measurement
 from modetune.core.storage.keys import Json
 from modetune.flows.report.chart import told_chart
 from modetune.flows.studies.identify.figures import stabilisation_chart
-from modetune.flows.studies.identify.identify import (
+from modetune.flows.studies.identify.identification import (
     Identification,
     IdentificationSettings,
     identify,

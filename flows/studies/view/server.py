@@ -32,7 +32,7 @@ from modetune.flows.campaign.campaign import load_campaign, store_of
 from modetune.flows.campaign.schema import Triple
 from modetune.flows.report.page import page
 from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
-from modetune.flows.studies.view.live import LiveRecord, told_live
+from modetune.flows.studies.view.live_record import LiveRecord, told_live
 from modetune.flows.studies.view.pairs import pairs_change, told_pairs
 from modetune.flows.studies.view.poles import Band, poles_change, told_poles
 from modetune.flows.studies.view.sensors import (

@@ -16,7 +16,7 @@ HEAVY = ("prefect", "matplotlib", "pyNastran", "polars", "pypardiso", "h5py", "s
          "scipy.stats", "scipy.sparse", "numpy", "pydantic", "yaml", "dask",
          "rich.markdown")  # fmt: skip
 #: A command that the others do not use.
-OTHER = "modetune.flows.studies.catalogue.screen"
+OTHER = "modetune.flows.studies.screen.study"
 TELL = f"import json, sys; print(json.dumps([n for n in {(*HEAVY, OTHER)!r} if n in sys.modules]))"
 
 

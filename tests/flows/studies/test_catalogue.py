@@ -18,14 +18,16 @@ from modetune.core.errors import CampaignError
 from modetune.core.updating.direct import Filling as CoreFilling
 from modetune.flows.cli.command import command_of
 from modetune.flows.studies.catalogue import STUDIES, find_study
-from modetune.flows.studies.ending import StudyEnd
 from modetune.flows.studies.requests import Filling
+from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Study
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.updating import Unwatched
 
 #: Parameters of the comparison with a baseline, which only the command offers.
 BASELINE = {"against", "record", "state", "frequency_band", "mac_band"}
+#: Where studies are defined.
+FOLDER = Path(inspect.getfile(Study)).parent
 #: A value of each type of JSON.
 VALUES: dict[Any, Any] = {bool: True, int: 3, float: 0.5, str: "text"}
 
@@ -37,9 +39,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
     def carried_out(
         study: Study, parameters: Mapping[str, Any], progress: object, **more: Any
-    ) -> StudyEnd:
+    ) -> StudyResult:
         found.append({"study": study, "parameters": parameters, "progress": progress, **more})
-        return StudyEnd("found", "", {})
+        return StudyResult("found", "", {})
 
     monkeypatch.setattr("modetune.flows.api.carried_out", carried_out)
     monkeypatch.setattr("modetune.flows.server.run.carried_out", carried_out)
@@ -65,10 +67,15 @@ def filled(study: Study) -> dict[str, Any]:
     return values
 
 
-def test_each_study_is_the_module_of_its_name() -> None:
+def test_each_study_is_defined_once_below_its_name() -> None:
     assert [find_study(name).name for name in STUDIES] == list(STUDIES)
-    folder = Path(inspect.getfile(find_study("screen").function)).parent
-    assert {path.stem for path in folder.glob("[a-z]*.py")} == set(STUDIES)
+    defined = {
+        path.relative_to(FOLDER).with_suffix("").as_posix().replace("/", ".")
+        for path in FOLDER.rglob("*.py")
+        if "\n@study(" in path.read_text()
+    }
+    assert defined == set(STUDIES.values())
+    assert all(place in (name, f"{name}.study") for name, place in STUDIES.items())
 
 
 @pytest.mark.parametrize("name", STUDIES)

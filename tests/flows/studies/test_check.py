@@ -31,11 +31,11 @@ from modetune.flows.campaign.mapping import SensorRow
 from modetune.flows.campaign.schema import SensitivitySection, UpdateSection
 from modetune.flows.cli.command import command_of
 from modetune.flows.studies.catalogue import find_study
-from modetune.flows.studies.catalogue.check import check_summary
 from modetune.flows.studies.check.findings import Finding, worst
-from modetune.flows.studies.check.judging import NO_RUN, PreCheckReport, check_campaign, judged
 from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.pairing import preview, unmeasured
+from modetune.flows.studies.check.pre_check import NO_RUN, PreCheckReport, check_campaign, judged
+from modetune.flows.studies.check.study import check_summary
 from modetune.flows.updating.running import update_campaign
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
 from tests.node_sensors import by_number

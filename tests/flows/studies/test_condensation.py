@@ -298,7 +298,7 @@ def test_bad_input_is_one_sentence_with_its_place(
 def test_a_large_model_is_to_be_reduced_before_it_is_corrected(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("modetune.flows.studies.condensation.direct.MOST", 7)
+    monkeypatch.setattr("modetune.flows.studies.direct.correction.MOST", 7)
     test, _ = measured_of("chain.yaml", [1, 3, 8], "x", 2)
     with pytest.raises(CampaignError, match=r"modetune reduce --out reduced\.yaml"):
         modetune.direct("chain.yaml", test)

@@ -28,7 +28,7 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.flows.cli.command import command_of
 from modetune.flows.report.matplotlib_charts import matplotlib_figure, save_all
 from modetune.flows.studies.catalogue import find_study
-from modetune.flows.studies.correlate.correlate import Side, correlate
+from modetune.flows.studies.correlate.correlation import Side, correlate
 from modetune.flows.studies.correlate.figures import correlation_charts, heat_chart
 from modetune.flows.studies.correlate.sides import correlate_sources, source
 from modetune.flows.updating.running import update_campaign

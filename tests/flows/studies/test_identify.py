@@ -22,7 +22,7 @@ from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.stabilisation import Criteria
 from modetune.core.modes import Floats
 from modetune.flows.studies.identify.figures import write_figures
-from modetune.flows.studies.identify.identify import (
+from modetune.flows.studies.identify.identification import (
     Identification,
     IdentificationSettings,
     identify,

@@ -27,7 +27,7 @@ from modetune.flows.report.matplotlib_charts import save, save_all
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.localise.error_maps import OTHER_MASS, OTHER_STIFFNESS
 from modetune.flows.studies.localise.figures import localisation_figures, on_surface, surface_figure
-from modetune.flows.studies.localise.localise import Localisation, localise, place_of
+from modetune.flows.studies.localise.localisation import Localisation, localise, place_of
 from modetune.flows.updating.finders import campaign_analysis
 from modetune.flows.updating.running import job_engine, update_campaign
 

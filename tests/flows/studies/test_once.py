@@ -13,8 +13,8 @@ from modetune.core.errors import CampaignError
 from modetune.core.parameters import Quantity
 from modetune.core.storage.record import RunCounts
 from modetune.flows.campaign.campaign import Campaign, load_campaign, load_model
-from modetune.flows.studies.check.judging import PreCheckReport, check_campaign
-from modetune.flows.studies.pretest.running import Pretest, run_pretest
+from modetune.flows.studies.check.pre_check import PreCheckReport, check_campaign
+from modetune.flows.studies.pretest.plan import Pretest, run_pretest
 from modetune.flows.studies.requests import PretestSettings
 from modetune.flows.updating.running import update_campaign
 from tests.adapters.solved import needs_ccx

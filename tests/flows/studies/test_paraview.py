@@ -20,7 +20,7 @@ from modetune.core.modes import Floats
 from modetune.core.storage.record_file import write_record
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.paraview import paraview as paraview_command
-from modetune.flows.studies.paraview.paraview import (
+from modetune.flows.studies.paraview import (
     SeriesSource,
     open_source,
     states_of,
@@ -194,9 +194,7 @@ def test_another_campaign_than_the_records_is_refused(
 ) -> None:
     run = update_campaign(bench.campaign(TRUTH), tmp_path / "runs" / "chain", watcher)
     other = bench.campaign({"k3": 1.1})
-    monkeypatch.setattr(
-        "modetune.flows.studies.paraview.paraview.load_campaign", lambda *rest: other
-    )
+    monkeypatch.setattr("modetune.flows.studies.paraview.load_campaign", lambda *rest: other)
     with pytest.raises(CampaignError, match=r"has the parameters k1, k2, but .* has k3"):
         open_source(bench.folder / "chain.yaml", [], run.folder.parent)
 

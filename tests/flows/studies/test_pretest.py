@@ -26,8 +26,8 @@ from modetune.flows.campaign.schema import ModelFile
 from modetune.flows.cli.command import command_of
 from modetune.flows.report.mesh_picture import can_draw
 from modetune.flows.studies.catalogue import find_study
-from modetune.flows.studies.catalogue.pretest import pretest_summary
-from modetune.flows.studies.pretest.running import run_pretest
+from modetune.flows.studies.pretest.plan import run_pretest
+from modetune.flows.studies.pretest.study import pretest_summary
 from modetune.flows.studies.requests import PretestSettings, parse_modes
 from tests.adapters.solved import needs_ccx
 

@@ -18,8 +18,8 @@ from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.time_histories import TimeHistories, response_functions
 from modetune.core.modes import Floats
-from modetune.flows.studies.identify.identify import Identification
-from modetune.flows.studies.identify.operational import OperationalModes
+from modetune.flows.studies.identify.identification import Identification
+from modetune.flows.studies.identify.operational_modes import OperationalModes
 from tests.command_line import run_command
 
 

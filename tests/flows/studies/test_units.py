@@ -13,7 +13,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.mesh import Cells, Mesh, cell_sizes
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.units import guessed_units, unit_doubt
-from modetune.flows.studies.check.judging import check_campaign
+from modetune.flows.studies.check.pre_check import check_campaign
 
 #: A steel plate of 100 x 100 x 2 mm with a film of 0.01 mm whose modulus is a dummy.
 PLATE = """\

@@ -25,7 +25,7 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.mode_tables import held_out_lines, held_out_table
 from modetune.flows.report.page import page
 from modetune.flows.report.tables import show
-from modetune.flows.studies.validate.leave_out import leave_one_out, leave_out, validate
+from modetune.flows.studies.validate.validation import leave_one_out, leave_out, validate
 from modetune.flows.updating.display import held_out_parts
 from modetune.flows.updating.recording import summary
 from modetune.flows.updating.running import update_campaign

@@ -13,19 +13,19 @@ import pytest
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.localise.localise import Localisation, localise
-from modetune.flows.studies.pretest.running import Pretest, run_pretest
+from modetune.flows.studies.localise.localisation import Localisation, localise
+from modetune.flows.studies.pretest.plan import Pretest, run_pretest
 from modetune.flows.studies.requests import (
     PlacementMethod,
     PretestSettings,
     SamplingRequest,
     ScreeningRequest,
 )
-from modetune.flows.studies.sample import density, sampling
-from modetune.flows.studies.sample.running import sample_campaign
+from modetune.flows.studies.sample import chains, density
+from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import screen_campaign
-from modetune.flows.studies.validate.leave_out import Validation, leave_one_out
+from modetune.flows.studies.screen.screening import screen_campaign
+from modetune.flows.studies.validate.validation import Validation, leave_one_out
 from modetune.flows.updating import by_range
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.finders import REDUCED
@@ -161,7 +161,7 @@ def test_a_reduced_model_that_the_solver_does_not_confirm_gives_way_to_runs(
 def test_what_a_screening_ran_no_other_study_and_no_update_runs_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sampling, "LONGEST", 1)  # how long the chains are does not matter here
+    monkeypatch.setattr(chains, "LONGEST", 1)  # how long the chains are does not matter here
     monkeypatch.setattr(density, "DRAWN", 24)
     monkeypatch.setattr(density, "STARTS", 2)
     file = written(BAR, tmp_path / "bar")

@@ -16,7 +16,7 @@ from modetune.configs.cases import write_case
 from modetune.core.errors import CampaignError, LicenceDenied, SolverRejected
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.cross_solver.cross_solver import run_twin
+from modetune.flows.studies.twin.solver_modes import run_twin
 from modetune.flows.updating.modal_run import model_modes
 from modetune.flows.updating.running import update_campaign
 from modetune.flows.updating.updating import Unwatched

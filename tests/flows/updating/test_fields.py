@@ -30,7 +30,7 @@ from modetune.flows.report.charts import campaign_charts
 from modetune.flows.report.field_tables import SHOWN, brief_record, told_fields
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.page import page
-from modetune.flows.studies.paraview.paraview import SeriesSource, write_field_file
+from modetune.flows.studies.paraview import SeriesSource, write_field_file
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.running import job_engine, update_campaign
 from tests.adapters.ccx_decks import plate

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.studies.check.judging import check_campaign
+from modetune.flows.studies.check.pre_check import check_campaign
 from modetune.flows.updating.modal_run import model_modes
 from modetune.flows.updating.running import update_campaign
 

@@ -15,9 +15,9 @@ from modetune.core.modes import MeasuredModes, mode_set
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.requests import SamplingRequest, ScreeningRequest
-from modetune.flows.studies.sample.running import sample_campaign
-from modetune.flows.studies.screen.running import screen_campaign
-from modetune.flows.studies.validate.leave_out import leave_one_out
+from modetune.flows.studies.sample.posterior import sample_campaign
+from modetune.flows.studies.screen.screening import screen_campaign
+from modetune.flows.studies.validate.validation import leave_one_out
 from modetune.flows.updating.poses import by_shapes, settled
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched

@@ -18,7 +18,7 @@ from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import screen_campaign
+from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating import stored_modes
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of

@@ -18,7 +18,7 @@ from modetune.flows.jobs.tasks import StudyRun, Tasks, running_with
 from modetune.flows.jobs.watching import Ended, doing
 from modetune.flows.jobs.work import Computation, Piece, PoolRunner, Task, TaskEnd, task_end
 from modetune.flows.studies.requests import ScreeningRequest
-from modetune.flows.studies.screen.running import screen_campaign
+from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating.starts import update_from_starts
 from modetune.flows.updating.updating import Unwatched
 from tests.adapters.solved import needs_ccx

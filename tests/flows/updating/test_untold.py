@@ -18,7 +18,7 @@ from rich.console import Console
 
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.page import page
-from modetune.flows.studies.check.judging import check_campaign
+from modetune.flows.studies.check.pre_check import check_campaign
 from modetune.flows.updating.display import show_run
 from modetune.flows.updating.modal_run import model_modes
 from modetune.flows.updating.recording import summary

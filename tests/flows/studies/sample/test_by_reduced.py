@@ -10,10 +10,10 @@ import pytest
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.requests import SamplingRequest
-from modetune.flows.studies.sample import learning, running
+from modetune.flows.studies.sample import posterior, refinement
+from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.running import sample_campaign
-from modetune.flows.studies.sample.telling import ITSELF, findings
+from modetune.flows.studies.sample.summary import ITSELF, findings
 from modetune.flows.updating.updating import Unwatched
 from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_by_matrices import BAR, JOINT, Case, written
@@ -75,7 +75,7 @@ def on_grid(n_modes: int) -> tuple[Floats, Floats]:
 def test_all_hills_are_those_of_a_grid(n_modes: int, tmp_path: Path) -> None:
     campaign = load_campaign(row_of_masses(tmp_path, n_modes), [])
     record = sample_campaign(campaign, SamplingRequest(), Unwatched().working)
-    assert record.density_error <= learning.GOOD
+    assert record.density_error <= refinement.GOOD
     points, share = on_grid(n_modes)
     samples, size = record.samples, float(record.effective_sizes.min())
     # The row is the same from both ends, and so are the hills.
@@ -121,7 +121,7 @@ def test_samples_of_a_surrogate_are_as_likely_by_the_reduced_model(
     # So many checks are sets of the reduced model: none of them was learned from.
     assert len(record.check_keys) == 100
     assert record.check_errors.max() < 0.1
-    assert record.density_error <= learning.EXACT
+    assert record.density_error <= refinement.EXACT
 
 
 @needs_ccx
@@ -138,8 +138,8 @@ def test_halves_that_may_be_exchanged_have_as_many_samples_either_way(tmp_path: 
 def test_where_no_surrogate_is_good_enough_the_reduced_model_itself_gives_the_samples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learning, "MOST_SETS", 0)  # none to learn from
-    monkeypatch.setattr(running, "LONGEST", 1)
+    monkeypatch.setattr(refinement, "MOST_SETS", 0)  # none to learn from
+    monkeypatch.setattr(posterior, "LONGEST", 1)
     record = sampled(written(JOINT, tmp_path / "part"), walkers=8, steps=100)
     assert record.by_reduced_model
     assert record.check_errors.max() < 0.1

@@ -14,11 +14,11 @@ from modetune.core.modes import Floats
 from modetune.core.updating.weighting import Weighting, even_weighting
 from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.studies.requests import SamplingRequest
-from modetune.flows.studies.sample import running
+from modetune.flows.studies.sample import posterior
 from modetune.flows.studies.sample.figures import posterior_figures
+from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
-from modetune.flows.studies.sample.running import sample_campaign
-from modetune.flows.studies.sample.telling import findings, told
+from modetune.flows.studies.sample.summary import findings, told
 from modetune.flows.updating.running import update_campaign
 from tests.core.storage.test_seal import refused_when_damaged
 
@@ -125,7 +125,7 @@ def test_shapes_narrow_the_posterior(bench: Any, watcher: Any, record: Posterior
 def test_two_answers_to_one_test_are_told(
     bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(running, "LONGER", 2)  # chains through both are long
+    monkeypatch.setattr(posterior, "LONGER", 2)  # chains through both are long
     # Two frequencies and two springs: exchanging stiffness between the chain's ends fits again.
     campaign = bench.campaign({"k1": 1.6, "k7": 0.7}, (1, 2))
     loose = tuple(replace(item, standard_deviation=3.0) for item in campaign.parameters.parameters)

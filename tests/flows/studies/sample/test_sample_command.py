@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from modetune.core.errors import CampaignError
 from modetune.flows.cli.main import app
-from modetune.flows.studies.sample import learning
+from modetune.flows.studies.sample import refinement
 
 SIX_MASS = Path(__file__).resolve().parents[4] / "configs" / "six_mass"
 CAMPAIGN = """
@@ -73,7 +73,7 @@ def test_the_shipped_campaign_without_a_number_of_points_learns_until_it_is_good
     told = json.loads(result.stdout)
     assert told["status"] == "done"
     # Forty runs near the posterior left it at 0.42.
-    assert told["density_error"] <= learning.GOOD
+    assert told["density_error"] <= refinement.GOOD
 
 
 def test_a_record_that_is_not_there_is_one_sentence(folder: Path) -> None:

@@ -11,9 +11,9 @@ from scipy.stats import truncnorm
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
+from modetune.flows.studies.sample.chains import Chains, check_walkers, sample, split_r_hat
 from modetune.flows.studies.sample.density import Posterior, find_peaks
 from modetune.flows.studies.sample.limits import UNIT, ResponseLimits
-from modetune.flows.studies.sample.sampling import Chains, check_walkers, sample, split_r_hat
 
 
 def chains_of(posterior: Posterior, steps: int = 3000, walkers: int = 32, seed: int = 3) -> Chains:

@@ -14,11 +14,11 @@ from modetune.core.errors import ModesError
 from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult, Result
 from modetune.flows.studies.requests import ScreeningRequest
-from modetune.flows.studies.screen import telling
+from modetune.flows.studies.screen import summary
 from modetune.flows.studies.screen.notes import notes
 from modetune.flows.studies.screen.record import Screening
-from modetune.flows.studies.screen.running import screen_campaign
-from modetune.flows.studies.screen.telling import lines, tables, told
+from modetune.flows.studies.screen.screening import screen_campaign
+from modetune.flows.studies.screen.summary import lines, tables, told
 from modetune.flows.updating.updating import Unwatched
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, recased
 
@@ -125,7 +125,7 @@ def test_tables_that_have_not_all_modes_say_so(
     found = screened(bench, ScreeningRequest("morris", points=12, seed=2))
     n = len(found.modes)
     assert not any("the first" in table.title for table in tables(found))
-    monkeypatch.setattr(telling, "SHOWN", n - 1)
+    monkeypatch.setattr(summary, "SHOWN", n - 1)
     titles = [table.title for table in tables(found) if "the first" in table.title]
     assert len(titles) >= 2
     assert all(title.endswith(f"the first {n - 1} of {n} test modes") for title in titles)

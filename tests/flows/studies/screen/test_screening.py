@@ -25,8 +25,8 @@ from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.studies.requests import ScreeningMethod, ScreeningRequest
 from modetune.flows.studies.screen.figures import screening_charts
 from modetune.flows.studies.screen.record import SCREENING, Screening
-from modetune.flows.studies.screen.running import screen_campaign
-from modetune.flows.studies.screen.telling import lines, tables, told
+from modetune.flows.studies.screen.screening import screen_campaign
+from modetune.flows.studies.screen.summary import lines, tables, told
 from modetune.flows.updating.updating import Unwatched
 from tests.core.storage.test_seal import refused_when_damaged
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, chain_modes, recased

@@ -15,7 +15,7 @@ from modetune.core.storage.store import Store
 from modetune.flows.jobs.job import NOTE_FILE, JobNote
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.jobs.store_files import in_use
-from modetune.flows.studies.view.live import LiveRecord, told_live
+from modetune.flows.studies.view.live_record import LiveRecord, told_live
 from modetune.flows.updating import unfinished
 from modetune.flows.updating.running import update_campaign
 

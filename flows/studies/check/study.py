@@ -1,0 +1,287 @@
+"""`modetune check`: the pre-check of a campaign, and the comparison with a baseline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.core.errors import CampaignError
+from modetune.core.storage.keys import Json
+from modetune.flows.report.tables import Column, Table, json_object, show, table_of
+from modetune.flows.studies.requests import ModelState
+from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.study import (
+    ModelPath,
+    Opened,
+    SolverChoice,
+    StudyOptions,
+    UnitsChoice,
+    study,
+    with_model,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.report.ci_files import CheckOutcome
+    from modetune.flows.studies.check.findings import Finding
+    from modetune.flows.studies.check.model import ModelFacts
+    from modetune.flows.studies.check.pre_check import PreCheckReport
+    from modetune.flows.updating.baseline import Band
+    from modetune.flows.updating.updating import Progress
+
+MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
+
+BaselineState = Annotated[
+    ModelState, typer.Option(help="Which model of the baseline: updated, or initial.")
+]
+FrequencyBand = Annotated[
+    float, typer.Option(min=0.0, help="How much larger a relative frequency error may be.")
+]
+MacBand = Annotated[float, typer.Option(min=0.0, max=1.0, help="How much smaller a MAC may be.")]
+
+
+@dataclass(frozen=True)
+class CheckOptions(StudyOptions):
+    """Options of the pre-check of a campaign or a deck, or of the comparison with a baseline."""
+
+    campaign_file: ModelPath
+    test: Annotated[
+        list[Path] | None, typer.Argument(help="Beside a deck: the files of its test.")
+    ] = None
+    solver: SolverChoice = None
+    units: UnitsChoice = None
+    no_run: Annotated[bool, typer.Option("--no-run", help="Judge without a solver run.")] = False
+    against: Annotated[
+        Path | None, typer.Option(help="A campaign.h5 whose errors the model must not exceed.")
+    ] = None
+    record: Annotated[
+        Path | None,
+        typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
+    ] = None
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        if self.record is not None and self.against is None:
+            raise CampaignError(
+                "--record requires a baseline to compare with; name one with --against"
+            )
+        if self.against is not None and self.no_run and self.record is None:
+            raise CampaignError("--against needs a solver run; with --record nothing is run")
+        from modetune.flows.campaign.campaign import load_campaign
+        from modetune.flows.campaign.sketch import looked_at
+
+        changed = with_model(self.settings, self.solver, self.units)
+        if campaign is None and self.against is not None:
+            campaign = load_campaign(self.campaign_file, changed)
+        campaign = campaign or looked_at(self.campaign_file, changed, self.test or [])
+        return Opened(campaign.name, progress, campaign)
+
+    @property
+    def solves(self) -> bool:
+        return self.record is None and not self.no_run
+
+
+@study(CheckOptions)
+def check(
+    on: Opened,
+    options: CheckOptions,
+    state: BaselineState = "updated",
+    frequency_band: FrequencyBand = 0.01,
+    mac_band: MacBand = 0.05,
+    summary: Annotated[
+        Path | None, typer.Option(help="Add what was found to this file, in Markdown.")
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option(help="Write what was found as a JUnit report (XML).")
+    ] = None,
+) -> StudyResult:
+    """Judge campaign, test and model before updating, at the cost of what updating begins with.
+
+    Without a campaign file: a deck alone, or with the files of its test. With --against the model
+    is solved at the deck's values and compared with a baseline.
+    """
+    if options.against is not None:
+        from modetune.flows.updating.baseline import Band
+
+        band = Band(frequency_band, mac_band)
+        end, outcome = _compared(on.campaign, options.against, options.record, state, band)
+    else:
+        from modetune.flows.studies.check.pre_check import check_campaign
+
+        on.working("modes at the start")
+        report = check_campaign(on.campaign, run=not options.no_run)
+        end, outcome = _judged(on.campaign, report), _outcome(on.name, report)
+    outcome.write(summary, junit)
+    return end
+
+
+def _judged(campaign: Campaign, report: PreCheckReport) -> StudyResult:
+    """The end of a pre-check."""
+    wrong = [_finding(item) for item in report.findings if item.level == "wrong"]
+    return StudyResult(
+        report,
+        _end(report),
+        check_summary(campaign, report),
+        _tables(report),
+        written=None,
+        doubts=wrong,
+        status=report.level,
+        exit_code=report.exit_code,
+        shown=partial(_show, campaign, report),
+    )
+
+
+def check_summary(campaign: Campaign, report: PreCheckReport) -> dict[str, Json]:
+    """Return the JSON object of a pre-check."""
+    model = campaign.case.solver.deck.summary
+    return json_object(
+        report,
+        "findings modes exit_code",
+        status=report.level,
+        name=campaign.name,
+        model=model.name,
+        nodes=len(model.node_ids),
+        elements=model.n_elements,
+        parameters=campaign.parameters.names,
+        test_modes=campaign.test.numbers,
+        sensors=campaign.test.modes.n_dof,
+        store=campaign.store.folder,
+        facts=_told_facts(report.facts) if report.facts else None,
+        energy_shares={item.parameter: item.shares for item in report.shares},
+        solver_runs=report.runs,
+    )
+
+
+def _told_facts(facts: ModelFacts) -> dict[str, Json]:
+    body = facts.body
+    return json_object(
+        facts,
+        "size_m mass mass_kg mass_by rigid_hz elastic_hz",
+        mass_of_rigid_modes=body.mass if body else None,
+        centre=body.centre if body else None,
+        inertia=body.inertia if body else None,
+        inertia_missing=facts.body_missing,
+        rigid_modes=facts.n_rigid,
+    )
+
+
+def _show(campaign: Campaign, report: PreCheckReport, console: Console) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    model = campaign.case.solver.deck.summary
+    head = (
+        f"{campaign.name}: model {model.name} ({len(model.node_ids)} nodes, "
+        f"{model.n_elements} elements), {', '.join(_sizes(campaign))}"
+    )
+    show([head, *_tables(report)], console)
+    for item in sorted(report.findings, key=lambda item: item.level == "good"):
+        level = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
+        said = Text(_finding(item))
+        if not console.is_terminal:  # there a finding stays one line
+            show([level + said], console)
+            continue
+        row = Table.grid(padding=0)  # a long sentence goes on under its own beginning
+        row.add_column(width=len(level), no_wrap=True)
+        row.add_column(overflow="fold")
+        row.add_row(level, said)
+        console.print(row)
+    show([_end(report)], console)
+
+
+def _sizes(campaign: Campaign) -> list[str]:
+    """What of test and parameters there is."""
+    test, n = campaign.test, len(campaign.parameters)
+    tested = f"{len(test.numbers)} test modes at {test.modes.n_dof} sensors"
+    return [tested if test.numbers else "no test", f"{n} parameters" if n else "no parameters"]
+
+
+def _tables(report: PreCheckReport) -> list[Table]:
+    from modetune.flows.studies.check.pairing import ModePreview
+
+    modes = table_of("Modes before updating", report.modes, ModePreview)
+    return [modes, _energy_table(report)]
+
+
+def _end(report: PreCheckReport) -> str:
+    counts = {level: sum(item.level == level for item in report.findings) for level in MARKS}
+    runs = report.runs
+    made = runs.modal + runs.sensitivity
+    ran = "1 solver run" if made == 1 else f"{made} solver runs"
+    without = "no solver run" + (", answered by the store" if report.facts is not None else "")
+    cost = ran if made else without
+    return f"{report.level}: {counts['wrong']} wrong, {counts['doubtful']} doubtful; {cost}"
+
+
+def _energy_table(report: PreCheckReport) -> Table:
+    columns = [Column("parameter", words=True)]
+    columns += [Column(f"mode {mode.mode}", form=".1f") for mode in report.modes]
+    columns.append(Column("energy", words=True))
+    rows = tuple((item.parameter, *(100.0 * item.shares), item.energy) for item in report.shares)
+    return Table("Energy by parameter, % of each test mode", tuple(columns), rows)
+
+
+def _compared(
+    campaign: Campaign, baseline: Path, record: Path | None, state: ModelState, band: Band
+) -> tuple[StudyResult, CheckOutcome]:
+    """Compare a campaign's model, or that of a record, with a baseline's."""
+    from modetune.flows.report.ci_files import CheckOutcome, Judged
+    from modetune.flows.updating.baseline import ModeCheck, check_deck, check_record
+
+    found = (
+        check_deck(campaign, baseline, state, band)
+        if record is None
+        else check_record(campaign, record, baseline, state, band)
+    )
+    outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
+    table = table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
+    said = "within the band" if found.within else f"worse than the baseline: {found.reason}"
+    end = StudyResult(
+        found,
+        said,
+        json_object(
+            found,
+            "reason modes remarks",
+            status="within" if found.within else "worse",
+            state=state,
+            frequency_band=band.frequency,
+            mac_band=band.mac,
+            solver_runs=found.runs,
+        ),
+        [table],
+        [*found.remarks, said],
+        doubts=[] if found.within else [said],
+        status="within the band" if found.within else "worse",
+        exit_code=0 if found.within else 3,
+    )
+    judged = [Judged(f"mode {mode.label}", ", ".join(mode.reasons)) for mode in found.modes]
+    if not judged:  # a mode was lost
+        judged = [Judged("modes", found.reason)]
+    return end, CheckOutcome(campaign.name, said, (table,), found.remarks, tuple(judged))
+
+
+def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
+    """What the pre-check found, for CI: only what is wrong fails."""
+    from modetune.flows.report.ci_files import CheckOutcome, Judged
+    from modetune.flows.studies.check.pairing import ModePreview
+
+    said = [(item.subject, item.level, _finding(item)) for item in report.findings]
+    remarks = tuple(
+        f"{level}: {subject}: {text}" for subject, level, text in said if level != "good"
+    )
+    judged = tuple(
+        Judged(f"{subject}: {text}", text if level == "wrong" else "")
+        for subject, level, text in said
+    )
+    table = table_of("Modes before updating", report.modes, ModePreview)
+    return CheckOutcome(name, _end(report), (table,) if table.rows else (), remarks, judged)
+
+
+def _finding(item: Finding) -> str:
+    where = f"{item.where}: " if item.where else ""
+    return f"{where}{item.what}{f'; {item.remedy}' if item.remedy else ''}"

@@ -1,1 +1,0 @@
-"""Reduction, expansion and direct methods on a model's own matrices."""

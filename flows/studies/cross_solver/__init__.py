@@ -1,1 +1,0 @@
-"""One model on several solvers, modes side by side."""

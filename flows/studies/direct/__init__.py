@@ -1,0 +1,1 @@
+"""Whole matrices corrected from measured modes."""

@@ -1,0 +1,66 @@
+"""`modetune direct`: whole matrices corrected from measured modes, and what that breaks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.core.storage.keys import Json
+from modetune.flows.report.tables import json_object, table_of
+from modetune.flows.studies.requests import DirectMethod, Filling
+from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.study import ModelOptions, Opened, study
+
+if TYPE_CHECKING:
+    from modetune.flows.studies.direct.correction import DirectCorrection
+
+
+@study(ModelOptions)
+def direct(
+    on: Opened,
+    method: Annotated[
+        DirectMethod,
+        typer.Option(
+            help="berman (mass and stiffness), baruch (stiffness alone) or error_matrix "
+            "(first order)."
+        ),
+    ] = "berman",
+    filling: Annotated[
+        Filling,
+        typer.Option(help="How unmeasured unknowns are filled: kidder, static, serep or model."),
+    ] = "kidder",
+    mass_normalised: Annotated[
+        bool,
+        typer.Option(
+            "--mass-normalised",
+            help="The test's shapes are of unit modal mass in the model's own unit.",
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml.")
+    ] = None,
+) -> StudyResult:
+    """Correct stiffness and mass as whole matrices, and tell what that breaks in them."""
+    from modetune.adapters.matrices.export import check_form, write_matrices
+    from modetune.flows.studies.direct.correction import CorrectedMode, correct_directly
+
+    if out is not None:
+        check_form(out)
+    found = correct_directly(on.campaign, on.values, method, filling, mass_normalised)
+    written = write_matrices(out, found.matrices) if out is not None else ()
+    lines = [*found.notes, found.sentence]
+    tables = [table_of("Modes of the corrected model", found.modes, CorrectedMode)]
+    return StudyResult(found, found.sentence, summary(found), tables, lines, written)
+
+
+def summary(found: DirectCorrection) -> dict[str, Json]:
+    """Return the JSON object of a direct correction."""
+    return json_object(
+        found,
+        "method filling imposed lost modes why_no_modes damage residual rigid_hz condition notes",
+        status="done",
+        unknowns=found.n,
+        measured=found.n_seen,
+    )

@@ -1,0 +1,1 @@
+"""Measured shapes on the whole mesh."""

@@ -1,0 +1,205 @@
+"""`modetune localise`: where a model is wrong, and whether its parameters can mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modetune.core.storage.keys import Json
+from modetune.flows.report.tables import Column, Table, json_object, table_of
+from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.study import CampaignOptions, Figures, Opened, study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from modetune.core.updating.localisation import Removal
+    from modetune.flows.report.chart import Chart
+    from modetune.flows.studies.localise.error_maps import ErrorMaps
+    from modetune.flows.studies.localise.localisation import Localisation
+
+#: Rows that a terminal shows of each table.
+SHOWN = 12
+#: A best share of the force residual below this tells of no one group.
+TELLING = 0.2
+#: Nodes that `--json` tells of each map, the worst.
+NODES = 200
+
+
+@dataclass(frozen=True)
+class LocaliseOptions(CampaignOptions):
+    """Options of the localisation, which draws figures."""
+
+    figures: Figures = None
+
+
+@study(LocaliseOptions)
+def localise(
+    on: Opened,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Run folder or campaign.h5 whose updated model is looked at."),
+    ] = None,
+    configuration: Annotated[
+        str | None, typer.Option(help="Which one, of a campaign with several configurations.")
+    ] = None,
+) -> StudyResult:
+    """Say where the model is wrong: maps of the error, what each parameter can remove of it, and
+    whether any parameters can.
+
+    Looks at the start of the campaign, or with --record at the model that updating left.
+    """
+    from modetune.flows.studies.localise.localisation import localise as find
+    from modetune.flows.studies.localise.localisation import place_of
+
+    place = place_of(on.campaign, record, configuration)
+    on.working("modes and sensitivities")
+    found = find(place.campaign, place.theta)
+    charts: Mapping[str, Chart | Figure] = {}
+    if on.charted:
+        from modetune.flows.studies.localise.figures import localisation_figures
+
+        model = "updated" if record else "initial"
+        title = f"{on.campaign.name}: where the {model} model is wrong"
+        case = place.campaign.case
+        charts = localisation_figures(title, found, case.solver.deck.mesh(), case.surface)
+    return StudyResult(
+        found, found.sentence, summary(found), tables(found), _lines(found), charts=charts
+    )
+
+
+def summary(found: Localisation) -> dict[str, Json]:
+    """Return the JSON object of a localisation."""
+    from modetune.flows.report.form_verdict import told_form
+
+    values = zip(found.parameters, found.theta.tolist(), strict=True)
+    return json_object(
+        found,
+        "modes why_no_maps",
+        status="done",
+        parameters=[{"name": name, "value": value} for name, value in values],
+        model_form=told_form(found.form, found.labels, found.sentence),
+        singles=_removals(found, found.singles),
+        pairs=_removals(found, found.pairs),
+        maps=None if found.maps is None else _told_maps(found.maps),
+        solver_runs=found.runs,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalRow:
+    """What parameters together can remove of the weighted residual; 1 is all."""
+
+    parameters: Annotated[tuple[str, ...], Column("parameters", words=True)]
+    changes: Annotated[tuple[float, ...], Column("by a change of", "%", "+.1f")]
+    removed: Annotated[float, Column("residual removed", "%", ".1f")]
+
+
+@dataclass(frozen=True, slots=True)
+class GroupRow:
+    """Where the model is wrong, by a group of elements; docs/localisation.md explains each."""
+
+    name: Annotated[str, Column("group")]
+    force_share: Annotated[float, Column("force residual explained", "%", ".1f")]
+    change: Annotated[float, Column("by a change of", "%", "+.1f")]
+    error_share: Annotated[float, Column("error's energy in it", "%", ".1f")]
+    concentration: Annotated[float, Column("times its share of all energy", form=".2f")]
+    energy_difference: Annotated[float, Column("energy difference", "%", ".2f")]
+    strain_energy_difference: tuple[float, ...]
+    kinetic_energy_difference: tuple[float, ...]
+
+
+def _removals(found: Localisation, items: Sequence[Removal]) -> list[RemovalRow]:
+    return [
+        RemovalRow(
+            tuple(found.parameters[place] for place in item.members),
+            tuple(item.changes.tolist()),
+            item.removed,
+        )
+        for item in items
+    ]
+
+
+def _groups(maps: ErrorMaps) -> list[GroupRow]:
+    """The groups, those that explain most first."""
+    errors = maps.errors
+    return [
+        GroupRow(
+            name=maps.groups[place],
+            force_share=float(errors.force_shares[place]),
+            change=float(errors.changes[place]),
+            error_share=float(errors.error_shares[place]),
+            concentration=float(errors.concentrations[place]),
+            energy_difference=float(
+                (abs(errors.strain[place]) + abs(errors.kinetic[place])).mean()
+            ),
+            strain_energy_difference=tuple(errors.strain[place].tolist()),
+            kinetic_energy_difference=tuple(errors.kinetic[place].tolist()),
+        )
+        for place in errors.ranking.tolist()
+    ]
+
+
+def _told_maps(maps: ErrorMaps) -> dict[str, Json]:
+    errors = maps.errors
+    pair = {
+        "groups": [maps.groups[place] for place in errors.pair],
+        "force_share": errors.pair_share,
+        "changes": errors.pair_changes,
+    }
+    return json_object(
+        maps,
+        groups=_groups(maps),
+        pair=pair,
+        shape_misfits=maps.misfits,
+        forces=_worst(maps.nodes.nodes.tolist(), maps.nodes.forces.tolist()),
+        strains=_worst(maps.mesh_nodes.tolist(), maps.strains.tolist()),
+    )
+
+
+def _worst(nodes: list[int], values: list[float]) -> list[dict[str, Any]]:
+    """The nodes with the largest values, these first."""
+    order = sorted(range(len(nodes)), key=lambda place: -values[place])[:NODES]
+    return [{"node": nodes[place], "value": values[place]} for place in order]
+
+
+def tables(found: Localisation) -> list[Table]:
+    """Groups where there are maps, and what parameters can remove, the foremost of each."""
+    removals = _removals(found, (*found.singles[:SHOWN], *found.pairs[: SHOWN // 4]))
+    shown = [table_of("What parameters can remove of the residual", removals, RemovalRow)]
+    if found.maps is not None:
+        groups = _groups(found.maps)[:SHOWN]
+        title = "Where the model is wrong, from the test's shapes"
+        shown.insert(0, table_of(title, groups, GroupRow))
+    return shown
+
+
+def _lines(found: Localisation) -> list[str]:
+    lines = []
+    if found.maps is not None and found.maps.errors.pair:
+        errors = found.maps.errors
+        pair = " and ".join(found.maps.groups[place] for place in errors.pair)
+        changes = " and ".join(f"{100 * change:+.1f} %" for change in errors.pair_changes.tolist())
+        lines.append(
+            f"best pair: {pair} explain {100 * errors.pair_share:.1f} % of the force "
+            f"residual, by changes of {changes}"
+        )
+        best = float(errors.force_shares.max())
+        if best < TELLING:
+            lines.append(
+                f"no group alone explains more than {100 * best:.1f} % of the force "
+                "residual: it is measurement noise, or spread over the model"
+            )
+    if found.why_no_maps:
+        lines.append(f"no maps: {found.why_no_maps}")
+    lines.append(found.sentence)
+    runs = found.runs
+    lines.append(
+        f"solver runs: {runs.modal} modal, {runs.sensitivity} for sensitivities and "
+        f"matrices, {runs.reused} answered by the store"
+    )
+    return lines

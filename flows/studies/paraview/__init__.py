@@ -1,1 +1,0 @@
-"""Modes before and after, as files for ParaView."""

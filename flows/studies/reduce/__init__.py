@@ -1,0 +1,1 @@
+"""A model condensed to a few of its unknowns."""

@@ -1,0 +1,48 @@
+"""`modetune sample`: the posterior of a campaign's parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modetune.flows.studies.requests import SamplingRequest
+from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.study import Opened, RunOptions, study
+
+Record = Annotated[
+    Path | None,
+    typer.Option(help="Run folder (or campaign.h5) of an update, from whose end it starts."),
+]
+
+
+@study(RunOptions)
+def sample(on: Opened, request: SamplingRequest, record: Record = None) -> StudyResult:
+    """Sample the parameters' posterior: how sure they are, bounds, bends and second answers seen.
+
+    Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.
+    Ends with exit code 3 where the posterior cannot be relied on.
+    """
+    from modetune.core.storage.record_file import read_record
+    from modetune.flows.studies.sample.figures import posterior_figures
+    from modetune.flows.studies.sample.posterior import sample_campaign
+    from modetune.flows.studies.sample.record import POSTERIOR
+    from modetune.flows.studies.sample.summary import findings, posterior_table, summary, told
+
+    earlier = read_record(record) if record is not None else None
+    found = sample_campaign(on.campaign, request, on.working, earlier)
+    POSTERIOR.write(on.folder / POSTERIOR.file, found)
+    judged = findings(found)
+    doubts = [finding.text for finding in judged if finding.red]
+    return StudyResult(
+        found,
+        found.points_by or "sampled",
+        told(found),
+        [posterior_table(found)],
+        [*summary(found), *(finding.text for finding in judged)],
+        [on.folder / POSTERIOR.file],
+        posterior_figures(found) if on.charted else {},
+        doubts,
+        exit_code=3 if doubts else 0,
+    )

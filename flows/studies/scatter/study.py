@@ -1,0 +1,41 @@
+"""`modetune scatter`: the scatter of parameters behind that of repeated tests."""
+
+from __future__ import annotations
+
+from modetune.flows.studies.requests import ScatterRequest
+from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.sample.study import Record
+from modetune.flows.studies.study import Opened, RunOptions, study
+
+
+@study(RunOptions)
+def scatter(on: Opened, request: ScatterRequest, record: Record = None) -> StudyResult:
+    """What makes repeated tests differ: mean and covariance of the parameters behind them.
+
+    Leaves scatter.h5 in the campaign's run folder. Ends with exit code 3 where the answer cannot be
+    relied on.
+    """
+    from modetune.core.storage.record_file import read_record
+    from modetune.flows.studies.scatter.estimate import scatter_campaign
+    from modetune.flows.studies.scatter.figures import scatter_charts
+    from modetune.flows.studies.scatter.record import SCATTER
+    from modetune.flows.studies.scatter.summary import findings, scatter_tables, summary, told
+
+    earlier = read_record(record) if record is not None else None
+    found = scatter_campaign(on.campaign, request, on.working, earlier)
+    SCATTER.write(on.folder / SCATTER.file, found)
+    runs = f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}"
+    model = [found.reduced_model.sentence] if found.reduced_model else []
+    judged = findings(found)
+    doubts = [finding.text for finding in judged if finding.red]
+    return StudyResult(
+        found,
+        "scatter found",
+        told(found),
+        scatter_tables(found),
+        [*summary(found), *model, runs, *(finding.text for finding in judged)],
+        [on.folder / SCATTER.file],
+        scatter_charts(found),
+        doubts,
+        exit_code=3 if doubts else 0,
+    )

@@ -1,0 +1,48 @@
+"""`modetune screen`: which of many candidate parameters to update."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modetune.flows.studies.requests import ScreeningRequest
+from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.study import Opened, RunOptions, study
+
+Out = Annotated[
+    Path | None, typer.Option(help="Campaign file with the proposed parameters alone (YAML).")
+]
+
+
+@study(RunOptions)
+def screen(on: Opened, request: ScreeningRequest, out: Out = None) -> StudyResult:
+    """Screen candidate parameters, and propose which of them to update, with a reason for each.
+
+    Leaves screening.h5 in the campaign's run folder, and with --json screening.json. The same
+    screening again starts no solver.
+    """
+    from modetune.flows.studies.screen.figures import screening_charts
+    from modetune.flows.studies.screen.proposal import check_out, write_proposal
+    from modetune.flows.studies.screen.record import SCREENING
+    from modetune.flows.studies.screen.screening import screen_campaign
+    from modetune.flows.studies.screen.summary import lines, proposed, tables, told
+
+    if out is not None:
+        check_out(on.campaign.file, out)
+    found = screen_campaign(on.campaign, request, on.working)
+    written = [on.folder / SCREENING.file]
+    SCREENING.write(written[0], found)
+    if out is not None:
+        written.append(write_proposal(on.campaign.file, found, out))
+    return StudyResult(
+        found,
+        proposed(found),
+        told(found),
+        tables(found),
+        lines(found),
+        written,
+        screening_charts(found) if on.charted else {},
+        json_file=on.folder / "screening.json",
+    )

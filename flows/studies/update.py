@@ -1,0 +1,89 @@
+"""`modetune update`: a campaign's model updated until it agrees with its test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modetune.core.errors import CampaignError
+from modetune.flows.studies.result import StudyResult, near
+from modetune.flows.studies.study import CampaignOptions, Opened, Runs, study
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.updating.run import CampaignRun
+    from modetune.flows.updating.updating import Progress
+
+
+@dataclass(frozen=True)
+class UpdateOptions(CampaignOptions):
+    """Options of an update."""
+
+    starts: Annotated[
+        int | None, typer.Option(help="Update from so many starts; as `--set update.starts=N`.")
+    ] = None
+    runs: Runs = Path("runs")
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+        if campaign is not None and self.starts is not None:
+            raise CampaignError("the campaign is loaded already; give `update.starts` to load")
+        return super().open(progress, campaign)
+
+    def load(self) -> Campaign:
+        from modetune.flows.campaign.campaign import load_campaign
+
+        starts = [] if self.starts is None else [f"update.starts={self.starts}"]
+        return load_campaign(self.campaign_file, [*(self.settings or []), *starts])
+
+    def folder(self, campaign: Campaign) -> Path:
+        return self.runs / campaign.name
+
+
+@study(UpdateOptions)
+def update(on: Opened) -> StudyResult:
+    """Update the campaign's model until it agrees with its test."""
+    from modetune.flows.report.mode_tables import mode_table
+    from modetune.flows.report.parameter_tables import parameter_table
+    from modetune.flows.updating.forecast import told_forecast
+    from modetune.flows.updating.recording import summary
+    from modetune.flows.updating.running import is_same
+    from modetune.flows.updating.starts import update_from_starts
+
+    campaign, progress = on.campaign, on.progress
+    campaign.solver_version()  # a missing solver is reported before anything else starts
+    progress.keep(on.folder)
+    same = on.scheduled and is_same(campaign, on.folder)
+    run = update_from_starts(campaign, on.folder, progress, forecast=progress.forecast)
+    record, converged = run.record, run.converged
+    status, reason = record.status, record.reason
+    if same and not record.runs.modal + record.runs.sensitivity:
+        reason = (
+            "nothing changed since the previous run: no solver run, all "
+            f"{record.runs.reused} results from the store; still {status.replace('_', ' ')}: "
+            f"{reason}"
+        )
+        status = "unchanged"
+    forecast = told_forecast(run.forecast) if run.forecast else None
+    return StudyResult(
+        run,
+        reason,
+        {**summary(record, near(run.folder)), "forecast": forecast},
+        [mode_table(record), parameter_table(record)],
+        written=None,
+        doubts=[] if converged else [reason],
+        status=status,
+        exit_code=0 if converged else 3,
+        shown=partial(_show, run),
+    )
+
+
+def _show(run: CampaignRun, console: Console) -> None:
+    from modetune.flows.updating.display import show_run
+
+    show_run(console, replace(run, folder=near(run.folder), updated_deck=near(run.updated_deck)))
