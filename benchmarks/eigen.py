@@ -35,12 +35,11 @@ from benchmarks.cost import calculix, watched
 from benchmarks.plain import PlainModel, quickest
 from benchmarks.problem import CASES, Problem, set_up
 
-from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.algebra.pencil import shift_below
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.updating.matrix_samples import differences

@@ -34,11 +34,10 @@ from benchmarks.problem import LAUNCHERS, Problem, set_up, write_problem
 from benchmarks.ways import campaign, modetune, told
 
 from modetune.configs.launcher.launcher import LEAST_DOF, MOST_DOF
-from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.algebra.solved_modes import SolvedModes
+from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.errors import ModetuneError
 from modetune.core.modes import ModeSet, mode_set
 

@@ -31,9 +31,9 @@ from modetune.adapters.process import log_tail, read_log
 from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
-from modetune.core.algebra.factor_files import FactorFiles
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.algebra.rigid_modes import GIVEN, matrix_energies
 from modetune.core.errors import (
     ModelError,

@@ -5,43 +5,64 @@ K - s M is positive definite even for a free structure with its singular K:
 
     A phi = theta phi,   A = (K - s M)^-1 M,   theta = 1 / (lambda - s).
 
-They are found in a block Krylov space (block Lanczos with all vectors kept,
-core/algebra/krylov): of the first model from a few random vectors, of models with the same sparsity
-and nearly the same modes from those. ARPACK, which takes one vector after the other, is not a match
-for the first either: of a square bar's pairs of bending modes it lacks one for 9 of 40 numbers of
-modes, and a solution with six right-hand sides costs little more than with one, so that its fewer
-vectors take half as long again and more. Pairs become modes in core/algebra/solved_modes.
+**Search.** A block Krylov space (block Lanczos that keeps all vectors, `core/algebra/krylov`)
+starts from a few random vectors for the first model, and from the shapes of an earlier model for
+models with the same sparsity and nearly the same modes. ARPACK, which takes one vector after the
+other, misses one of a square bar's pairs of bending modes for 9 of 40 numbers of modes. A solution
+with six right-hand sides costs little more than with one, so ARPACK's fewer vectors take half as
+long again and more.
 
-No way sees what its start vectors lack. So eigenvalues are counted: K - c M has as many negative
-pivots as there are eigenvalues below c (Sylvester), at the cost of one more factorisation. From
-start shapes c is just above the Rayleigh quotient of the last one (which no eigenvalue of its
-number exceeds); as many modes as there are below c are found, or it is said that they are not.
-From random vectors c is just below the last eigenvalue found. Of equal eigenvalues (bending of
-square and round sections, parts that occur twice) a space sees as many directions as it has start
-vectors, and others only as rounding brings them in: where the count says that some are missing,
-another one from the shapes found and random vectors goes on to c just above the last one found,
-until it holds as many as there are.
+**Completion.** One more solution with all shapes at once, phi = A phi / theta, gives the rows
+without mass. The residuals ||A phi - theta phi||_M / theta bound the error: there is a lambda with
 
-Factors of a similar matrix, of an earlier model or in single precision, do as well:
-core/algebra/similar_factors.
+    |lambda - lambda_found| <= residual (lambda_found - s).
 
-Rounding sets a limit to all ways: lambda is known to about 10^-16 of the largest eigenvalue, as
-the computed eigenvalues of rigid modes show. Small models are solved whole by LAPACK
-(core/algebra/dense_modes). How the shift is found: core/algebra/pencil.
+**Counting.** No method finds a mode that its start vectors do not contain. So eigenvalues are
+counted: K - c M has as many negative pivots as there are eigenvalues below c (Sylvester), which
+costs one more factorisation. With start shapes, c is just above the Rayleigh quotient of the last
+one (which no eigenvalue of its number exceeds); the solver finds all modes below c or raises an
+error. With random vectors, c is just below the last eigenvalue found. Of equal eigenvalues (bending
+of square and round sections, parts that occur twice) a space contains as many directions as it has
+start vectors, and others only through rounding. Where the count shows that some are missing,
+another space, from the shapes found and random vectors, continues to c just above the last
+eigenvalue found until it contains all of them.
+
+**Similar factors.** A factorisation of 10^6 equations takes as long as hundreds of solved columns.
+The factors of an earlier, similar model serve as well (`block_davidson`): products use the new K
+and M, the inverse is the old one, and the residuals satisfy the same bound. Where residuals fall
+so slowly over the first blocks that a factorisation is faster, the solver factorises and continues
+from the shapes it has. Without a count, random vectors stay in the block to the end and turn
+towards the lowest modes that the others lack, and a mode among the lowest has to converge like the
+rest. A count needs one factorisation, just below the last eigenvalue. Factors in single precision
+(`core/algebra/factor_room`) are also those of a similar matrix, some 6e-8 of K away, and take half
+the memory.
+
+**Small models.** LAPACK solves small models, and models that have mass at few unknowns only. Where
+M is singular (unknowns without mass, whose eigenvalues are infinite) the problem is inverted:
+M phi = mu (K - s M) phi, mu = 1 / (lambda - s).
+
+Rounding limits every method: lambda is known to about 10^-16 of the largest eigenvalue, as the
+computed eigenvalues of rigid modes show. `core/algebra/pencil` finds the shift.
 """
 
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import eigh
+from scipy.linalg import LinAlgError, eigh
 from scipy.linalg.blas import dgemm
 
-from modetune.core.algebra.dense_modes import solve_condensed, solve_whole
-from modetune.core.algebra.krylov import GUARD, RitzPairs, unit_combinations, with_random
+from modetune.core.algebra.krylov import (
+    DAVIDSON,
+    GUARD,
+    RitzPairs,
+    block_davidson,
+    unit_combinations,
+    with_random,
+)
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pencil import (
     LEAST_SHIFT,
@@ -53,20 +74,16 @@ from modetune.core.algebra.pencil import (
     factorise_below,
     largest_pairs,
     singular_together,
+    triangle_product,
 )
-from modetune.core.algebra.similar_factors import (
-    blocks_worth,
-    modes_in_single_precision,
-    pairs_by_similar,
-    similar_modes,
-    similar_vectors,
-)
-from modetune.core.algebra.solved_modes import TOLERANCE, SolvedModes, completed, of_pairs
-from modetune.core.errors import ModelError
+from modetune.core.errors import ModelError, SolverExhausted
 from modetune.core.modes import Floats
 
 logger = logging.getLogger(__name__)
 
+#: Largest residual of a mode before the last solution, which leaves a few hundredths of it.
+#: Eigenvalues have its square over the gap to modes that were not looked for.
+TOLERANCE = 2e-5
 #: Models up to this many unknowns are solved whole.
 DENSE = 300
 #: Blocks of a Krylov space, the start shapes being the first, before the start counts as bad.
@@ -84,6 +101,154 @@ RANDOM_TOLERANCE = 2e-6
 KEPT = "kept factors"
 #: Eigenvalues this close, relative to their distance from the shift, are not told apart.
 _SAME = 1e-6
+#: Blocks with an earlier model's factors: fewer are too few to try, more never came to an end.
+LEAST_BLOCKS, MOST_BLOCKS = 3, 8
+#: The same with factors in single precision, for which there are no others.
+SINGLE_BLOCKS = 30
+#: Solved columns that a column of such a block costs, with its products and its part of the basis,
+#: and that a mode costs with factors of its own (three blocks, the later ones smaller).
+BLOCK_COLUMN, KRYLOV_MODE = 2.5, 4.5
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedModes:
+    """The lowest modes of a model.
+
+    eigenvalues: (n_modes,) ascending, (rad/s)^2. shapes: (n, n_modes), mass-normalised.
+    residuals: (n_modes,), largest error of an eigenvalue relative to its distance from the shift;
+    those of the shapes before the last solution, which makes them better.
+    shift: (rad/s)^2. way: how they were found. counted: whether inertia has shown that none below
+    the last one is missing. solutions: right-hand sides solved.
+    """
+
+    eigenvalues: Floats
+    shapes: Floats
+    residuals: Floats
+    shift: float
+    way: str
+    counted: bool
+    solutions: int
+
+
+def of_pairs(
+    pencil: Pencil, pairs: RitzPairs, n_modes: int, way: str, counted: bool
+) -> SolvedModes:
+    """The first modes of approximate pairs; way, counted: as `SolvedModes` has them."""
+    theta, vectors = pairs.inverted[:n_modes], pairs.vectors[:, :n_modes]
+    if not isinstance(pencil.rows, slice):
+        return completed(pencil, theta, vectors, way, pairs.solutions, counted)
+    # Where all rows have mass the last solution is at hand: A x.
+    inertia, images = pencil.inertia(vectors), pairs.images[:, :n_modes]
+    values, shapes = _refined(pencil, inertia, images, images, pencil.inertia(images))
+    residuals = pairs.residuals[:n_modes]
+    return SolvedModes(values, shapes, residuals, _shift_of(pencil), way, counted, pairs.solutions)
+
+
+def completed(
+    pencil: Pencil,
+    inverted: Floats,
+    vectors: Floats,
+    way: str,
+    solutions: int,
+    counted: bool = False,
+) -> SolvedModes:
+    """Shapes on all rows by one solution.
+
+    inverted: theta (n_modes,); vectors: (n_with_mass, n_modes).
+    """
+    inertia = pencil.inertia(vectors)
+    images = pencil.apply(inertia)
+    own = images[pencil.rows]
+    own_inertia = pencil.inertia(own)
+    values, shapes = _refined(pencil, inertia, images, own, own_inertia)
+    rest, rest_inertia = own - vectors * inverted, own_inertia - inertia * inverted
+    squares = np.sum(rest * rest_inertia, axis=0) / np.sum(vectors * inertia, axis=0)
+    residuals = np.sqrt(np.maximum(squares, 0.0)) / np.abs(inverted)
+    solutions += inverted.size
+    return SolvedModes(values, shapes, residuals, _shift_of(pencil), way, counted, solutions)
+
+
+def _refined(
+    pencil: Pencil, inertia: Floats, images: Floats, own: Floats, own_inertia: Floats
+) -> tuple[Floats, Floats]:
+    """Rayleigh-Ritz in the space of A x: eigenvalues, ascending, and mass-normalised shapes.
+
+    inertia: b = M x; images: z = (K - s M)^-1 b on all rows; own, own_inertia: z and M z on the
+    rows with mass. z^T (K - s M) z is z^T b: no product with K.
+    """
+    energy, mass = own.T @ inertia, own.T @ own_inertia
+    lengths = np.sqrt(np.diag(mass))
+    energy, mass = (0.5 * (a + a.T) / np.outer(lengths, lengths) for a in (energy, mass))
+    above_shift, ritz = eigh(energy, mass)
+    shapes = dgemm(1.0, images, np.asfortranarray(ritz / lengths[:, None]))
+    return above_shift + _shift_of(pencil), shapes
+
+
+def _shift_of(pencil: Pencil) -> float:
+    assert pencil.shift is not None
+    return pencil.shift
+
+
+def solve_whole(pencil: Pencil, n_modes: int) -> tuple[Floats, Floats]:
+    """Modes of a small model by LAPACK.
+
+    Returns eigenvalues (n_modes,), ascending, (rad/s)^2, and mass-normalised shapes (n, n_modes).
+    Raises ModelError where the matrices allow no solution.
+    """
+    k, m = _mirrored(pencil.stiffness), _mirrored(pencil.mass)
+    try:
+        values, vectors = eigh(k, m)
+    except LinAlgError:  # M is not positive definite
+        return _solve_inverted(k, m, n_modes, 1e-3 * pencil.largest_eigenvalue())
+    return values[:n_modes], vectors[:, :n_modes]
+
+
+def solve_condensed(pencil: Pencil, n_modes: int) -> tuple[Floats, Floats]:
+    """Modes of a model with few unknowns that have mass, from its flexibility at these.
+
+    pencil: factorised below the spectrum. Returns theta = 1 / (lambda - s), (n_modes,),
+    descending, and shapes (n_with_mass, n_modes). Raises ModelError where there are fewer modes.
+    """
+    flexibility = pencil.apply(np.eye(pencil.n_with_mass, order="F"))[pencil.rows]
+    inertia = pencil.inertia(np.eye(pencil.n_with_mass))
+    # M G M x = theta M x, with all eigenvalues of M above zero.
+    squares, turned = eigh(inertia)
+    own = squares > 1e-14 * squares[-1]
+    root = turned[:, own] * np.sqrt(squares[own])
+    inverted, vectors = eigh(root.T @ flexibility @ root)
+    inverted, vectors = inverted[::-1][:n_modes], vectors[:, ::-1][:, :n_modes]
+    if inverted.size < n_modes:
+        raise ModelError(
+            f"{n_modes} modes were asked of a model with {int(own.sum())} unknowns that have mass"
+        )
+    shapes = turned[:, own] @ (vectors / np.sqrt(squares[own])[:, None])
+    return inverted, shapes
+
+
+def _mirrored(upper: sparse.csr_array) -> Floats:
+    above = upper.toarray()
+    return np.asarray(above + np.triu(above, 1).T)
+
+
+def _solve_inverted(k: Floats, m: Floats, n_modes: int, below: float) -> tuple[Floats, Floats]:
+    """Modes of a model with unknowns that have no mass, by mu = 1 / (lambda + below)."""
+    try:
+        inverted, vectors = eigh(m, k + below * m)
+    except LinAlgError as error:
+        raise ModelError(
+            "the mass and stiffness matrices allow no modes: an unknown has neither, or one of "
+            "the matrices has negative eigenvalues"
+        ) from error
+    inverted, vectors = inverted[::-1], vectors[:, ::-1]
+    with_mass = int(np.sum(inverted > 1e-12 * inverted[0]))
+    if inverted[-1] < -1e-9 * inverted[0]:
+        raise ModelError("the mass matrix has negative eigenvalues: it is not a mass matrix")
+    if n_modes > with_mass:
+        raise ModelError(
+            f"{n_modes} modes were asked of a model with {with_mass} unknowns that have mass"
+        )
+    kept = inverted[:n_modes]
+    return 1.0 / kept - below, vectors[:, :n_modes] / np.sqrt(kept)
 
 
 def most_vectors(n_modes: int) -> int:
@@ -381,3 +546,82 @@ def _rayleigh_ritz(pencil: Pencil, start: Floats) -> tuple[Floats, Floats]:
     factor = unit_combinations(own.T @ pencil.inertia(own), 0.0)
     quotients, ritz = eigh(factor.T @ (start.T @ pencil.stiff(start)) @ factor)
     return quotients, dgemm(1.0, own, np.asfortranarray(factor @ ritz))
+
+
+def similar_vectors(n_modes: int) -> int:
+    """Vectors beside the factors of a similar matrix."""
+    return DAVIDSON * (n_modes + GUARD)
+
+
+def blocks_worth(factorisation_columns: float, n_modes: int) -> int:
+    """How many blocks with an earlier model's factors cost no more than new ones; 0 if too few.
+
+    factorisation_columns: solved columns that take as long as a factorisation.
+    """
+    columns = factorisation_columns + KRYLOV_MODE * n_modes
+    blocks = int(columns / (BLOCK_COLUMN * (n_modes + GUARD)))
+    return min(blocks, MOST_BLOCKS) if blocks >= LEAST_BLOCKS else 0
+
+
+def pairs_by_similar(
+    pencil: Pencil, n_modes: int, shift: float, start: Floats, blocks: int
+) -> RitzPairs | None:
+    """By the factors at hand, from start (n, n_start) and random vectors; as `block_davidson`."""
+
+    def mass(block: Floats) -> Floats:
+        return triangle_product(pencil.mass, block)
+
+    def shifted(block: Floats, out: Floats) -> None:
+        pencil.shifted(block, shift, out)
+
+    n_random = max(n_modes - start.shape[1], 0) + GUARD
+    return block_davidson(
+        pencil.inverse,
+        shifted,
+        mass,
+        start,
+        n_modes,
+        TOLERANCE,
+        blocks,
+        n_random,
+        pencil.room_for,
+    )
+
+
+def similar_modes(pairs: RitzPairs, n_modes: int, shift: float, way: str) -> SolvedModes:
+    """The first modes of such pairs."""
+    values, shapes = 1.0 / pairs.inverted[:n_modes] + shift, pairs.vectors[:, :n_modes]
+    residuals = pairs.residuals[:n_modes]
+    return SolvedModes(values, shapes, residuals, shift, way, False, pairs.solutions)
+
+
+def modes_in_single_precision(
+    pencil: Pencil, n_modes: int, shift: float, start: Floats | None
+) -> SolvedModes:
+    """By this model's factors in single precision, made at the shift; start: (n, n_start).
+
+    Raises ModelError where K and M are singular together, SolverExhausted where it is in vain.
+    """
+    if not pencil.is_invertible():
+        raise singular_together(pencil)
+    shapes = np.zeros((pencil.n, 0)) if start is None else start
+    pairs = pairs_by_similar(pencil, n_modes, shift, shapes, SINGLE_BLOCKS)
+    if pairs is None or not pairs.converged:
+        largest = np.inf if pairs is None else float(pairs.residuals[:n_modes].max())
+        raise SolverExhausted(
+            f"{n_modes} modes of {pencil.n} equations were not found with factors in single "
+            f"precision: the largest residual is {largest:.1e}; take factors in double "
+            "precision, which need up to twice the memory, or take that of the disk"
+        )
+    solved = similar_modes(pairs, n_modes, shift, "single precision")
+    bounds = solved.residuals * np.abs(1.0 - shift / solved.eigenvalues)
+    logger.info(
+        "%d modes of %d equations with factors in single precision: residuals at most %.1e, "
+        "eigenvalues within %.1e of their own size, and a mode that random vectors lack is not "
+        "counted",
+        n_modes,
+        pencil.n,
+        float(solved.residuals.max()),
+        float(bounds[solved.eigenvalues > -shift].max(initial=0.0)),
+    )
+    return solved

@@ -22,9 +22,7 @@ from shutil import disk_usage
 from scipy import sparse
 
 from modetune.core.algebra.elimination_order import elimination_order
-from modetune.core.algebra.factor_files import FactorFiles
-from modetune.core.algebra.mumps import Mumps
-from modetune.core.algebra.mumps_library import REMEDY, is_available
+from modetune.core.algebra.mumps import REMEDY, FactorFiles, Mumps, is_available
 from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Integers

@@ -1,36 +1,56 @@
 """MUMPS for one real symmetric matrix, or for many of the same sparsity, with factors in files.
 
-MUMPS is multifrontal: unknowns are eliminated in dense fronts, one after the other up a tree, and
-what a front leaves of its factor is written once, not to be read again until a solution. In memory
-are the fronts at work and what they pass on. A solution reads the files forward and backward, once
-for all its right-hand sides. (PARDISO looks back at earlier columns, and with factors in files
-reads them again and again: core/algebra/factor_room has it in memory alone.)
+MUMPS is multifrontal: it eliminates unknowns in dense fronts, one after the other up a tree, and
+writes what a front adds to the factor once; only a solution reads it again. Memory contains the
+fronts in progress and what they pass on. A solution reads the files forward and backward, once for
+all its right-hand sides. (PARDISO looks back at earlier columns, and with factors in files would
+read them again and again: `core/algebra/factor_room` uses it in memory only.)
 
 The matrix is scaled to a unit diagonal, S = D A D with d_i = |a_ii|^-1/2, which keeps the signs of
 its eigenvalues; S = L E L^T with 1x1 and 2x2 pivots has them in E (Sylvester). Factors in single
 precision are those of a similar matrix, as PARDISO's are; right-hand sides are scaled by their
 largest number.
 
-Sources: Amestoy, Duff, Koster and L'Excellent 2001; MUMPS users' guide 5.5 (numbers of icntl, cntl
-and infog below are counted from 1, as there).
+The library comes with the system (REMEDY). Its one argument is a structure of some hundred members
+that differs between versions, so it is read from the header that comes with the library. The
+system's BLAS may be slow. CalculiX would use a faster replacement too, and with OpenBLAS it gave
+wrong modes; so MUMPS gets MKL's BLAS, which is installed for PARDISO.
+
+Sources: Amestoy, Duff, Koster and L'Excellent 2001; MUMPS users' guide 5.5, C interface (numbers of
+icntl, cntl and infog below are counted from 1, as there).
 """
 
 from __future__ import annotations
 
+import ctypes.util
+import re
+import threading
 import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
-from modetune.core.algebra.factor_files import FactorFiles
-from modetune.core.algebra.mumps_library import END, MumpsLibrary, mumps_library
-from modetune.core.algebra.pardiso import check_triangle, unit_of
+from modetune.core.algebra.pardiso import check_triangle, share_blas, unit_of
 from modetune.core.algebra.vector_room import in_file
 from modetune.core.errors import ModelError, ModetuneError, SolverExhausted
 from modetune.core.modes import Floats, Integers
 
+#: What to do where the library is missing.
+REMEDY = "install MUMPS (Debian and Ubuntu: apt-get install libmumps-seq-dev)"
+#: Job number that ends a matrix.
+END = -2
+_BEGIN = -1
+_HEADERS = Path("/usr/include")
+_WORLD = -987654
+_SYMMETRIC = 2  # real, indefinite
+# One call at a time; reentrant, for garbage collection may free one matrix during a call.
+_ONE_CALL = threading.RLock()
 _ANALYSE, _FACTORISE, _SOLVE = 1, 2, 3
 #: Room beyond what is foreseen, percent, for pivots that have to wait; more where it is too small.
 _SPARE = (10, 50, 200)
@@ -40,6 +60,98 @@ _MEMORY, _SINGULAR, _FILES = (-7, -8, -9, -11, -13, -19), (-6, -10), (-90,)
 _ZERO = 1e-20
 #: Entries that are scaled at a time.
 _AT_ONCE = 4_000_000
+
+
+@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False)
+class FactorFiles:
+    """A folder for the files of one matrix alone, and what takes it away."""
+
+    folder: Path
+    remove: Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MumpsLibrary:
+    """MUMPS in one precision, as cffi has opened it."""
+
+    ffi: Any
+    program: Any
+    structure: str
+
+    def begun(self) -> Any:
+        """What MUMPS is told of a new matrix, and tells: its structure, as the guide has it."""
+        told = self.ffi.new(f"{self.structure} *")
+        told.sym, told.par, told.comm_fortran = _SYMMETRIC, 1, _WORLD
+        self.run(told, _BEGIN)
+        for number in (1, 2, 3, 4):  # nothing is printed
+            told.icntl[number - 1] = 0
+        return told
+
+    def run(self, told: Any, job: int) -> int:
+        """Returns MUMPS's error number, 0 where there is none."""
+        with _ONE_CALL:
+            told.job = job
+            self.program(told)
+        return min(int(told.infog[0]), 0)
+
+    def pointer(self, array: NDArray[Any]) -> Any:
+        """Where an array is, as long as it is kept."""
+        return self.ffi.cast("void *", array.ctypes.data)
+
+
+def is_available() -> bool:
+    """Whether MUMPS is installed here, with its header and what reads that."""
+    try:
+        mumps_library(single=False)
+    except SolverExhausted:
+        return False
+    return True
+
+
+@cache
+def mumps_library(single: bool) -> MumpsLibrary:
+    """The library in single or in double precision. Raises SolverExhausted where there is none."""
+    letter, number = ("s", "float") if single else ("d", "double")
+    try:
+        import cffi
+    except ImportError as error:
+        raise SolverExhausted("MUMPS is unavailable: the package cffi is not installed") from error
+    ffi = cffi.FFI()
+    try:
+        header = (_HEADERS / f"{letter}mumps_c.h").read_text()
+        version, declared = _declared(header, letter.upper(), number)
+        _check_integers((_HEADERS / "mumps_int_def.h").read_text())
+        ffi.cdef(declared)
+        share_blas()
+        found = ctypes.util.find_library(f"{letter}mumps_seq-{version.rpartition('.')[0]}")
+        program = getattr(ffi.dlopen(found or f"lib{letter}mumps_seq.so"), f"{letter}mumps_c")
+        library = MumpsLibrary(ffi, program, f"{letter.upper()}MUMPS_STRUC_C")
+        told = library.begun()
+        if ffi.string(told.version_number) != version.encode():
+            raise ValueError(f"the library is not of its header's version, {version}")
+        library.run(told, END)
+    except (OSError, ValueError, AttributeError, cffi.CDefError, cffi.FFIError) as error:
+        raise SolverExhausted(f"MUMPS is unavailable ({error}); {REMEDY}") from error
+    return library
+
+
+def _declared(header: str, letter: str, number: str) -> tuple[str, str]:
+    """The version of a header; its structure and program, as C that says what its names mean."""
+    version = re.search(r'define\s+MUMPS_VERSION\s+"([\d.]+)"', header)
+    structure = re.search(r"typedef struct \{.*?\} \w+_STRUC_C;", header, re.DOTALL)
+    if version is None or structure is None:
+        raise ValueError("its header holds no structure that is known")
+    lengths = re.findall(r"^#\s*define\s+\w+_LEN\s+\d+", header, re.MULTILINE)
+    kinds = {"MUMPS_INT": "int", "MUMPS_INT8": "int64_t"}
+    kinds |= {f"{letter}MUMPS_REAL": number, f"{letter}MUMPS_COMPLEX": number}
+    named = [f"typedef {kind} {name};" for name, kind in kinds.items()]
+    program = f"void {letter.lower()}mumps_c({letter}MUMPS_STRUC_C *);"
+    return version.group(1), "\n".join([*lengths, *named, structure.group(), program])
+
+
+def _check_integers(header: str) -> None:
+    if re.search(r"^\s*#\s*define\s+MUMPS_INTSIZE64", header, re.MULTILINE):
+        raise ValueError("it counts unknowns with 64 bits")
 
 
 class Mumps:

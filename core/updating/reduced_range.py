@@ -23,11 +23,10 @@ from functools import cached_property, partial
 import numpy as np
 from scipy import sparse
 
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.krylov import GUARD, with_random
 from modetune.core.algebra.matrices import upper_product
 from modetune.core.algebra.pencil import shift_below
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_matrices import ParameterMatrices

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from modetune.core.algebra.eigen import SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
 from modetune.core.measurement.alignment import Registration

@@ -15,7 +15,7 @@ import weakref
 from functools import partial
 from pathlib import Path
 
-from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.storage.files import storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import Store

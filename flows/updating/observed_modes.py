@@ -8,10 +8,10 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
+from modetune.core.algebra.eigen import SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.algebra.rigid_modes import GIVEN, PRINTED, count_rigid_modes, matrix_energies
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign

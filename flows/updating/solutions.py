@@ -23,10 +23,9 @@ from typing import TypeVar
 
 from scipy import sparse
 
-from modetune.core.algebra.eigen import KEPT, ModeSolver
+from modetune.core.algebra.eigen import KEPT, ModeSolver, SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.pencil import shift_below
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.algebra.vector_room import put_in_file
 from modetune.core.errors import ModesError, ModetuneError, SolverExhausted
 from modetune.core.modes import Floats, Integers

@@ -22,8 +22,8 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
+from modetune.core.algebra.eigen import SolvedModes
 from modetune.core.algebra.matrices import MatrixResult, symmetric
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.correlation.clusters import rotation_onto
 from modetune.core.modes import CLOSE, Floats
 from modetune.core.storage.keys import Json, canonical_json, content_key

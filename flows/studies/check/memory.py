@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from modetune.core.algebra.eigen import DENSE, most_vectors
+from modetune.core.algebra.eigen import DENSE, most_vectors, similar_vectors
 from modetune.core.algebra.factor_room import factor_forecast
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.algebra.pencil import shifted_pattern
-from modetune.core.algebra.similar_factors import similar_vectors
 from modetune.core.errors import SolverExhausted
 from modetune.flows.studies.check.findings import MODEL, Finding
 from modetune.flows.updating.asked import CaseState

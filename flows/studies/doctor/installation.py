@@ -15,7 +15,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-from modetune.core.algebra import mumps_library
+from modetune.core.algebra import mumps
 from modetune.core.errors import ModetuneError
 from modetune.core.storage.files import check_writable
 from modetune.core.storage.locks import FileLock
@@ -105,9 +105,9 @@ def _packages(extra: str) -> Found:
 
 
 def _mumps() -> Found:
-    if mumps_library.is_available():
+    if mumps.is_available():
         return "passed", "MUMPS, for models whose factors memory does not hold", ""
-    return "not available", "MUMPS is not installed", mumps_library.REMEDY
+    return "not available", "MUMPS is not installed", mumps.REMEDY
 
 
 def _machine() -> Found:

@@ -11,10 +11,9 @@ from scipy import sparse
 from scipy.linalg import block_diag, eigh
 
 from modetune.core.algebra import eigen
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.krylov import RitzPairs, with_random
 from modetune.core.algebra.matrices import MatrixResult, symmetric, upper_triangle
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from tests.core.matrix_decks import bar, matrices_of

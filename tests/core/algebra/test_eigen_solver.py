@@ -12,10 +12,9 @@ from scipy import sparse
 from scipy.linalg import block_diag, eigh
 
 from modetune.core.algebra import pardiso
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pencil import Pencil, triangle_product
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from tests.core.algebra.test_eigen_repeated import nothing_random_beside

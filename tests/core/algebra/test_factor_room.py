@@ -20,10 +20,10 @@ from scipy import sparse
 from modetune.core.algebra import factor_room as rooms
 from modetune.core.algebra import mumps, pardiso
 from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.algebra.factor_files import FactorFiles
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.algebra.vector_room import in_file
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats

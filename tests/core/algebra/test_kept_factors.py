@@ -9,11 +9,10 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.krylov import GUARD
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pencil import Pencil
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.modes import Floats
 
 MODES = 8
@@ -228,9 +227,7 @@ def test_a_count_beside_kept_factors_takes_one_factorisation(
 def test_a_count_finds_a_mode_that_start_and_guard_lack(
     structure: Structure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "modetune.core.algebra.similar_factors.GUARD", 0
-    )  # nothing stands in for a count
+    monkeypatch.setattr("modetune.core.algebra.eigen.GUARD", 0)  # nothing stands in for a count
     model = structure(1.0, 1.0)
     every = ModeSolver().solve(upper(model[0]), upper(model[1]), MODES + 6).shapes
     start = np.delete(every, 3, axis=1)

@@ -12,15 +12,12 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from modetune.core.algebra import mumps, mumps_library
-from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra import mumps
 from modetune.core.algebra.factorisation import filled_triangle
-from modetune.core.algebra.mumps import Mumps
+from modetune.core.algebra.mumps import FactorFiles, Mumps
 from modetune.core.errors import ModelError, SolverExhausted
 
-needs_mumps = pytest.mark.skipif(
-    not mumps_library.is_available(), reason="MUMPS is not installed here"
-)
+needs_mumps = pytest.mark.skipif(not mumps.is_available(), reason="MUMPS is not installed here")
 
 
 def files(folder: Path, name: str = "one") -> FactorFiles:
@@ -137,14 +134,14 @@ def test_room_that_is_too_small_is_made_larger(
     upper = tied(whole(grid(n)), ties)
     order = np.r_[np.arange(n * n, n * n + n), np.arange(n * n)]
     jobs = []
-    run = mumps_library.MumpsLibrary.run
+    run = mumps.MumpsLibrary.run
 
-    def spy(self: mumps_library.MumpsLibrary, told: object, job: int) -> int:
+    def spy(self: mumps.MumpsLibrary, told: object, job: int) -> int:
         error = run(self, told, job)
         jobs.append((job, error))
         return error
 
-    monkeypatch.setattr(mumps_library.MumpsLibrary, "run", spy)
+    monkeypatch.setattr(mumps.MumpsLibrary, "run", spy)
     monkeypatch.setattr(mumps, "_SPARE", (0, 10, 200, 2000))
     factors = Mumps(upper, files(tmp_path), order=order)
     factors.refactor(upper.data)
@@ -184,10 +181,10 @@ def test_what_is_not_such_a_matrix_is_refused(tmp_path: Path) -> None:
 def test_without_the_library_it_is_told_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mumps_library.mumps_library.cache_clear()
-    monkeypatch.setattr(mumps_library, "_HEADERS", tmp_path)
+    mumps.mumps_library.cache_clear()
+    monkeypatch.setattr(mumps, "_HEADERS", tmp_path)
     try:
-        assert not mumps_library.is_available()
+        assert not mumps.is_available()
         with pytest.raises(SolverExhausted, match="install MUMPS"):
             Mumps(grid(4), files(tmp_path))
         for text in (
@@ -196,6 +193,6 @@ def test_without_the_library_it_is_told_what_to_install(
         ):
             (tmp_path / "dmumps_c.h").write_text(text)
             (tmp_path / "mumps_int_def.h").write_text("")
-            assert not mumps_library.is_available()
+            assert not mumps.is_available()
     finally:
-        mumps_library.mumps_library.cache_clear()
+        mumps.mumps_library.cache_clear()

@@ -15,16 +15,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy import sparse
 
+from modetune.core.algebra import eigen, pardiso
 from modetune.core.algebra import factor_room as rooms
-from modetune.core.algebra import pardiso, similar_factors
-from modetune.core.algebra.eigen import ModeSolver
-from modetune.core.algebra.factor_files import FactorFiles
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes, similar_vectors
 from modetune.core.algebra.factor_room import FactorRoom, factor_room
 from modetune.core.algebra.krylov import GUARD, block_davidson
 from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.algebra.pardiso import Pardiso
-from modetune.core.algebra.similar_factors import similar_vectors
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModelError, SolverExhausted
 from modetune.core.modes import Floats
 
@@ -221,7 +219,7 @@ def test_numbers_of_any_size_stay_in_the_range_of_single_precision(tmp_path: Pat
 def test_modes_that_it_does_not_find_are_told_with_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(similar_factors, "SINGLE_BLOCKS", 1)
+    monkeypatch.setattr(eigen, "SINGLE_BLOCKS", 1)
     with factor_room(room(tmp_path, 1e12, single=True)):
         with pytest.raises(SolverExhausted, match=r"residual is .*double precision"):
             ModeSolver(count=False).solve(*bracket(), n_modes=MODES)

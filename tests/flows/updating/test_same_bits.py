@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.pencil import Pencil
-from modetune.core.algebra.solved_modes import SolvedModes
 from modetune.core.errors import ModetuneError
 from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Entry, Store
