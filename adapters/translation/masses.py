@@ -1,19 +1,18 @@
-"""Concentrated masses.
+"""Concentrated masses: CONM1, CONM2, CMASS, and the masses of bushes, panels and lumped elements.
 
-A CONM2 without offset and inertia at a free grid point of shells or solids is a *MASS element. ccx
-leaves the coupling of a *MASS element's freedoms out of its matrices, so a mass whose node depends
-on others or stands on beams and springs alone, and a body with offset or inertia, becomes a small
-C3D8 that moves rigidly with its grid point and has the body's mass, centre and moments: with
-J = tr(I) / 2 - I in principal axes (J_i is the second moment along axis i), the box's sides are
-s_i = sqrt(12 J_i / m). It is never strained, so its stiffness is of no matter. A tensor that
-no body has (J_i < 0, as where a card gives I11 alone), or one without mass, takes a second box of
-negative mass.
+A CONM2 without offset and inertia at a free grid point of shells or solids becomes a *MASS element.
+ccx leaves the coupling of the node's freedoms out of the matrix of a *MASS element. So a mass whose
+node depends on others, or has only beams and springs, and a body with offset or inertia, becomes a
+small C3D8 that moves rigidly with its grid point and has the mass, centre and moments of the body.
+With J = tr(I) / 2 - I in principal axes (J_i is the second moment along axis i), the sides of this
+box are s_i = sqrt(12 J_i / m). The box is never strained, so its stiffness is irrelevant. A tensor
+that no body has (J_i < 0, as where a card gives only I11), or one without mass, takes a second box
+of negative mass.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,16 +20,25 @@ import numpy as np
 from modetune.adapters.nastran.bodies import PointMass, point_mass
 from modetune.adapters.nastran.geometry import local_axes
 from modetune.adapters.nastran.lumped_masses import Lump, mass_of
-from modetune.adapters.translation.assembly import Assembly
+from modetune.adapters.translation.assembly import (
+    NOTHING,
+    Assembly,
+    Form,
+    Freedoms,
+    difference,
+    total,
+)
 from modetune.adapters.translation.calculix_text import number_list
-from modetune.adapters.translation.freedoms import NOTHING, Form, Freedoms, difference, total
-from modetune.adapters.translation.mass_properties import POINT, SCALAR_MASS
 from modetune.adapters.translation.springs import scalar_form
 from modetune.core.element_geometry import SHAPES, nodal_measures
 from modetune.core.modes import Floats
 
 #: Sources of densities, and volume or area of each.
 Shares = tuple[tuple[Hashable, float], ...]
+#: Names of the sets of scalar masses, which have no place, begin with this.
+SCALAR_MASS = "SCALAR_"
+#: Names of the sets of bricks without extent, whose corners move with the centre, end with this.
+POINT = "_POINT"
 #: Corners of a C3D8 in ccx's order, as signs of the half sides; the axes are right-handed.
 CORNER_SIGNS = np.array(
     [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1),
@@ -195,23 +203,17 @@ def translate_masses(model: Assembly, masses: list[PointMass]) -> None:
                     builder.section([f"*MASS, ELSET={body.name}", line])
                 builder.new_element("MASS", (body.node,), (body.name, *sets))
             continue
-        for box in _boxes(body) if turns else [Box(body.mass, np.zeros(3), np.eye(3))]:
-            _add_box(model, body, box, turns, sets)
+        for mass, extent, axes in _boxes(body) if turns else [(body.mass, np.zeros(3), np.eye(3))]:
+            _add_box(model, body, mass, extent, axes, turns, sets)
 
 
-@dataclass(frozen=True, slots=True)
-class Box:
-    """sides: (3,), zero for a point; axes: (3, 3), their directions as columns."""
+def _boxes(body: PointMass) -> list[tuple[float, Floats, Floats]]:
+    """Return boxes that together have the mass and inertia of a body.
 
-    mass: float
-    sides: Floats
-    axes: Floats
-
-
-def _boxes(body: PointMass) -> list[Box]:
-    """Boxes whose mass and inertia together are the body's."""
+    Each has a mass, the sides (3,), zero for a point, and their directions as columns (3, 3).
+    """
     if not body.inertia.any():
-        return [Box(body.mass, np.zeros(3), np.eye(3))]
+        return [(body.mass, np.zeros(3), np.eye(3))]
     moments, axes = np.linalg.eigh(body.inertia)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     second = 0.5 * float(moments.sum()) - moments
@@ -220,26 +222,31 @@ def _boxes(body: PointMass) -> list[Box]:
     spare = body.mass if body.mass > 0.0 and taken.any() else 0.0
     if body.mass <= 0.0:
         spare = 1.0 - body.mass
-    boxes = [_box(body.mass + spare, np.maximum(second, 0.0), axes)]
-    return [*boxes, _box(-spare, -taken, axes)] if spare else boxes
+    parts = [(body.mass + spare, np.maximum(second, 0.0))]
+    parts += [(-spare, -taken)] if spare else []
+    return [(mass, np.sqrt(12.0 * moment / mass), axes) for mass, moment in parts]
 
 
-def _box(mass: float, second: Floats, axes: Floats) -> Box:
-    return Box(mass, np.sqrt(12.0 * second / mass), axes)
-
-
-def _add_box(model: Assembly, body: PointMass, box: Box, turns: bool, sets: Sequence[str]) -> None:
-    """A C3D8 of the box's mass; one without extent moves as its centre does."""
-    sides = np.maximum(box.sides, 1e-3 * float(box.sides.max()) or 1e-3 * model.builder.size)
+def _add_box(
+    model: Assembly,
+    body: PointMass,
+    mass: float,
+    extent: Floats,
+    axes: Floats,
+    turns: bool,
+    sets: Sequence[str],
+) -> None:
+    """Add a C3D8 of this mass; without extent (3,) it moves as its centre does."""
+    sides = np.maximum(extent, 1e-3 * float(extent.max()) or 1e-3 * model.builder.size)
     nodes = []
     for signs in CORNER_SIGNS:
-        place = body.centre + box.axes @ (0.5 * sides * signs)
+        place = body.centre + axes @ (0.5 * sides * signs)
         node = model.builder.new_node(place)
-        seen = place if box.sides.any() else body.centre
+        seen = place if extent.any() else body.centre
         model.freedoms.follow(node, body.node, seen, turns)
         nodes.append(node)
-    name = body.name + ("" if box.mass > 0.0 else "_LESS") + ("" if box.sides.any() else POINT)
-    _add_brick(model, nodes, name, box.mass * model.wtmass / float(np.prod(sides)), sets)
+    name = body.name + ("" if mass > 0.0 else "_LESS") + ("" if extent.any() else POINT)
+    _add_brick(model, nodes, name, mass * model.wtmass / float(np.prod(sides)), sets)
 
 
 def _add_brick(

@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.translation.assembly import Assembly
-from modetune.adapters.translation.freedoms import Freedoms, total
+from modetune.adapters.translation.assembly import Assembly, Freedoms, total
 from modetune.adapters.translation.springs import Deformations, add_springs
 from modetune.core.element_geometry import SHAPES, integration_points
 from modetune.core.modes import Floats

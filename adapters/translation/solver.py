@@ -29,9 +29,8 @@ from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.patch import edited_bulk
 from modetune.adapters.solver import AffectedElements, ModelSummary, Solver
-from modetune.adapters.translation.bricks import WrittenShells
-from modetune.adapters.translation.shells import KINDS
-from modetune.adapters.translation.translate import Translation, translate
+from modetune.adapters.translation.shells import KINDS, WrittenShells
+from modetune.adapters.translation.translation import Translation, translate
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
 from modetune.core.modes import Integers

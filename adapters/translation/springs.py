@@ -22,9 +22,15 @@ import numpy as np
 
 from modetune.adapters.nastran.element_axes import bush_axes, bush_place
 from modetune.adapters.nastran.geometry import local_axes
-from modetune.adapters.translation.assembly import Assembly
+from modetune.adapters.translation.assembly import (
+    Assembly,
+    Form,
+    Freedoms,
+    difference,
+    total,
+    trimmed,
+)
 from modetune.adapters.translation.calculix_text import number_list
-from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total, trimmed
 from modetune.core.modes import Floats
 
 SCALAR = ("CELAS1", "CELAS2", "CELAS3", "CELAS4")

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.translation.assembly import Assembly
-from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total
-from modetune.adapters.translation.rigid import Component, rigid_motions
+from modetune.adapters.translation.assembly import Assembly, Form, Freedoms, difference, total
+from modetune.adapters.translation.linear_constraints import Component, rigid_motions
 from modetune.adapters.translation.springs import Deformations, add_springs
 from modetune.core.modes import Floats
 

@@ -21,7 +21,7 @@ from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.translation.mass_properties import check_masses
-from modetune.adapters.translation.translate import Translation, translate
+from modetune.adapters.translation.translation import Translation, translate
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats

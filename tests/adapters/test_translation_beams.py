@@ -19,7 +19,7 @@ from modetune.adapters.calculix.solver import calculix_program
 from modetune.adapters.nastran.section_shapes import shape_of
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis, Solver
-from modetune.adapters.translation.translate import translate
+from modetune.adapters.translation.translation import translate
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.updating.results import ModalResult

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.translation.translate import translate
+from modetune.adapters.translation.translation import translate
 from modetune.core.errors import ModelError
 from tests.adapters.solved import needs_ccx
 from tests.adapters.test_translation import (

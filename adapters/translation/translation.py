@@ -25,15 +25,20 @@ from modetune.adapters.nastran.lumped_masses import (
     lumps,
     solid_densities,
 )
-from modetune.adapters.translation.assembly import Assembly
+from modetune.adapters.translation.assembly import Assembly, Freedoms
 from modetune.adapters.translation.beams import translate_beams
-from modetune.adapters.translation.bricks import WrittenShells, lumped_shells, shell_densities
 from modetune.adapters.translation.calculix_text import CalculixText
-from modetune.adapters.translation.freedoms import Freedoms
+from modetune.adapters.translation.linear_constraints import (
+    leaders,
+    translate_mpcs,
+    translate_rigid_elements,
+    translate_spcs,
+)
 from modetune.adapters.translation.mass_properties import (
     MassProperties,
     calculix_mass_properties,
     check_masses,
+    nastran_mass_properties,
 )
 from modetune.adapters.translation.masses import (
     grouped_masses,
@@ -41,18 +46,16 @@ from modetune.adapters.translation.masses import (
     translate_masses,
     translate_scalar_masses,
 )
-from modetune.adapters.translation.nastran_masses import nastran_mass_properties
-from modetune.adapters.translation.rigid import (
-    leaders,
-    translate_mpcs,
-    translate_rigid_elements,
-    translate_spcs,
-)
 from modetune.adapters.translation.shear_panels import translate_shear_panels
-from modetune.adapters.translation.shell_bricks import write_shells
-from modetune.adapters.translation.shell_rotations import hold_leaders
 from modetune.adapters.translation.shells import KINDS as SHELLS
-from modetune.adapters.translation.shells import understand_shells
+from modetune.adapters.translation.shells import (
+    WrittenShells,
+    hold_leaders,
+    lumped_shells,
+    shell_densities,
+    understand_shells,
+    write_shells,
+)
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.adapters.translation.solids import translate_solids
 from modetune.adapters.translation.springs import translate_springs

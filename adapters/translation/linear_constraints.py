@@ -1,12 +1,12 @@
-"""Rigid elements, the interpolation element RBE3 and constraints as linear equations.
+"""Rigid elements, the interpolation element RBE3, SPC and MPC as linear equations.
 
-Rigid elements (RBE1, RBE2, RBAR, RBAR1, RROD) and RBE3 are written as *EQUATION, not as *RIGID BODY
-or *COUPLING: equations take single components, output frames and rotations alike, and shell nodes
-that carry rotations become ccx's rigid knots.
+Rigid elements (RBE1, RBE2, RBAR, RBAR1, RROD) and RBE3 become *EQUATION, not *RIGID BODY or
+*COUPLING: equations take single components, output frames and rotations alike, and shell nodes that
+carry rotations become the rigid knots of ccx.
 
-Single-point and multi-point constraints are SPC, SPC1, SPCADD, GRID PS, MPC, MPCADD. AUTOSPC needs
-no counterpart: what it takes out of Nastran's stiffness (rotations of solids, the rotation about a
-shell's normal) is not an unknown of the CalculiX model.
+Single-point and multi-point constraints come from SPC, SPC1, SPCADD, GRID PS, MPC, MPCADD. AUTOSPC
+needs no counterpart: what it removes from Nastran's stiffness (rotations of solids, the rotation
+about a shell's normal) is no unknown of the CalculiX model.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.translation.freedoms import Form, Freedoms, difference, total
+from modetune.adapters.translation.assembly import Form, Freedoms, difference, total
 from modetune.adapters.translation.shells import Edges
 from modetune.core.modes import Floats
 
