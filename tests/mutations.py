@@ -33,7 +33,7 @@ from modetune.adapters.matrices.job import CLOSING_MARK, RESULT, read_result, ru
 from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.adapters.matrices.model import MatrixModel
 from modetune.adapters.matrices.solver import matrices_solver
-from modetune.adapters.nastran.design_sensitivity import read_dscm2
+from modetune.adapters.nastran.design import read_dscm2
 from modetune.adapters.nastran.dialect import DECK
 from modetune.adapters.nastran.f06 import read_f06
 from modetune.adapters.nastran.op2 import read_op2

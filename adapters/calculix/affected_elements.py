@@ -18,9 +18,9 @@ import numpy as np
 
 from modetune.adapters.calculix.constants import constant_places
 from modetune.adapters.calculix.constraints import read_constraints
-from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck
-from modetune.adapters.calculix.incidence import EXPANDED, Incidence, roles_of
-from modetune.adapters.calculix.model import DEPENDENT, CalculixModel, read_number
+from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, read_number
+from modetune.adapters.calculix.mesh import EXPANDED, Incidence, roles_of
+from modetune.adapters.calculix.model import DEPENDENT, CalculixModel
 from modetune.adapters.solver import AffectedElements
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from modetune.adapters.calculix.deck import KeywordCard, canonical_name
-from modetune.adapters.calculix.model import NOT_FOLLOWED, CalculixModel, read_number
+from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
+from modetune.adapters.calculix.model import NOT_FOLLOWED, CalculixModel
 from modetune.core.errors import ModelError
 
 #: A node and a component, 1..3 translations, 4..6 rotations.

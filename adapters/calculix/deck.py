@@ -269,3 +269,12 @@ def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
     quote = '"' if found.group(1).startswith('"') else ""
     before, after = line.text[: found.start(1)], line.text[found.end(1) :]
     return [f"{before}{quote}{place.as_posix()}{quote}{after}"]
+
+
+def read_number(text: str) -> float:
+    """A number as ccx reads it: 7.1E4, 7.1d4 and 7.1+4 are one. Raises ValueError."""
+    plain = re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", text.strip().upper().replace("D", "E"))
+    value = float(plain)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value

@@ -1,10 +1,22 @@
-"""The mesh a CalculiX deck holds: nodes, elements, and named sets of elements."""
+"""The mesh of a CalculiX deck: nodes, elements, named sets, and the roles of nodes in elements.
+
+ccx numbers the nodes of an element in a deck as VTK does (corners, then midside nodes round one
+face, round the other, and between the two), but for beams and trusses of three nodes, whose middle
+one stands second. Its .frd files have yet another order, which does not matter here.
+
+ccx expands shells and beams to solids: a node of the deck becomes several on the element's
+normal, or a knot (a rigid body) where elements of different normals or thickness meet. What a node
+is in its elements decides how many there are.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from modetune.adapters.calculix.deck import (
     FIELD_WIDTH,
@@ -12,8 +24,10 @@ from modetune.adapters.calculix.deck import (
     KeywordDeck,
     canonical_name,
     check_width,
+    read_number,
 )
 from modetune.core.errors import ModelError
+from modetune.core.mesh import NODES, CellKind, Cells, Mesh
 
 #: Number of nodes of the element types whose name does not end with it.
 NODES_OF = {"SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "MASS": 1, "DASHPOTA": 2, "GAPUNI": 2}
@@ -165,3 +179,149 @@ def _whole(deck: KeywordDeck, position: int, fields: list[str]) -> list[int]:
     except ValueError:
         line = deck.lines[position]
         raise ModelError(f"{line.where}: whole numbers expected, found {line.text!r}") from None
+
+
+#: Element families by what they are drawn as, with their nodes that count; first match wins.
+SOLIDS: dict[str, CellKind] = {
+    "4": "tetra", "6": "wedge", "8": "hexahedron", "10": "tetra10", "15": "wedge15",
+    "20": "hexahedron20",
+}  # fmt: skip
+SURFACES: dict[str, CellKind] = {"3": "triangle", "4": "quad", "6": "triangle6", "8": "quad8"}
+LINES: dict[str, CellKind] = {"1": "line", "2": "line3"}
+TRUSSES: dict[str, CellKind] = {"2": "line", "3": "line3"}
+#: US3 and S3 alike are shells; plane and axisymmetric elements lie in their plane as shells do.
+FAMILIES: tuple[tuple[re.Pattern[str], Mapping[str, CellKind]], ...] = (
+    (re.compile(r"C3D(\d+)"), SOLIDS),
+    (re.compile(r"(?:U?S|M3D|CPS|CPE|CAX)(\d+)"), SURFACES),
+    (re.compile(r"B[23](\d)"), LINES),
+    (re.compile(r"T[23]D(\d)"), TRUSSES),
+)
+OTHERS: dict[str, CellKind] = {
+    "SPRINGA": "line", "SPRING2": "line", "DASHPOTA": "line", "GAPUNI": "line",
+    "SPRING1": "vertex", "MASS": "vertex", "DCOUP3D": "vertex",
+}  # fmt: skip
+#: The middle node of these stands second in a deck, third in VTK.
+MIDDLE_SECOND: tuple[CellKind, ...] = ("line3",)
+
+
+def cell_kind(element_type: str) -> CellKind | None:
+    """What an element type (upper case) is drawn as; None for those that have no shape here."""
+    if element_type in OTHERS:
+        return OTHERS[element_type]
+    for family, kinds in FAMILIES:
+        if found := family.match(element_type):
+            return kinds.get(found.group(1))
+    return None
+
+
+def read_geometry(deck: KeywordDeck, mesh: CalculixMesh, result_nodes: frozenset[int]) -> Mesh:
+    """Nodes that belong to elements or carry results, and the elements between them.
+
+    Elements of types without a shape (fluid networks, user elements) are left out, their nodes
+    stay. No node has axes of its own: results are printed in global axes (GLOBAL=YES), whatever
+    *TRANSFORM says. Raises ModelError with file and line.
+    """
+    places = read_places(deck)
+    kinds = {name: cell_kind(name) for name in {item.kind for item in mesh.elements.values()}}
+    blocks: dict[CellKind, list[tuple[int, ...]]] = {}
+    used = set(result_nodes)
+    for number, element in mesh.elements.items():
+        there = [node for node in element.nodes if node in places]
+        used.update(there)
+        kind = kinds[element.kind]
+        if kind and len(there) == len(element.nodes) == NODES[kind]:
+            blocks.setdefault(kind, []).append((number, *element.nodes))
+    numbers = np.array(sorted(used), dtype=np.int64)
+    return Mesh(
+        nodes=numbers,
+        coordinates=np.array([places[node] for node in numbers.tolist()]).reshape(-1, 3),
+        cells=tuple(_cells(kind, blocks[kind]) for kind in sorted(blocks)),
+    )
+
+
+def _cells(kind: CellKind, rows: list[tuple[int, ...]]) -> Cells:
+    table = np.array(rows, dtype=np.int64)
+    nodes = table[:, 1:]
+    if kind in MIDDLE_SECOND:
+        nodes = nodes[:, [0, 2, 1]]
+    return Cells(kind, table[:, 0], nodes)
+
+
+def read_places(deck: KeywordDeck) -> dict[int, tuple[float, float, float]]:
+    """Coordinates of all nodes.
+
+    ccx knows one way to give them, x, y, z in global axes: other programs' SYSTEM option it skips
+    with a warning, and so does this. A blank coordinate is zero.
+    """
+    places = {}
+    for card in deck.named("*NODE"):
+        for position in card.data:
+            number, x, y, z = [*deck.lines[position].text.split(","), "", "", ""][:4]
+            try:
+                places[int(number)] = _number(x), _number(y), _number(z)
+            except ValueError:
+                line = deck.lines[position]
+                raise ModelError(
+                    f"{line.where}: a node's number and coordinates expected, found {line.text!r}"
+                ) from None
+    return places
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return read_number(text) if text.strip() else 0.0
+
+
+#: solid and point (springs, masses, dashpots): the node's own three translations. Of shells and
+#: beams linear, and quadratic with their corners or ends and their middle nodes.
+Role = Literal[
+    "solid", "point", "shell", "shell corner", "shell middle", "beam", "beam end", "beam middle",
+    "other",
+]  # fmt: skip
+#: Types of elements with the roles of their nodes; the last one stands for all further nodes.
+ROLES: tuple[tuple[re.Pattern[str], tuple[Role, ...]], ...] = (
+    (re.compile(r"C3D(4|6|8[IR]?|10T?|15|20R?)"), ("solid",)),
+    (re.compile(r"SPRING[12A]|MASS|DASHPOTA"), ("point",)),
+    (re.compile(r"S3|S4R?"), ("shell",)),
+    (re.compile(r"S6"), (*(("shell corner",) * 3), "shell middle")),
+    (re.compile(r"S8R?"), (*(("shell corner",) * 4), "shell middle")),
+    (re.compile(r"B31R?"), ("beam",)),
+    (re.compile(r"B32R?"), ("beam end", "beam middle", "beam end")),
+)
+#: Roles whose nodes lie on a shell or a beam.
+EXPANDED: frozenset[Role] = frozenset(
+    {"shell", "shell corner", "shell middle", "beam", "beam end", "beam middle"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Incidence:
+    """Nodes of each element by its number, in the deck's order, and the elements' types."""
+
+    nodes_of: dict[int, tuple[int, ...]]
+    mesh: CalculixMesh
+
+    def nodes(self, elements: Iterable[int]) -> frozenset[int]:
+        """All nodes of these elements."""
+        return frozenset[int]().union(*map(self.nodes_of.__getitem__, elements))
+
+    def roles(self, nodes: Collection[int]) -> dict[int, set[Role]]:
+        """What each of these nodes is in its elements; nothing where it belongs to none."""
+        found: dict[int, set[Role]] = {node: set() for node in nodes}
+        by_kind: dict[str, tuple[Role, ...]] = {}
+        for number, corners in self.nodes_of.items():
+            kind = self.mesh.elements[number].kind
+            if kind not in by_kind:
+                by_kind[kind] = roles_of(kind)
+            roles = by_kind[kind]
+            for place, node in enumerate(corners):
+                if node in found:
+                    found[node].add(roles[min(place, len(roles) - 1)])
+        return found
+
+
+def roles_of(kind: str) -> tuple[Role, ...]:
+    """Roles of an element type's nodes, `other` for types that are not followed."""
+    return next((roles for pattern, roles in ROLES if pattern.fullmatch(kind)), ("other",))

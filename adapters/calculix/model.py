@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, canonical_name, check_width
-from modetune.adapters.calculix.incidence import roles_of
-from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh
+from modetune.adapters.calculix.deck import (
+    KeywordCard,
+    KeywordDeck,
+    canonical_name,
+    check_width,
+    read_number,
+)
+from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh, roles_of
 from modetune.adapters.solver import ModelSummary
 from modetune.core.errors import ModelError
 
@@ -131,12 +135,3 @@ class CalculixModel:
 def understand(deck: KeywordDeck) -> CalculixModel:
     """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
     return CalculixModel(deck, read_mesh(deck))
-
-
-def read_number(text: str) -> float:
-    """A number as ccx reads it: 7.1E4, 7.1d4 and 7.1+4 are one. Raises ValueError."""
-    plain = re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", text.strip().upper().replace("D", "E"))
-    value = float(plain)
-    if not math.isfinite(value):
-        raise ValueError(f"{text} is not finite")
-    return value

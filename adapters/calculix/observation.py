@@ -22,8 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.adapters.calculix.constraints import Constraints, Dof, read_constraints
-from modetune.adapters.calculix.geometry import read_places
-from modetune.adapters.calculix.incidence import EXPANDED, Incidence, Role
+from modetune.adapters.calculix.mesh import EXPANDED, Incidence, Role, read_places
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.observation import Observation, Weights, from_rows, named_rows

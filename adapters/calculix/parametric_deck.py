@@ -10,9 +10,8 @@ from pathlib import Path
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
 from modetune.adapters.calculix.damping import damped_materials, dampers
 from modetune.adapters.calculix.deck import write_edited
-from modetune.adapters.calculix.geometry import read_geometry
-from modetune.adapters.calculix.incidence import Incidence
 from modetune.adapters.calculix.loads import load_case
+from modetune.adapters.calculix.mesh import Incidence, read_geometry
 from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.places import edited_lines, energy_sets, find_numbers

@@ -11,9 +11,10 @@ from modetune.adapters.calculix.deck import (
     KeywordCard,
     canonical_name,
     format_number,
+    read_number,
     replace_field,
 )
-from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel, read_number
+from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel
 from modetune.adapters.deck_numbers import Number, check_moved, check_one, moved_numbers
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError

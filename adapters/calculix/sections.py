@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 
-from modetune.adapters.calculix.deck import KeywordCard, canonical_name
-from modetune.adapters.calculix.model import CalculixModel, read_number
+from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
+from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.places import find_density, first_value, of_elastic
 from modetune.adapters.solver import Target
 from modetune.core.errors import ModelError

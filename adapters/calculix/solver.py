@@ -19,7 +19,7 @@ import numpy as np
 from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.frd import with_frd
-from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text
+from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text, modes_at_most
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.parametric_deck import CalculixDeck, EditedCalculix
 from modetune.adapters.calculix.results import (
@@ -29,7 +29,6 @@ from modetune.adapters.calculix.results import (
     read_version,
 )
 from modetune.adapters.calculix.sections import point_mass
-from modetune.adapters.calculix.spare_unknowns import modes_at_most
 from modetune.adapters.calculix.splitting import split_model
 from modetune.adapters.cross_checks import check_energies, mark_of, without_spare
 from modetune.adapters.process import as_block, log_tail, read_log, run_process

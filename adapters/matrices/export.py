@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.matrices.matrix_files import op4_lines, write_matrix
-from modetune.adapters.nastran.number import format_number
+from modetune.adapters.nastran.fields import format_number
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers, dof_name
 from modetune.core.storage.files import check_writable, storage_errors, writing

@@ -15,9 +15,8 @@ import numpy as np
 
 from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
 from modetune.adapters.deck_numbers import Number
-from modetune.adapters.nastran.deck import NastranCard
-from modetune.adapters.nastran.element_axes import bush_axes, bush_place
-from modetune.adapters.nastran.geometry import output_frames
+from modetune.adapters.nastran.fields import NastranCard
+from modetune.adapters.nastran.mesh import bush_axes, bush_place, output_frames
 from modetune.adapters.nastran.places import ELEMENT_ENTRIES, MATERIAL_ENTRIES
 from modetune.adapters.nastran.sections import FIELDS, holds, section_entries
 from modetune.adapters.nastran.structure import Structure

@@ -16,9 +16,7 @@ from pathlib import Path
 
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
-from modetune.adapters.nastran.cards import CardField as CardField
-from modetune.adapters.nastran.cards import NastranCard as NastranCard
-from modetune.adapters.nastran.cards import changed_texts, read_cards
+from modetune.adapters.nastran.fields import CardField, NastranCard, changed_texts, read_cards
 from modetune.core.errors import ModelError
 
 INCLUDE = re.compile(r"\s*INCLUDE(?=[\s,='\"]|$)\s*[,=]?\s*(.*)", re.IGNORECASE)

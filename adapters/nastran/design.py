@@ -28,17 +28,25 @@ import ast
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
 
 from modetune.adapters.deck_numbers import moved_numbers
-from modetune.adapters.nastran.deck import NastranCard, with_lines
-from modetune.adapters.nastran.model import NastranModel, ValuePlace
-from modetune.adapters.nastran.number import format_number, read_number
+from modetune.adapters.nastran.deck import with_lines
+from modetune.adapters.nastran.fields import NastranCard, format_number, read_number
+from modetune.adapters.nastran.model import NastranModel
+from modetune.adapters.nastran.op2 import Op2Table, Record, read_tables
+from modetune.adapters.nastran.places import ValuePlace
+from modetune.adapters.nastran.results import COMPONENTS
 from modetune.adapters.nastran.sections import station_rows
 from modetune.adapters.solver import SensitivityAnalysis
-from modetune.core.errors import ModelError
+from modetune.core.errors import ModelError, SolverCrashed
 from modetune.core.expressions import names_of, parts, read
+from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, Values
+from modetune.core.updating.results import ModeDerivatives
 
 #: The set of constraints that keep the responses.
 CONSTRAINTS = 1
@@ -48,7 +56,6 @@ LOWER, UPPER = ".5", "2."
 THRESHOLD = "-1.+10"
 #: Responses of one kind that are kept; more than any job asks for.
 KEPT = 9_999_999
-COMPONENTS = 6
 #: Offsets of a PBEAM's neutral axis.
 OFFSETS = ("N1", "N2")
 #: Characters of a field in large-field cards.
@@ -305,3 +312,195 @@ def _text(node: ast.expr, names: Mapping[str, str]) -> str:
         case ast.Constant(value=int() | float() as value):
             return real(float(value))
     raise AssertionError(ast.dump(node))
+
+
+#: Response types of DSCMCOL that are told by that number alone.
+WEIGHT, MODE, DISPLACEMENT = 1, 4, 5
+#: Response types of DRESP1 cards in EDOM.
+EDOM_EIGENVALUE, EDOM_FREQUENCY = 4, 12
+#: The first words of the records of these cards in EDOM.
+DESVAR, DRESP1 = (3106, 31), (3806, 38)
+WORDS = 9
+ASK = "PARAM,POST,-1 in the bulk data and DSAPRT(EXPORT,END=SENS)=ALL in the case control write it"
+
+
+@dataclass(frozen=True, slots=True)
+class DesignResponse:
+    """One column.
+
+    kind: weight, frequency (cycles), eigenvalue, displacement, or `other N` with the type N of
+    DSCMCOL. number: of its DRESP1 card. mode: of a frequency or an eigenvalue. node, component:
+    of a displacement. 0 where it has none.
+    """
+
+    kind: str
+    number: int
+    mode: int = 0
+    node: int = 0
+    component: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DesignSensitivities:
+    """Derivatives of responses with respect to design variables, in the units of the deck.
+
+    design_variables: (n_desvar,), DESVAR numbers, ascending. responses: one a column.
+    values: (n_desvar, n_response).
+    """
+
+    design_variables: Integers
+    responses: tuple[DesignResponse, ...]
+    values: Floats
+
+
+def read_dscm2(path: Path) -> DesignSensitivities:
+    """Read the sensitivities of an OP2 file; of several design cycles the last ones.
+
+    Raises SolverCrashed where the file is not whole or lacks DSCM2, DSCMCOL or EDOM, and says
+    which request writes them.
+    """
+    names = ("DSCM2", "DSCMCOL", "EDOM")
+    tables = {table.name: table for table in read_tables(path, lambda name: name in names)}
+    for name in names:
+        if name not in tables:
+            raise SolverCrashed(
+                f"{path} has no table {name}, without which sensitivities mean nothing; {ASK}"
+            )
+    try:
+        values = _matrix(tables["DSCM2"])
+        variables = _design_variables(tables["EDOM"], values.shape[0])
+        responses = _read_responses(tables["DSCMCOL"], _dresp1_types(tables["EDOM"]))
+    except (ValueError, IndexError, OverflowError) as error:
+        raise SolverCrashed(f"{path} holds no sensitivities that can be used: {error}") from error
+    if len(responses) != values.shape[1]:
+        raise SolverCrashed(
+            f"{path}: DSCM2 has {values.shape[1]} columns, DSCMCOL names {len(responses)}"
+        )
+    return DesignSensitivities(variables, responses, values)
+
+
+def _matrix(table: Op2Table) -> Floats:
+    """A real matrix, column by column; a column is strings of (row, values)."""
+    if table.trailer.size < 5:
+        raise ValueError(f"the trailer of {table.name} has {table.trailer.size} words")
+    n_columns, n_rows, kind = (int(table.trailer[at]) for at in (1, 2, 4))
+    if kind not in (1, 2):
+        raise ValueError(f"{table.name} is not a real matrix (type {kind})")
+    if len(table.records) != n_columns or not 0 < n_rows:
+        raise ValueError(f"{table.name} has {len(table.records)} columns of {n_columns}")
+    values = []
+    for record in table.records:
+        column: dict[int, float] = {}
+        for piece in record.pieces:
+            width = 8 if kind == 2 or record.word == 8 else 4
+            row = int(Record((piece[: record.word],), record.word).integers()[0])
+            body = np.frombuffer(piece[record.word :], dtype=f"<f{width}").astype(np.float64)
+            column |= {row + at: float(value) for at, value in enumerate(body)}
+        if any(not 1 <= row <= n_rows for row in column):
+            raise ValueError(f"{table.name} has a row beyond its {n_rows} rows")
+        values.append([column.get(row, 0.0) for row in range(1, n_rows + 1)])
+    matrix = np.array(values).T
+    if not np.isfinite(matrix).all():
+        raise ValueError(f"{table.name} holds a number that is not finite")
+    return matrix
+
+
+def _design_variables(edom: Op2Table, n_rows: int) -> Integers:
+    """DESVAR numbers; a card takes nine words in newer files and eight in older ones."""
+    words = _cards(edom, DESVAR)
+    width = next((width for width in (9, 8) if words.size == n_rows * width), 0)
+    if not width:
+        raise ValueError(f"DSCM2 has {n_rows} rows, EDOM {words.size} words of DESVAR cards")
+    numbers = words.reshape(-1, width)[:, 0]
+    if (numbers < 1).any() or (np.diff(np.sort(numbers)) == 0).any():
+        raise ValueError("the DESVAR numbers in EDOM are not distinct and positive")
+    return np.sort(numbers)
+
+
+def _dresp1_types(edom: Op2Table) -> dict[int, int]:
+    """Type of each DRESP1 card; a card is number, label (2), type and more, and ends with -1."""
+    words = _cards(edom, DRESP1).tolist()
+    types: dict[int, int] = {}
+    while words:
+        end = words.index(-1) if -1 in words else len(words)
+        if end > 3:
+            types.setdefault(words[0], words[3])
+        words = words[end + 1 :]
+    return types
+
+
+def _cards(edom: Op2Table, mark: tuple[int, int]) -> Integers:
+    for record in edom.records:
+        if len(record.content) % record.word == 0:
+            words = record.integers()
+            if tuple(words[:2].tolist()) == mark:
+                return words[3:]
+    return np.zeros(0, dtype=np.int64)
+
+
+def _read_responses(table: Op2Table, types: dict[int, int]) -> tuple[DesignResponse, ...]:
+    words = table.records[0].integers()
+    if words.size % WORDS or not words.size:
+        raise ValueError(f"DSCMCOL has {words.size} words, {WORDS} belong to a response")
+    responses = []
+    for at, row in enumerate(words.reshape(-1, WORDS).tolist()):
+        if row[0] != at + 1:
+            raise ValueError(f"DSCMCOL has response {row[0]} where {at + 1} belongs")
+        responses.append(_response(row, types))
+    # Responses of DRESP2 cards, in a record of their own, take six words each.
+    for record in table.records[1:]:
+        rows = record.integers().reshape(-1, 6).tolist()
+        responses += [DesignResponse("other DRESP2", row[1]) for row in rows]
+    return tuple(responses)
+
+
+def _response(row: list[int], types: dict[int, int]) -> DesignResponse:
+    _, number, kind, first, second, *_ = row
+    if kind == WEIGHT:
+        return DesignResponse("weight", number)
+    if kind == DISPLACEMENT:
+        return DesignResponse("displacement", number, node=first, component=second)
+    if kind == MODE:
+        names = {EDOM_EIGENVALUE: "eigenvalue", EDOM_FREQUENCY: "frequency"}
+        name = names.get(types.get(number, 0))
+        if name is None:
+            raise ValueError(f"EDOM does not say whether DRESP1 {number} is EIGN or FREQ")
+        return DesignResponse(name, number, mode=first)
+    return DesignResponse(f"other {kind}", number)
+
+
+def mode_derivatives(
+    found: DesignSensitivities, analysis: SensitivityAnalysis, values: Sequence[float]
+) -> ModeDerivatives:
+    """Derivatives with respect to the relative values of the analysis' parameters.
+
+    values: where the parameters stand (design.py tells why they divide). Rows of rigid modes are
+    rounding. Raises ValueError that names the first response or variable that is not there.
+    """
+    n_parameters = len(analysis.parameters)
+    columns = {response.number: place for place, response in enumerate(found.responses)}
+    # Where the file does not number its rows, they are all of the job's design variables.
+    known = found.design_variables.tolist() or list(range(1, len(found.values) + 1))
+    for place, name in enumerate(analysis.parameters):
+        if place + 1 not in known:
+            raise ValueError(f"no sensitivities to design variable {place + 1} ({name})")
+    rows = [known.index(place + 1) for place in range(n_parameters)]
+    table = found.values[rows] / np.asarray(values)[:, None]
+
+    def derivatives(mode: int, row: int = -1) -> Floats:
+        number = response_id(analysis, mode, row)
+        if number not in columns:
+            what = f"the eigenvalue of mode {mode + 1}"
+            if row >= 0:
+                node = analysis.nodes[row // COMPONENTS]
+                what = f"component {row % COMPONENTS + 1} of node {node} in mode {mode + 1}"
+            raise ValueError(f"no sensitivity of {what} (response {number})")
+        slopes: Floats = table[:, columns[number]]
+        return slopes
+
+    modes = range(analysis.n_modes)
+    slopes = np.array([derivatives(mode) for mode in modes])
+    shapes = np.array(
+        [[derivatives(mode, row) for mode in modes] for row in range(n_rows(analysis))]
+    )
+    return ModeDerivatives(slopes, shapes.reshape(-1, analysis.n_modes, n_parameters))

@@ -10,6 +10,10 @@ messages: what it left half printed is given as if it were not there, and `ended
 A fatal message stands alone on its line, `*** USER FATAL MESSAGE 2025 (IFPDRV)` or
 `^^^ USER FATAL ...` from a DMAP sequence, and goes on until a blank line. MYSTRAN writes
 `*ERROR  1308: ...`. Echoed decks may quote such a line, but have a line count before it.
+
+Each table gets all lines and takes those that are its own. A table that cannot be right keeps the
+reason and raises it as ValueError when its values are asked for: a run that broke off is read for
+its messages all the same.
 """
 
 from __future__ import annotations
@@ -23,15 +27,258 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.nastran.eigenvectors import NastranModes, energy_table, shape_matrix
-from modetune.adapters.nastran.f06_tables import (
-    EigenvalueTable,
-    EigenvectorTables,
-    EnergyTables,
-    WeightTable,
+from modetune.adapters.nastran.results import (
+    ElementEnergies,
+    GridShape,
+    NastranModes,
+    energy_table,
+    shape_matrix,
 )
 from modetune.adapters.regular_file import open_regular
 from modetune.core.errors import SolverCrashed
+from modetune.core.modes import Floats
+
+#: Lines of a weight generator's table at most.
+WEIGHT_LINES = 80
+#: A heading has spaced letters; any of them closes the table before it.
+HEADING = re.compile(r"(?:\b[A-Z] ){4}")
+MESSAGE = re.compile(r"[0 ]?\s{0,4}(?:\*{3}|\^{3}) ")
+NUMBER = r"[-+]?\d+\.\d*(?:[EDed]?[-+]\d+)?\*?"
+NUMBERS = re.compile(NUMBER)
+
+
+def number(text: str) -> float:
+    """A number that Fortran printed: exponent letter D or, with three digits, none; a `*` behind.
+
+    Raises ValueError where it is none.
+    """
+    plain = text.rstrip("*").replace("D", "E").replace("d", "E")
+    return float(re.sub(r"(?<=[\d.])([-+]\d+)$", r"E\1", plain))
+
+
+class EigenvalueTable:
+    """REAL EIGENVALUES: mode, order, eigenvalue, radians, cycles, generalised mass, stiffness."""
+
+    def __init__(self) -> None:
+        self._open = False
+        self._rows: list[list[float]] = []
+        self._complete = False
+        self._problem = ""
+
+    def take(self, line: str) -> None:
+        if line.startswith("1"):
+            self._open = False
+        elif HEADING.search(line):
+            self._open = "R E A L   E I G E N V A L U E S" in line
+        elif MESSAGE.match(line):
+            self._open = False  # what messages list may look like rows
+        elif self._open and re.match(r"\s+\d+\s+\d+\s", line):
+            self._row(line)
+
+    def _row(self, line: str) -> None:
+        words = line.split()
+        try:
+            row = [float(int(words[0])), *(number(word) for word in words[2:7])]
+        except ValueError:
+            row = []
+        if len(words) != 7 or len(row) != 6 or not np.isfinite(row).all() or not _consistent(row):
+            self._problem = self._problem or f"a row of the eigenvalues is {line.strip()!r}"
+        elif row[0] == len(self._rows) + 1 and not self._complete:
+            self._rows.append(row)
+        elif row[0] == 1:
+            self._complete = True  # the next subcase or design cycle
+        elif not self._complete:
+            self._problem = self._problem or f"eigenvalue {len(self._rows) + 1} is missing"
+
+    def columns(self) -> Floats:
+        """Eigenvalues and generalised masses, (2, n_modes)."""
+        if self._problem:
+            raise ValueError(self._problem)
+        return np.array([[row[1], row[4]] for row in self._rows]).reshape(-1, 2).T
+
+
+def _consistent(row: list[float]) -> bool:
+    """Radians, cycles and generalised stiffness are those of the eigenvalue, to the printed digits.
+
+    Half a unit of the seventh digit is 5e-7 in the worst case; older files print fewer digits.
+    """
+    _, eigenvalue, radians, cycles, mass, stiffness = row
+    return bool(
+        np.isclose(stiffness, eigenvalue * mass, rtol=1e-4, atol=1e-30)
+        and np.isclose(radians, np.sqrt(abs(eigenvalue)), rtol=1e-5, atol=1e-30)
+        and np.isclose(2.0 * np.pi * cycles, radians, rtol=1e-5, atol=1e-30)
+    )
+
+
+class EigenvectorTables:
+    """REAL EIGENVECTOR NO. n, page by page, and MYSTRAN's EIGENVECTOR tables."""
+
+    def __init__(self) -> None:
+        self._open = False
+        self._mystran = False
+        self._eigenvalue = np.nan
+        self._mode = 0
+        self._subcase = 0
+        self._first_subcase: int | None = None
+        self._pages: dict[int, _Points] = {}
+
+    def take(self, line: str) -> None:
+        if self._open and (line.startswith(" ") and line[:24].strip()[:1].isdigit()):
+            self._row(line)
+        elif line.startswith("1"):
+            self._open = False
+        elif found := re.search(r"R E A L   E I G E N V E C T O R   N O \.\s+(\d+)", line):
+            self._start(int(found.group(1)), mystran=False)
+        elif found := re.match(r"\s*OUTPUT FOR EIGENVECTOR\s+(\d+)", line):
+            self._mode, self._open = int(found.group(1)), False
+        elif HEADING.search(line):
+            self._open = False
+            if line.strip() == "E I G E N V E C T O R" and self._mode:
+                self._start(self._mode, mystran=True)
+        elif found := re.match(rf".?\s*EIGENVALUE =\s*({NUMBER})\s*$", line):
+            self._eigenvalue = number(found.group(1))
+        elif found := re.search(r"\bSUBCASE (\d+)\s*$", line[:200]) if line[:1] == "0" else None:
+            self._subcase = int(found.group(1))
+
+    def _start(self, mode: int, mystran: bool) -> None:
+        self._mode, self._mystran = mode, mystran
+        if self._first_subcase is None:
+            self._first_subcase = self._subcase
+        self._open = self._subcase == self._first_subcase
+        if self._open:
+            self._pages.setdefault(mode, _Points(self._eigenvalue))
+
+    def _row(self, line: str) -> None:
+        self._pages[self._mode].take(line, self._mystran)
+
+    def shapes(self) -> list[GridShape]:
+        return [
+            points.shape(mode) for mode, points in sorted(self._pages.items()) if points.numbers
+        ]
+
+
+class _Points:
+    """The points of one mode while they are read."""
+
+    def __init__(self, eigenvalue: float) -> None:
+        self.eigenvalue = eigenvalue
+        self.numbers: list[int] = []
+        self._scalar: list[bool] = []
+        self._values: list[list[float]] = []
+        self._problem = ""
+
+    def take(self, line: str, mystran: bool) -> None:
+        point, kind, *_ = [*line.split(None, 2), ""]
+        text = line[24:] if mystran else line.partition(f" {kind} ")[2]
+        values = NUMBERS.findall(text) if not NUMBERS.sub("", text).strip() else []
+        try:
+            node, numbers = int(point), [number(value) for value in values]
+        except ValueError:
+            node, numbers = 0, []
+        if kind == "S" and 1 <= len(numbers) <= 6:
+            # Scalar points that follow each other stand six in a row, under the first one's number.
+            for offset, value in enumerate(numbers):
+                self._add(node + offset, True, [value, 0.0, 0.0, 0.0, 0.0, 0.0])
+        elif node > 0 and len(numbers) == 6 and (mystran or kind == "G"):
+            self._add(node, False, numbers)
+        elif kind not in ("E", "H", "L"):
+            self._problem = self._problem or f"a row of an eigenvector is {line.strip()!r}"
+
+    def _add(self, node: int, scalar: bool, values: list[float]) -> None:
+        self.numbers.append(node)
+        self._scalar.append(scalar)
+        self._values.append(values)
+
+    def shape(self, mode: int) -> GridShape:
+        if self._problem:
+            raise ValueError(self._problem)
+        return GridShape(
+            mode,
+            self.eigenvalue,
+            np.array(self.numbers, dtype=np.int64),
+            np.array(self._scalar, dtype=np.bool_),
+            np.array(self._values),
+        )
+
+
+class EnergyTables:
+    """ELEMENT STRAIN ENERGIES: one table an element type and mode."""
+
+    def __init__(self) -> None:
+        self._open = False
+        self._type, self._total, self._mode = "", np.nan, 0
+        self._subcase = 0
+        self._first_subcase: int | None = None
+        self._rows: dict[tuple[str, int], tuple[float, list[tuple[int, float]]]] = {}
+        self._problem = ""
+
+    def take(self, line: str) -> None:
+        if line.startswith("1"):
+            self._open, self._mode = False, 0
+        elif line.startswith("0") and (found := re.search(r"\bSUBCASE (\d+)\s*$", line)):
+            self._subcase = int(found.group(1))
+        elif HEADING.search(line):
+            self._open = "E L E M E N T   S T R A I N   E N E R G I E S" in line
+            if self._open and self._first_subcase is None:
+                self._first_subcase = self._subcase
+        elif self._open and self._subcase == self._first_subcase:
+            self._line(line)
+
+    def _line(self, line: str) -> None:
+        if found := re.search(r"ELEMENT-TYPE = (\S+).*IN PROBLEM\s*=\s*(\S+)", line):
+            self._type, self._total = found.group(1), self._number(found.group(2))
+        elif found := re.search(r"\bMODE\s+(\d+)\s.*IN SET", line):
+            self._mode = int(found.group(1))
+            self._rows.setdefault((self._type, self._mode), (self._total, []))
+        elif (found := re.match(rf"\s+(\d+)\s+({NUMBER})\s+{NUMBER}", line)) and self._mode:
+            _, rows = self._rows[self._type, self._mode]
+            rows.append((int(found.group(1)), self._number(found.group(2))))
+        elif re.match(r"\s{30,}\d+\s", line) and self._mode:
+            self._problem = self._problem or f"a row of strain energies is {line.strip()!r}"
+
+    def _number(self, text: str) -> float:
+        try:
+            return number(text)
+        except ValueError:
+            self._problem = self._problem or f"a strain energy is printed as {text!r}"
+            return np.nan
+
+    def tables(self) -> list[ElementEnergies]:
+        if self._problem:
+            raise ValueError(self._problem)
+        return [
+            ElementEnergies(
+                mode,
+                element_type,
+                total,
+                np.array([element for element, _ in rows], dtype=np.int64),
+                np.array([energy for _, energy in rows]),
+            )
+            for (element_type, mode), (total, rows) in self._rows.items()
+        ]
+
+
+class WeightTable:
+    """The mass by the grid point weight generator, the first if there are several; NaN if none."""
+
+    def __init__(self) -> None:
+        self.mass = np.nan
+        self._left = 0  # lines that may still be the table's
+
+    def take(self, line: str) -> None:
+        if "O U T P U T   F R O M" in line and "W E I G H T   G E N E R A T O R" in line:
+            self._left = WEIGHT_LINES
+        if not self._left or np.isfinite(self.mass):
+            return
+        self._left -= 1
+        words = line.replace("*", " ").split()
+        numbers = [number(word) for word in words if NUMBERS.fullmatch(word)]
+        # Mass and centre along the first axis; NX prints the mass by name.
+        if (words[:1] == ["X"] and len(numbers) == 4) or (
+            "Total mass" in line and len(numbers) == 1
+        ):
+            self.mass = numbers[0]
+
 
 __all__ = ["F06", "FatalMessage", "read_f06"]
 
@@ -160,7 +407,7 @@ NAMES = (
     r"|SPC1?|MPC|EIGRL?|CORD\d[RCS]|DESVAR|DVPREL\d|DVMREL\d|DRESP\d|[AO]SET1?|SUPORT"
 )
 KNOWN_CARD = re.compile(rf"\b({NAMES})\b")
-NUMBER = re.compile(
+CARD_NUMBER = re.compile(
     r"\b(?:ID|EID|PID|MID|GID|SID|POINT|GRID|ELEMENT|PROPERTY|MATERIAL"
     rf"|{NAMES})(?:\s*ID)?\s*[=:#\s]\s*(\d+)\b"
 )
@@ -201,7 +448,7 @@ def fatal_message(lines: list[str]) -> FatalMessage:
     names = [name for name in CARD.findall(sentence) if name not in NO_CARD]
     names = names or KNOWN_CARD.findall(sentence)
     card = names[0] if names else ""
-    number = (card and re.search(rf"\b{card}\s+(\d+)\b", sentence)) or NUMBER.search(sentence)
+    number = (card and re.search(rf"\b{card}\s+(\d+)\b", sentence)) or CARD_NUMBER.search(sentence)
     return FatalMessage(
         text="\n".join(texts),
         card_image=_card_image(texts[1:], card),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from modetune.adapters.nastran.number import read_number
+from modetune.adapters.nastran.fields import read_number
 
 #: Whole parts of a model that jobs on another solver than Nastran do without.
 LEFT_OUT = frozenset(

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modetune.adapters.hdf5_reader import read_hdf5
-from modetune.adapters.nastran.eigenvectors import GridShape, shape_matrix
+from modetune.adapters.nastran.results import GridShape, shape_matrix
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 

@@ -18,12 +18,13 @@ from modetune.adapters.nastran.case_control import (
     read_case_control,
     system_statements,
 )
-from modetune.adapters.nastran.deck import NastranCard, NastranDeck, with_lines
+from modetune.adapters.nastran.deck import NastranDeck, with_lines
 from modetune.adapters.nastran.design import design_cards, design_commands
 from modetune.adapters.nastran.dialect import Dialect
+from modetune.adapters.nastran.fields import NastranCard
+from modetune.adapters.nastran.matrices import KEEP, PRINT_TABLE
 from modetune.adapters.nastran.model import NastranModel
-from modetune.adapters.nastran.mystran import first_shift, mystran_cards
-from modetune.adapters.nastran.restart import KEEP, PRINT_TABLE
+from modetune.adapters.nastran.mystran.deck import first_shift, mystran_cards
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Values

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.deck import NastranCard
-from modetune.adapters.nastran.geometry import local_axes
+from modetune.adapters.nastran.fields import NastranCard
+from modetune.adapters.nastran.mesh import local_axes
 from modetune.adapters.nastran.structure import Structure
 from modetune.core.element_geometry import (
     FACES,

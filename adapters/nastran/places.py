@@ -3,15 +3,25 @@
 The tables give, for each quantity and card, the fields as the manuals number them. What no table
 can tell (a ply, a station of a tapered beam, a dimension of a cross-section, the K row of a bush)
 is found by the functions after them.
+
+Stiffness is linear in moduli of whole elements, springs and constants of bars without shear, mass
+in densities and masses (`NastranModel.is_linear`). What constraints and rigid elements eliminate
+moves to the grid points that it depends on.
+
+Of the thickness t of a plate MYSTRAN's elements have t in the plane, t^3 in bending, and of shear
+t^3 / (t^2 + c), with c by the element's size: no polynomial, but one of six powers through six
+thicknesses between half and double is off by 3e-6 of the stiffness and of the eigenvalues at most.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from modetune.adapters.deck_numbers import FROM_ZERO, check_moved, check_one
-from modetune.adapters.nastran.deck import NastranCard
+from modetune.adapters.nastran.bulk import Cards
+from modetune.adapters.nastran.fields import NastranCard
 from modetune.adapters.nastran.sections import (
     ACTS_WITH,
     DEFAULTS,
@@ -22,9 +32,11 @@ from modetune.adapters.nastran.sections import (
     section_entries,
 )
 from modetune.adapters.nastran.structure import Structure
+from modetune.adapters.solver import AffectedElements, Target
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Parameter
+from modetune.core.parameters import Parameter, TargetKind
+from modetune.core.updating.matrix_samples import with_tied
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,3 +316,214 @@ def select(
         for (at, field, symbol), value in numbers
         if value or (value is not None and not relative and at >= 0)
     ]
+
+
+#: Quantities in which stiffness and mass matrices are linear whatever the card.
+LINEAR = (
+    "density", "mass", "rotary_inertia", "nonstructural_mass", "spring_stiffness",
+    "torsion_constant", "structural_damping", "viscous_damping",
+)  # fmt: skip
+#: K1 and K2, the shear stiffness factors of a PBAR.
+SHEAR_FACTORS = (17, 18)
+
+
+def energy_sets(structure: Structure, parameter: Parameter) -> tuple[str, ...]:
+    """Groups of elements whose strain energy is proportional to the parameter's numbers.
+
+    Empty where it is not theirs alone: other materials share a property, or only some of its
+    constants scale.
+    """
+    try:
+        places = find_places(structure, parameter)
+    except ModelError:
+        return ()
+    if parameter.quantity == "youngs_modulus" and parameter.item == 0:
+        return _users(structure, {place.ident for place in places})
+    if parameter.quantity != "spring_stiffness":
+        return ()
+    names: dict[str, None] = {}
+    for place in places:
+        if place.card.name == "PBUSH" and not _whole_bush(structure, place, places):
+            return ()
+        kind = "E" if place.card.name.startswith("CELAS") else "P"
+        names[f"{kind}{place.ident}"] = None
+    return tuple(names)
+
+
+def _users(structure: Structure, materials: set[int]) -> tuple[str, ...]:
+    """Groups that these materials alone make stiff, all that use them; else none."""
+    names = []
+    for number, used in sorted(structure.materials_of.items()):
+        if used & materials:
+            # Two of the parameter's own materials in one property still scale together.
+            if not used <= materials:
+                return ()
+            names.append(f"P{number}")
+    for material in sorted(materials):
+        rods = structure.rods_of.get(material, frozenset())
+        names += [f"E{number}" for number in sorted(rods)]
+    return tuple(names)
+
+
+def _whole_bush(structure: Structure, place: ValuePlace, places: Iterable[ValuePlace]) -> bool:
+    """Whether all stiffness of a PBUSH scales: every K of it that is given and not zero."""
+    scaled = {other.field for other in places if other.card == place.card}
+    rows = (row for row in range(2, len(place.card.fields), 8) if place.card.text(row) == "K")
+    fields = {row + item for row in rows for item in range(1, 7)}
+    return {field for field in fields if structure.number(place.card, field)} == scaled
+
+
+def is_linear(structure: Structure, parameter: Parameter) -> bool:
+    """Whether stiffness and mass matrices are linear in the numbers of a parameter."""
+    if parameter.quantity in (*LINEAR, "variable"):
+        return True
+    if parameter.quantity == "youngs_modulus":
+        # Single constants, and one of several materials of a laminate, act in series with
+        # others (Poisson coupling, transverse shear, condensed bubbles): not linear.
+        return bool(energy_sets(structure, parameter))
+    if parameter.quantity not in ("area", "inertia_1", "inertia_2"):
+        return False
+    try:
+        return all(
+            _without_shear(structure, place.card) for place in find_places(structure, parameter)
+        )
+    except ModelError:
+        return False
+
+
+def _without_shear(structure: Structure, card: NastranCard) -> bool:
+    """Whether a bar bends without shear, so that its stiffness is linear in A and I.
+
+    Shear acts in series with bending: K = 12 EI / (L^3 (1 + phi)), phi = 12 EI / (K1 A G L^2).
+    A PBEAM has it unless K1 and K2 are zero (blank is 1), a PBAR where K1 or K2 is given.
+    """
+    if card.name == "PBAR":
+        return not any(structure.number(card, field) for field in SHEAR_FACTORS)
+    return card.name in ("PROD", "CONROD")
+
+
+#: Quantities that move one of the two matrices; the others may move both.
+STIFFNESS_ALONE = frozenset(("youngs_modulus", "spring_stiffness"))
+MASS_ALONE = frozenset(("density", "mass"))
+
+
+#: Powers of a plate's thickness, and between which relative values they hold.
+THICKNESS, HALF, DOUBLE = (1, 2, 3, 4, 5, 6), 0.5, 2.0
+
+
+def powers_of(parameter: Parameter, places: Iterable[ValuePlace], linear: bool) -> tuple[int, ...]:
+    """The powers of a parameter that the matrices are made of, none where they are not."""
+    if linear:
+        return (1,)
+    plates = parameter.quantity == "thickness" and {p.card.name for p in places} == {"PSHELL"}
+    within = parameter.lower >= HALF and parameter.upper <= DOUBLE
+    return THICKNESS if plates and within else ()
+
+
+def affected_elements_of(
+    structure: Structure,
+    parameters: Sequence[Parameter],
+    places: Iterable[ValuePlace],
+    powers: tuple[int, ...],
+    whole: bool,
+) -> AffectedElements:
+    """What a parameter and those that follow it by expressions move in these powers.
+
+    places: where they stand; whole: whether all stiffness of its elements is proportional to it.
+    """
+    moved = {item.quantity for item in parameters} - {"variable"}
+    elements = frozenset[int]().union(*(_elements_with(structure, place) for place in places))
+    known = structure.bulk.elements | structure.bulk.masses
+    nodes = {node for number in elements for node in known[number].node_ids if node}
+    return AffectedElements(
+        elements=elements,
+        nodes=frozenset(with_tied(nodes, _ties(structure))),
+        stiffness=not moved <= MASS_ALONE,
+        mass=not moved <= STIFFNESS_ALONE,
+        powers=powers,
+        proportional=whole and moved <= STIFFNESS_ALONE,
+        related=len(parameters) > 1,
+    )
+
+
+def _elements_with(structure: Structure, place: ValuePlace) -> frozenset[int]:
+    """Elements that have a number, or a property or material with it."""
+    if place.card in structure.owners.materials.get(place.ident, ()):
+        users = (n for n, used in structure.materials_of.items() if place.ident in used)
+        rods = structure.rods_of.get(place.ident, frozenset())
+        return rods.union(*(structure.elements_of[number] for number in users))
+    if place.card in structure.owners.properties.get(place.ident, ()):
+        return structure.elements_of[place.ident]
+    return frozenset({place.ident})
+
+
+def _ties(structure: Structure) -> Iterable[tuple[set[int], set[int]]]:
+    """Grid points of each rigid element and multi-point constraint, and those they depend on."""
+    for element in structure.bulk.rigid_elements.values():
+        dependent = set(element.dependent_nodes)
+        every = dependent.union(element.independent_nodes)
+        # Of others components of any grid point may be dependent.
+        one_way = element.type == "RBE2" or (element.type == "RBE3" and not element.Gmi)
+        yield (dependent if one_way else every), every
+    for constraints in structure.bulk.mpcs.values():
+        for item in constraints:
+            yield set(item.node_ids[:1]), set(item.node_ids)
+
+
+#: More elements of one card than this are one target.
+ALONE = 12
+#: Quantities for which elements are named one by one.
+OF_ELEMENTS = ("area", "spring_stiffness", "mass")
+#: What preprocessors write before a name in the comment above a card.
+TITLE = re.compile(r"^\$[\s*$-]*(?:(?:femap|hm|patran)?\s*(?:material|property|name|mat|prop)\b"
+                   r"[^:\"]*[:\"])?\s*(.*?)[\s\"*$-]*$", re.IGNORECASE)  # fmt: skip
+
+
+def targets(structure: Structure) -> tuple[Target, ...]:
+    """Materials and properties that elements use, then elements with numbers of their own."""
+    owners = structure.owners
+    used = {number: set(rods) for number, rods in structure.rods_of.items()}
+    for number, materials in structure.materials_of.items():
+        for material in materials:
+            used.setdefault(material, set()).update(structure.elements_of[number])
+    sizes = {number: len(found) for number, found in used.items()}
+    by_property = {number: len(found) for number, found in structure.elements_of.items()}
+    return (
+        *_numbered(structure, "material", owners.materials, sizes),
+        *_numbered(structure, "property", owners.properties, by_property),
+        *_element_targets(structure, owners.elements),
+        *_element_targets(structure, owners.masses),
+    )
+
+
+def _numbered(
+    structure: Structure, by: TargetKind, family: Cards, sizes: dict[int, int]
+) -> Iterator[Target]:
+    for number in sorted(family.keys() & sizes.keys()):
+        card = family[number][0]
+        yield Target(by, (str(number),), card.name, sizes[number], _title(structure, card))
+
+
+def _element_targets(structure: Structure, family: Cards) -> Iterator[Target]:
+    named = {card for quantity, card in ELEMENT_ENTRIES if quantity in OF_ELEMENTS}
+    found: dict[str, list[int]] = {}
+    for number, cards in sorted(family.items()):
+        if cards[0].name in named:
+            found.setdefault(cards[0].name, []).append(number)
+    for kind, numbers in found.items():
+        if len(numbers) > ALONE:
+            yield Target("element", tuple(map(str, numbers)), kind, len(numbers))
+            continue
+        for number in numbers:
+            title = _title(structure, family[number][0])
+            yield Target("element", (str(number),), kind, 1, title)
+
+
+def _title(structure: Structure, card: NastranCard) -> str:
+    """What the comment above a card calls it; empty where it has no words."""
+    first = card.lines[0]
+    above = structure.deck.lines[first - 1].text.strip() if first else ""
+    match = TITLE.match(above)
+    title = match.group(1).strip() if match else ""
+    words = re.search(r"[^\W\d_]{2}", title) and "|" not in title and len(title) <= 40
+    return title if words else ""

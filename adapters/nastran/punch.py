@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.nastran.eigenvectors import GridShape, shape_matrix
-from modetune.adapters.nastran.number import read_number
+from modetune.adapters.nastran.fields import read_number
+from modetune.adapters.nastran.results import GridShape, shape_matrix
 from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.core.modes import ModeSet, mode_set
 

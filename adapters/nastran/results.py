@@ -1,4 +1,7 @@
-"""From what a run left to results: modes in the analysis' order, and sensitivities.
+"""Results of a run: modes as the files of Nastran list them, then in the order of the analysis.
+
+OP2 and F06 files give one mode after the other. Every mode must list the same points; a
+scalar point has its first component only.
 
 Shapes stay in the frame of each node that the deck chose for its results (CD), and masses are in
 the deck's consistent units: the weight generator takes PARAM,WTMASS off, so it is put on again.
@@ -7,17 +10,152 @@ the deck's consistent units: the weight generator takes PARAM,WTMASS off, so it 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modetune.adapters.cross_checks import check_energies
-from modetune.adapters.nastran.design import COMPONENTS, n_rows, response_id
-from modetune.adapters.nastran.design_sensitivity import DesignSensitivities
-from modetune.adapters.nastran.eigenvectors import NastranModes, unit_scale
-from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis
-from modetune.core.modes import Floats, Integers, mode_set
-from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.adapters.solver import ModalAnalysis
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
+from modetune.core.updating.results import ModalResult
+
+COMPONENTS = 6
+#: Generalised masses are printed with seven digits; what is this near to 1 is 1.
+UNIT_MASS = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class NastranModes:
+    """What a file says of normal modes, in the deck's own units and the file's normalisation.
+
+    eigenvalues, generalized_mass: (n_modes,), (rad/s)^2, the latter NaN or empty where not told.
+    mode_numbers: (n_shapes,), places of the shapes' eigenvalues, from 1; nodes, components:
+    (n_dof,), components 1..6; mode_shapes: (n_dof, n_shapes), sorted by node, in each point's
+    output frame (CD); n_dof is 0 where no shapes were asked for.
+    elements: (n_el,), ascending; strain_energies: (n_el, n_modes), NaN where the file does not
+    list the element for the mode; total_strain_energy: (n_modes,), of the whole problem, NaN
+    where there are no energies.
+    mass: of the grid point weight generator, which takes PARAM,WTMASS off again; NaN where there is
+    none.
+    """
+
+    eigenvalues: Floats
+    generalized_mass: Floats
+    mode_numbers: Integers
+    nodes: Integers
+    components: Integers
+    mode_shapes: Floats
+    elements: Integers
+    strain_energies: Floats
+    total_strain_energy: Floats
+    mass: float
+
+
+@dataclass(frozen=True, slots=True)
+class GridShape:
+    """One mode as listed: nodes and scalar (n_nodes,), values (n_nodes, 6)."""
+
+    mode: int
+    eigenvalue: float
+    nodes: Integers
+    scalar: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    values: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ElementEnergies:
+    """Strain energies of one element type in one mode; elements and energies are (n_el,).
+
+    total: of all elements of the problem, NaN where not told.
+    """
+
+    mode: int
+    element_type: str
+    total: float
+    elements: Integers
+    energies: Floats
+
+
+def shape_matrix(shapes: Sequence[GridShape], n_modes: int) -> tuple[Integers, Integers, Floats]:
+    """Nodes (n_dof,), components (n_dof,) and mode shapes (n_dof, n_modes), sorted by node.
+
+    Raises ValueError where modes list different points, a point twice, or no finite number.
+    """
+    if not shapes:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, n_modes))
+    first = shapes[0]
+    order = np.argsort(first.nodes, kind="stable")
+    nodes, scalar = first.nodes[order], first.scalar[order]
+    if nodes.size == 0 or nodes[0] < 1 or (np.diff(nodes) == 0).any():
+        raise ValueError(f"mode {first.mode} lists no points, a point twice, or one below 1")
+    for shape in shapes:
+        if not (
+            np.array_equal(shape.nodes, first.nodes) and np.array_equal(shape.scalar, first.scalar)
+        ):
+            raise ValueError(f"modes {first.mode} and {shape.mode} list different points")
+    used = np.ones((nodes.size, 6), dtype=np.bool_)
+    used[scalar, 1:] = False
+    columns = [shape.values[order][used] for shape in shapes]
+    matrix = np.stack(columns, axis=1)
+    if not np.isfinite(matrix).all():
+        raise ValueError("a mode shape is not a finite number")
+    rows, columns_used = np.nonzero(used)
+    return nodes[rows], columns_used + 1, matrix
+
+
+def energy_table(
+    tables: Sequence[ElementEnergies], numbers: Sequence[int]
+) -> tuple[Integers, Floats, Floats]:
+    """Elements (n_el,), energies (n_el, n_modes) and totals (n_modes,) for these mode numbers.
+
+    NaN where a mode does not list an element. A table that comes twice for a mode and an element
+    type counts once; an element number that several types have (a plate and a concentrated mass,
+    say) gets the sum of both, for an energy cannot be asked of the one alone by number.
+    Raises ValueError for an energy or a total that is infinite or not a number.
+    """
+    place = {number: column for column, number in enumerate(numbers)}
+    kept = {(table.element_type, table.mode): table for table in tables if table.mode in place}
+    elements = np.unique(
+        np.concatenate([np.zeros(0, dtype=np.int64), *(t.elements for t in kept.values())])
+    )
+    energies = np.full((elements.size, len(numbers)), np.nan)
+    totals = np.full(len(numbers), np.nan)
+    for table in kept.values():
+        if not (np.isfinite(table.energies).all() and np.isfinite(table.total)):
+            raise ValueError(f"a strain energy of mode {table.mode} is not a finite number")
+        rows, column = np.searchsorted(elements, table.elements), place[table.mode]
+        # Within one type an element stands once; a second row repeats the first.
+        energies[rows, column] = np.nan_to_num(energies[rows, column]) + table.energies
+        totals[column] = table.total
+    return elements, energies, totals
+
+
+def unit_modes(found: NastranModes) -> ModeSet:
+    """The modes of a file at all of its nodes, of unit modal mass where it tells modal masses.
+
+    Raises ValueError where a mode has no shape.
+    """
+    n_modes = found.mode_shapes.shape[1]
+    shown = found.mode_numbers
+    if not n_modes or shown.max() > found.eigenvalues.size:
+        raise ValueError(f"{found.eigenvalues.size} eigenvalues and {n_modes} eigenvectors")
+    masses = found.generalized_mass[shown - 1]
+    return mode_set(
+        np.sqrt(np.maximum(found.eigenvalues[shown - 1], 0.0)) / (2.0 * np.pi),
+        found.mode_shapes * unit_scale(masses),
+        found.nodes,
+        found.components,
+        normalisation="unknown" if np.isnan(masses).any() else "mass",
+    )
+
+
+def unit_scale(generalized_mass: Floats) -> Floats:
+    """Factors that make the shapes mass-normalised, (n_modes,); 1 where the masses are not told."""
+    known = np.where(np.isnan(generalized_mass), 1.0, generalized_mass)
+    if not (known > 0.0).all():
+        mode = int(np.argmin(known)) + 1
+        raise ValueError(f"mode {mode} with the generalised mass {known.min():g}")
+    return np.where(np.abs(known - 1.0) < UNIT_MASS, 1.0, known**-0.5)
 
 
 def completed(modes: NastranModes, printed: NastranModes) -> NastranModes:
@@ -112,40 +250,3 @@ def _group_energy(modes: NastranModes, name: str, elements: frozenset[int], n_mo
             f"no strain energy of element {lost}, which group {name} has, in all modes"
         )
     return np.asarray(energies.sum(axis=0))
-
-
-def mode_derivatives(
-    found: DesignSensitivities, analysis: SensitivityAnalysis, values: Sequence[float]
-) -> ModeDerivatives:
-    """Derivatives with respect to the relative values of the analysis' parameters.
-
-    values: where the parameters stand (design.py tells why they divide). Rows of rigid modes are
-    rounding. Raises ValueError that names the first response or variable that is not there.
-    """
-    n_parameters = len(analysis.parameters)
-    columns = {response.number: place for place, response in enumerate(found.responses)}
-    # Where the file does not number its rows, they are all of the job's design variables.
-    known = found.design_variables.tolist() or list(range(1, len(found.values) + 1))
-    for place, name in enumerate(analysis.parameters):
-        if place + 1 not in known:
-            raise ValueError(f"no sensitivities to design variable {place + 1} ({name})")
-    rows = [known.index(place + 1) for place in range(n_parameters)]
-    table = found.values[rows] / np.asarray(values)[:, None]
-
-    def derivatives(mode: int, row: int = -1) -> Floats:
-        number = response_id(analysis, mode, row)
-        if number not in columns:
-            what = f"the eigenvalue of mode {mode + 1}"
-            if row >= 0:
-                node = analysis.nodes[row // COMPONENTS]
-                what = f"component {row % COMPONENTS + 1} of node {node} in mode {mode + 1}"
-            raise ValueError(f"no sensitivity of {what} (response {number})")
-        slopes: Floats = table[:, columns[number]]
-        return slopes
-
-    modes = range(analysis.n_modes)
-    slopes = np.array([derivatives(mode) for mode in modes])
-    shapes = np.array(
-        [[derivatives(mode, row) for mode in modes] for row in range(n_rows(analysis))]
-    )
-    return ModeDerivatives(slopes, shapes.reshape(-1, analysis.n_modes, n_parameters))

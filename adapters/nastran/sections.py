@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from modetune.adapters.nastran.deck import NastranCard
+from modetune.adapters.nastran.fields import NastranCard
 from modetune.adapters.nastran.structure import Structure
 from modetune.core.errors import ModelError
 

@@ -13,14 +13,14 @@ from pathlib import Path
 from modetune.adapters.cross_checks import without_spare
 from modetune.adapters.licence import licence_refusal
 from modetune.adapters.nastran.deck import read_deck, with_lines
-from modetune.adapters.nastran.design_sensitivity import read_dscm2
+from modetune.adapters.nastran.design import mode_derivatives, read_dscm2
 from modetune.adapters.nastran.dialect import DECK, DIALECTS, Dialect, DialectName
 from modetune.adapters.nastran.f06 import F06, FatalMessage, read_f06
 from modetune.adapters.nastran.job import job_text
+from modetune.adapters.nastran.matrices import read_restart
 from modetune.adapters.nastran.model import EditedNastran, NastranModel, understand
 from modetune.adapters.nastran.op2 import read_op2
-from modetune.adapters.nastran.restart import read_restart
-from modetune.adapters.nastran.results import completed, modal_result, mode_derivatives
+from modetune.adapters.nastran.results import completed, modal_result
 from modetune.adapters.process import as_block, log_tail
 from modetune.adapters.solver import (
     Analysis,

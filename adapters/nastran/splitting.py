@@ -13,14 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from modetune.adapters.nastran.bulk import BY_LINES, SEVERAL
-from modetune.adapters.nastran.cards import large_field
-from modetune.adapters.nastran.deck import (
-    CardField,
-    NastranCard,
-    NastranDeck,
-    changed_lines,
-    with_added,
-)
+from modetune.adapters.nastran.deck import NastranDeck, changed_lines, with_added
+from modetune.adapters.nastran.fields import CardField, NastranCard, large_field
 from modetune.adapters.nastran.sections import holds
 from modetune.adapters.nastran.structure import Copies, Structure
 from modetune.adapters.splitting import (

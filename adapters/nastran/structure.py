@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from modetune.adapters.nastran.bulk import Bulk, Cards, Owners
-from modetune.adapters.nastran.cards import blank_field
-from modetune.adapters.nastran.deck import CardField, NastranCard, NastranDeck
-from modetune.adapters.nastran.number import read_number
+from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.nastran.fields import CardField, NastranCard, blank_field, read_number
 from modetune.core.errors import ModelError
 from modetune.core.near_names import suggestion
 

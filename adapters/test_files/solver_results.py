@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.calculix.frd_modes import read_frd, read_frd_points
-from modetune.adapters.nastran.eigenvectors import unit_modes
+from modetune.adapters.calculix.frd import read_frd, read_frd_points
 from modetune.adapters.nastran.f06 import read_f06
 from modetune.adapters.nastran.hdf5_modes import read_hdf5_modes
 from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.punch import read_punch
+from modetune.adapters.nastran.results import unit_modes
 from modetune.adapters.test_files.kinds import Form
 from modetune.core.errors import CampaignError, SolverError
 from modetune.core.measurement.measurement import Measurement, TestGeometry

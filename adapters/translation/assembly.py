@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.geometry import output_frames
+from modetune.adapters.nastran.mesh import output_frames
 from modetune.adapters.translation.calculix_text import CalculixText
 from modetune.core.modes import Floats
 

@@ -46,7 +46,7 @@ from modetune.adapters.nastran.cross_sections import (
     check_warping,
     cross_section,
 )
-from modetune.adapters.nastran.element_axes import beam_axes
+from modetune.adapters.nastran.mesh import beam_axes
 from modetune.adapters.translation.assembly import Assembly, Form, Freedoms, difference, trimmed
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
 from modetune.adapters.translation.springs import GroundedSprings

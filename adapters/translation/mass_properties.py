@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.calculix.deck import KeywordDeck
-from modetune.adapters.nastran.bodies import PointMass
+from modetune.adapters.nastran.masses import PointMass
 from modetune.adapters.translation.assembly import Assembly, Freedoms
 from modetune.adapters.translation.beams import KINDS as BARS
 from modetune.adapters.translation.beams import beam_of

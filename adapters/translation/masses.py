@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.bodies import PointMass, point_mass
-from modetune.adapters.nastran.geometry import local_axes
-from modetune.adapters.nastran.lumped_masses import Lump, mass_of
+from modetune.adapters.nastran.masses import Lump, PointMass, mass_of, point_mass
+from modetune.adapters.nastran.mesh import local_axes
 from modetune.adapters.translation.assembly import (
     NOTHING,
     Assembly,

@@ -38,7 +38,7 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.lumped_masses import LumpedElement, mass_of
+from modetune.adapters.nastran.masses import LumpedElement, mass_of
 from modetune.adapters.nastran.shell_laws import ShellLaw, law_of
 from modetune.adapters.translation.assembly import (
     Assembly,

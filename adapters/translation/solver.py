@@ -23,11 +23,10 @@ from modetune.adapters.calculix.parametric_deck import CalculixDeck, EditedCalcu
 from modetune.adapters.calculix.solver import calculix_program
 from modetune.adapters.damping import NOTHING, damps_only
 from modetune.adapters.nastran import model as nastran_model
-from modetune.adapters.nastran.bulk import Bulk, read_bulk
+from modetune.adapters.nastran.bulk import Bulk, edited_bulk, read_bulk
 from modetune.adapters.nastran.case_control import read_case_control
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
-from modetune.adapters.nastran.patch import edited_bulk
 from modetune.adapters.solver import AffectedElements, ModelSummary, Solver
 from modetune.adapters.translation.shells import KINDS, WrittenShells
 from modetune.adapters.translation.translation import Translation, translate

@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from modetune.adapters.nastran.element_axes import bush_axes, bush_place
-from modetune.adapters.nastran.geometry import local_axes
+from modetune.adapters.nastran.mesh import bush_axes, bush_place, local_axes
 from modetune.adapters.translation.assembly import (
     Assembly,
     Form,

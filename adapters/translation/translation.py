@@ -19,7 +19,7 @@ import numpy as np
 
 from modetune.adapters.calculix.deck import KeywordDeck, parse_deck
 from modetune.adapters.nastran.harmless import HARMLESS
-from modetune.adapters.nastran.lumped_masses import (
+from modetune.adapters.nastran.masses import (
     lumped_properties,
     lumped_solids,
     lumps,

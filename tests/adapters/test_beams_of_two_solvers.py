@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from modetune.adapters.nastran.dialect import MYSTRAN
+from modetune.adapters.nastran.fields import read_number
 from modetune.adapters.nastran.job import job_text
-from modetune.adapters.nastran.number import read_number
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from modetune.adapters.calculix.deck import read_deck
-from modetune.adapters.calculix.job import check_frequency_step, job_text
+from modetune.adapters.calculix.job import check_frequency_step, job_text, spare_unknowns
 from modetune.adapters.calculix.model import CalculixModel, understand
-from modetune.adapters.calculix.spare_unknowns import spare_unknowns
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from modetune.adapters.calculix.deck import read_deck
-from modetune.adapters.calculix.model import CalculixModel, read_number, understand
+from modetune.adapters.calculix.deck import read_deck, read_number
+from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.calculix.parametric_deck import CalculixDeck
 from modetune.adapters.calculix.places import edited_lines, energy_sets, find_fields
 from modetune.adapters.calculix.sections import elastic_constants, point_mass

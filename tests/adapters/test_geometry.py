@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.calculix.geometry import cell_kind
+from modetune.adapters.calculix.mesh import cell_kind
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.nastran.solver import nastran_solver
 from modetune.adapters.paraview import unstructured_grid

@@ -13,7 +13,7 @@ import pytest
 from scipy import sparse
 
 from modetune.adapters.nastran.dialect import MYSTRAN
-from modetune.adapters.nastran.restart import HEADING, read_restart
+from modetune.adapters.nastran.matrices import HEADING, read_restart
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver

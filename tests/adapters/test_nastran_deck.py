@@ -17,15 +17,8 @@ from hypothesis import strategies as st
 from pyNastran.bdf.bdf import BDF
 from pyNastran.bdf.field_writer_8 import print_float_8
 
-from modetune.adapters.nastran.deck import (
-    CardField,
-    NastranCard,
-    NastranDeck,
-    changed_lines,
-    read_deck,
-    write_edited,
-)
-from modetune.adapters.nastran.number import format_number, read_number
+from modetune.adapters.nastran.deck import NastranDeck, changed_lines, read_deck, write_edited
+from modetune.adapters.nastran.fields import CardField, NastranCard, format_number, read_number
 from modetune.core.errors import ModelError
 
 #: The last digits before a double overflows may round to what is none.

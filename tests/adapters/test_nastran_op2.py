@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.nastran.eigenvectors import NastranModes
 from modetune.adapters.nastran.op2 import read_op2
+from modetune.adapters.nastran.results import NastranModes
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.nastran.design_sensitivity import DesignResponse, read_dscm2
+from modetune.adapters.nastran.design import DesignResponse, read_dscm2
 from modetune.core.errors import SolverCrashed
 
 RODS = Path(__file__).parent / "data" / "nastran" / "rods.op2"

@@ -29,8 +29,7 @@ from modetune.adapters.nastran.dialect import (
     VERSION_VARIABLE,
     DialectName,
 )
-from modetune.adapters.nastran.eigenvectors import NastranModes
-from modetune.adapters.nastran.results import modal_result
+from modetune.adapters.nastran.results import NastranModes, modal_result
 from modetune.adapters.nastran.solver import (
     mystran_solver,
     nastran_solver,

@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, sparse
 from scipy.sparse.linalg import spsolve
 
-from modetune.adapters.nastran.section_shapes import _WALLS, SectionShape, _union, shape_of
+from modetune.adapters.nastran.cross_sections import _WALLS, SectionShape, _union, shape_of
 from modetune.core.modes import Floats
 
 #: A section of each type that has walls, with walls of a tenth to a twentieth of their length.

@@ -16,7 +16,7 @@ from modetune.adapters.calculix.deck import parse_deck
 from modetune.adapters.calculix.model import understand
 from modetune.adapters.calculix.parametric_deck import CalculixDeck
 from modetune.adapters.calculix.solver import calculix_program
-from modetune.adapters.nastran.section_shapes import shape_of
+from modetune.adapters.nastran.cross_sections import shape_of
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.translation.translation import translate

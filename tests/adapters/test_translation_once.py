@@ -8,7 +8,7 @@ import pytest
 
 from modetune.adapters.calculix.model import CalculixModel, understand
 from modetune.adapters.nastran import bulk as nastran_bulk
-from modetune.adapters.nastran import patch
+from modetune.adapters.nastran.bulk import read_bulk
 from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.translation import solver as translation
 from modetune.adapters.translation.solver import TranslatedDeck, translated_solver
@@ -147,13 +147,13 @@ def test_a_deck_is_read_and_understood_once(
 
     def counted_read(deck: object) -> object:
         read.append(deck)
-        return nastran_bulk.read_bulk(deck)  # type: ignore[arg-type]
+        return read_bulk(deck)  # type: ignore[arg-type]
 
     def counted_understand(deck: object) -> CalculixModel:
         understood.append(deck)
         return understand(deck)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(patch, "read_bulk", counted_read)
+    monkeypatch.setattr(nastran_bulk, "read_bulk", counted_read)
     monkeypatch.setattr(translation, "read_bulk", counted_read)
     monkeypatch.setattr(translation, "understand", counted_understand)
     wanted = [item for item in PARAMETERS if item.quantity in ("thickness", "mass")]

@@ -142,7 +142,7 @@ def test_matrices_that_cannot_be_read_leave_the_campaign_to_mystrans_own_modes(
     tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     # A MYSTRAN that keeps other files than those that are known.
-    monkeypatch.setattr("modetune.adapters.nastran.restart.STIFFNESS", "job.KLL")
+    monkeypatch.setattr("modetune.adapters.nastran.matrices.STIFFNESS", "job.KLL")
     parameters = {"E_1": ("youngs_modulus", "material: 1", 0.9)}
     file = campaign_file(tmp_path / "bracket", bracket(2), parameters, (1, 9, 20), 8)
     record = update(file, tmp_path, watcher)

@@ -24,20 +24,17 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from modetune.adapters.nastran.bodies import PointMass, point_mass
 from modetune.adapters.nastran.bulk import Bulk
-from modetune.adapters.nastran.cards import LARGE
 from modetune.adapters.nastran.cross_sections import (
     CrossSection,
     Station,
     check_warping,
     cross_section,
 )
-from modetune.adapters.nastran.deck import NastranCard
-from modetune.adapters.nastran.element_axes import BeamAxes, beam_axes
-from modetune.adapters.nastran.geometry import output_frames
-from modetune.adapters.nastran.mystran_scalars import Card
-from modetune.adapters.nastran.number import format_number
+from modetune.adapters.nastran.fields import LARGE, NastranCard, format_number
+from modetune.adapters.nastran.masses import PointMass, point_mass
+from modetune.adapters.nastran.mesh import BeamAxes, beam_axes, output_frames
+from modetune.adapters.nastran.mystran.scalars import Card
 from modetune.core.modes import Floats
 
 #: Cards that are rewritten; a CBAR only where its OFFT is not MYSTRAN's one.

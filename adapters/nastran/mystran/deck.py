@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.nastran.bulk import DEFAULTS, Bulk, filled, unused_properties
-from modetune.adapters.nastran.cards import large_field
-from modetune.adapters.nastran.deck import NastranCard, NastranDeck
-from modetune.adapters.nastran.geometry import output_frames
+from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.nastran.fields import NastranCard, large_field
 from modetune.adapters.nastran.harmless import HARMLESS
-from modetune.adapters.nastran.mystran_beams import CARDS as BEAM_CARDS
-from modetune.adapters.nastran.mystran_beams import BeamCards
-from modetune.adapters.nastran.mystran_scalars import ALL, ELEMENTS, PROPERTIES, Card, Scalars
-from modetune.adapters.nastran.mystran_shells import CARDS as SHELL_CARDS
-from modetune.adapters.nastran.mystran_shells import ShellCards
-from modetune.adapters.nastran.mystran_solids import CARDS as SOLID_CARDS
-from modetune.adapters.nastran.mystran_solids import SolidCards
+from modetune.adapters.nastran.mesh import output_frames
+from modetune.adapters.nastran.mystran.beams import CARDS as BEAM_CARDS
+from modetune.adapters.nastran.mystran.beams import BeamCards
+from modetune.adapters.nastran.mystran.scalars import ALL, ELEMENTS, PROPERTIES, Card, Scalars
+from modetune.adapters.nastran.mystran.shells import CARDS as SHELL_CARDS
+from modetune.adapters.nastran.mystran.shells import ShellCards
+from modetune.adapters.nastran.mystran.solids import CARDS as SOLID_CARDS
+from modetune.adapters.nastran.mystran.solids import SolidCards
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 

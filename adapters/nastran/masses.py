@@ -1,4 +1,4 @@
-"""Masses of solids and shells at their grid points, as Nastran lumps them.
+"""Masses at grid points: CONM2 bodies, and the lumped masses of solids and shells.
 
 A corner has what its linear shape function takes of the element's volume or area: mass and centre
 of gravity are the element's. With midside nodes such shares are below zero at the corners and the
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.mesh import local_axes
 from modetune.core.element_geometry import SHAPES, nodal_measures
 from modetune.core.modes import Floats
 
@@ -108,3 +109,39 @@ def lumps(pieces: Iterable[LumpedElement]) -> list[Lump]:
                 own = shares.setdefault((node, arm), {})
                 own[piece.source] = own.get(piece.source, 0.0) + measure
     return [Lump(key[0], places[key], tuple(own.items())) for key, own in shares.items()]
+
+
+@dataclass(frozen=True, slots=True)
+class PointMass:
+    """A rigid body at a grid point, in basic coordinates and the deck's own unit (no WTMASS).
+
+    centre: (3,), of gravity; inertia: (3, 3), about the centre, as a tensor. eid: of its element,
+    0 where it is of several. group: of masses that are always alike.
+    """
+
+    eid: int
+    node: int
+    mass: float
+    centre: Floats
+    inertia: Floats
+    group: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of its set and material in CalculiX: that of its group, or its own."""
+        return self.group or f"CONM2_{self.eid}_{self.node}"
+
+
+def point_mass(element: Any) -> PointMass:
+    """The body of a cross-referenced CONM2."""
+    node = element.nid_ref
+    place = np.asarray(node.get_position(), dtype=np.float64)
+    offset = np.asarray(element.X, dtype=np.float64)
+    xx, xy, yy, xz, yz, zz = element.I
+    # The card has the products of inertia as positive integrals; the tensor has them negative.
+    inertia = np.array([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
+    if element.cid == -1:
+        return PointMass(element.eid, element.Nid(), element.mass, offset, inertia)
+    axes = local_axes(element.cid_ref, place)
+    centre = place + offset @ axes
+    return PointMass(element.eid, element.Nid(), element.mass, centre, axes.T @ inertia @ axes)

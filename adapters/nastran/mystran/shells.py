@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.nastran.bulk import Bulk
-from modetune.adapters.nastran.cards import NastranCard
-from modetune.adapters.nastran.mystran_scalars import Card
-from modetune.adapters.nastran.number import format_number
+from modetune.adapters.nastran.fields import NastranCard, format_number
+from modetune.adapters.nastran.mystran.scalars import Card
 from modetune.adapters.nastran.shell_laws import ShellLaw, law_of
 from modetune.core.modes import Floats
 

@@ -12,16 +12,15 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 
 from modetune.adapters.nastran.bulk import Bulk, filled
-from modetune.adapters.nastran.cards import LARGE
-from modetune.adapters.nastran.deck import NastranCard, NastranDeck
-from modetune.adapters.nastran.lumped_masses import (
+from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.nastran.fields import LARGE, NastranCard, format_number
+from modetune.adapters.nastran.masses import (
     lumped_properties,
     lumped_solids,
     lumps,
     solid_densities,
 )
-from modetune.adapters.nastran.mystran_scalars import Card
-from modetune.adapters.nastran.number import format_number
+from modetune.adapters.nastran.mystran.scalars import Card
 
 #: Names of cards that are written otherwise.
 CARDS = ("PSOLID",)

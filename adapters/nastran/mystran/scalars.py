@@ -14,8 +14,8 @@ from collections.abc import Iterator
 
 from modetune.adapters.cross_checks import SPARE_EIGENVALUE
 from modetune.adapters.nastran.bulk import scalar_points
-from modetune.adapters.nastran.deck import NastranCard, NastranDeck
-from modetune.adapters.nastran.number import format_number, read_number
+from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.nastran.fields import NastranCard, format_number, read_number
 
 #: A card to be written: its name and data fields.
 Card = tuple[str, list[str]]

@@ -1,0 +1,1 @@
+"""Decks in the cards that MYSTRAN gets right."""
