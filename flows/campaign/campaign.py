@@ -344,11 +344,9 @@ def _read_case(
         problems += file.residuals.problems(source, given, solver)
     if problems:
         return None
-    if file.residuals.frf is not None:
-        for said in file.residuals.frf.left_out(given):
-            logger.warning("%s: %s", source.where(("residuals", "frf")), said)
-    parameters, strains = given.parameters, file.residuals.modal_strain
-    gauged = strains.nodes(solver.deck) if strains else ()
+    for said in file.residuals.warnings(source, given):
+        logger.warning("%s", said)
+    parameters, gauged = given.parameters, file.residuals.nodes(solver.deck)
     return Case(
         solver=solver,
         units=file.model.units,
@@ -454,7 +452,7 @@ def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
 def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
     """Why the campaign's sensitivity method is unavailable."""
     method, has = file.sensitivity.method, solver.program.capabilities
-    shapes = file.residuals.with_shapes or file.residuals.modal_strain is not None
+    shapes = file.residuals.shape_changes
     place = source.where(("sensitivity", "method"))
     offered = {
         "strain_energy": has.strain_energies,

@@ -153,8 +153,7 @@ def _known_parameters(
     # What expressions name comes with them.
     own = {file.parameters[column].expression or "0" for column in (*named, *alive)}
     asked = {name for expression in own for name in names_of(expression)}
-    frf = (section.residuals or file.residuals).frf
-    asked |= frf.variables if frf else set()
+    asked |= (section.residuals or file.residuals).variables
     alive += [
         column
         for column, item in enumerate(file.parameters)

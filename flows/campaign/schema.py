@@ -476,27 +476,21 @@ class CampaignFile(Section):
                     f"free parameters of the campaign: {', '.join(sorted(free)) or 'none'}"
                 )
             variables -= set(names)
-        variables -= self._damping_ratios()
+        variables -= self._variables_of_responses()
         if variables:
             raise ValueError(f"nothing names the variable {', '.join(sorted(variables))}")
         if self.parameters and not free:
             raise ValueError("all parameters follow from expressions, none is free")
         return self
 
-    def _damping_ratios(self) -> set[str]:
-        """Names of the variables that are damping ratios of response functions."""
+    def _variables_of_responses(self) -> set[str]:
+        """Return the names of the variables that response types refer to."""
+        given = {p.name: (p.values, p.bounds) for p in self.parameters if p.quantity == "variable"}
         sections = (self.residuals, *(item.residuals for item in self.configurations))
-        found = [s.frf.variables for s in sections if s is not None and s.frf is not None]
-        names = set[str]().union(*found)
-        for name in sorted(names):
-            own = next((p for p in self.parameters if p.name == name), None)
-            if own is None or own.quantity != "variable":
-                raise ValueError(f"residuals.frf.damping: no parameter {name} is a `variable`")
-            if not 0.0 < own.bounds[0] < own.bounds[1] < 1.0:
-                raise ValueError(f"bounds of {name}, a damping ratio, must be between 0 and 1")
-            if own.values == "additive":
-                raise ValueError(f"{name}, a damping ratio, must have `values: absolute`")
-        return names
+        kinds = [kind for item in sections if item is not None for kind in item.kinds.values()]
+        for kind in kinds:
+            kind.check_variables(given)
+        return {name for kind in kinds for name in kind.variables}
 
     def parameter_set(self) -> ParameterSet:
         """The parameters as the program has them."""
@@ -599,9 +593,14 @@ def _meanings(section: type[Section]) -> dict[str, str]:
 
     Pydantic would read them whenever a campaign is loaded, for a third of the time of its imports.
     """
+    (above,) = section.__bases__
+    if above.__name__ == section.__name__:  # extended by `with_types`, without source
+        fields = section.model_fields.items()
+        return _meanings(above) | {
+            key: item.description for key, item in fields if item.description
+        }
     (body,) = ast.parse(inspect.getsource(section)).body
     assert isinstance(body, ast.ClassDef)
-    (above,) = section.__bases__
     told = _meanings(above) if issubclass(above, Section) else {}
     return told | {
         field.target.id: inspect.cleandoc(text.value.value)

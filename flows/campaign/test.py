@@ -220,7 +220,7 @@ def frfs_on_model(
 ) -> tuple[MeasuredFrfs | None, SensorMap | None]:
     """Response functions of used sensors, and where these and the forces are on the model."""
     frfs = measurement.frfs
-    if file.residuals.frf is None or frfs is None:
+    if frfs is None or not file.residuals.functions:
         return None, None
     ends = np.hstack(
         [[frfs.nodes, frfs.components], [frfs.reference_nodes, frfs.reference_components]]

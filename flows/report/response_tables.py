@@ -10,9 +10,10 @@ import numpy as np
 
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.limits import breach
-from modetune.core.updating.responses.frf import Frf, fracs
-from modetune.core.updating.responses.response import Residual, block_parts
+from modetune.core.updating.responses.response import block_parts
 from modetune.flows.report.tables import Column, Table, table_of
+from modetune.flows.responses.residuals import response_types
+from modetune.flows.responses.response import ResponseSection
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +37,14 @@ def response_rows(record: CampaignRecord) -> tuple[ResponseRow, ...]:
 
 
 def _rows(record: CampaignRecord) -> Iterator[ResponseRow]:
-    first = block_parts(record.iterations[0].residual)
+    first, types = block_parts(record.iterations[0].residual), response_types()
     for before, after in zip(first, block_parts(record.best.residual), strict=True):
         block = after.blocks[0]
-        if block.kind == Frf.kind:  # one number a function says more than all its lines
-            yield from _functions(before, after)
+        scores = types[block.kind].scores if block.kind in types else ResponseSection.scores
+        initial, updated = scores(before), scores(after)
+        if initial is not None and updated is not None:
+            for (item, target, start), (_, _, end) in zip(initial, updated, strict=True):
+                yield ResponseRow(block.kind, item, target, start, end, *([np.nan] * 3), False)
             continue
         limits = after.limits
         outside = breach(after.values, limits) > 0.0
@@ -58,14 +62,6 @@ def _rows(record: CampaignRecord) -> Iterator[ResponseRow]:
                 most=float(ends[0]),
                 breaks=bool(outside[row]),
             )
-
-
-def _functions(before: Residual, after: Residual) -> Iterator[ResponseRow]:
-    (block,) = after.blocks
-    of_both = zip(block.names, fracs(before).tolist(), fracs(after).tolist(), strict=True)
-    for name, first, last in of_both:
-        item = f"FRAC of {name.removeprefix('response function ')}"
-        yield ResponseRow(block.kind, item, 1.0, first, last, np.nan, np.nan, np.nan, False)
 
 
 def response_table(record: CampaignRecord) -> Table:

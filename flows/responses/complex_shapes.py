@@ -16,7 +16,7 @@ from modetune.flows.responses.section import Positive
 
 
 class ComplexSection(ModewiseSection):
-    """Complex measured shapes beside those of the damped model."""
+    """Complex measured shapes, compared with those of the damped model."""
 
     deviation: Positive = 0.05
     """Standard deviation of real and imaginary parts [of the shape's rms]"""

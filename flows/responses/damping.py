@@ -13,7 +13,7 @@ from modetune.flows.responses.section import Positive
 
 
 class DampingSection(ModewiseSection):
-    """Damping ratios of the paired modes, by the dampers of the model."""
+    """Damping ratios of the paired modes, computed from the dampers of the model."""
 
     deviation: Positive = 0.1
     """Standard deviation of measured ratios; without it that of repeated tests, with what their

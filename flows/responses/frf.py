@@ -14,8 +14,15 @@ from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.modes import dof_name
 from modetune.core.parameters import DAMPING
 from modetune.core.updating.damping import Linear
-from modetune.core.updating.responses.frf import Frf, FrfCurve
-from modetune.flows.responses.response import ResponseSection, TestedModel, nothing_seen, observer
+from modetune.core.updating.responses.frf import Frf, FrfCurve, fracs
+from modetune.core.updating.responses.response import Residual
+from modetune.flows.responses.response import (
+    ResponseSection,
+    TestedModel,
+    Variables,
+    nothing_seen,
+    observer,
+)
 from modetune.flows.responses.section import OTHERS, Name, NotNegative, Positive, Share, by_mode
 
 #: Of the lowest and the highest frequency of the used modes: where the band ends by itself.
@@ -29,6 +36,7 @@ Ratio = Annotated[float, Field(gt=0.0, lt=1.0)] | Name
 class FrfSection(ResponseSection):
     """Response functions of the test's files, as logarithms at chosen frequencies."""
 
+    functions: ClassVar[bool] = True
     mode_keys: ClassVar[tuple[str, ...]] = ("damping",)
 
     band: tuple[NotNegative, Positive] | None = None
@@ -61,8 +69,23 @@ class FrfSection(ResponseSection):
 
     @property
     def variables(self) -> set[str]:
-        """Names of the parameters that are damping ratios."""
         return {ratio for ratio in self.damping.values() if isinstance(ratio, str)}
+
+    def check_variables(self, variables: Variables) -> None:
+        for name in sorted(self.variables):
+            if name not in variables:
+                raise ValueError(f"residuals.frf.damping: no parameter {name} is a `variable`")
+            values, (lower, upper) = variables[name]
+            if not 0.0 < lower < upper < 1.0:
+                raise ValueError(f"bounds of {name}, a damping ratio, must be between 0 and 1")
+            if values == "additive":
+                raise ValueError(f"{name}, a damping ratio, must have `values: absolute`")
+
+    @staticmethod
+    def scores(part: Residual) -> list[tuple[str, float, float]]:
+        (block,) = part.blocks  # one number per function is easier to read than all its lines
+        found = zip(block.names, fracs(part).tolist(), strict=True)
+        return [(f"FRAC of {name.removeprefix('response function ')}", 1.0, f) for name, f in found]
 
     def response(self, given: TestedModel) -> Frf:
         curves = self._curves(given)
@@ -114,8 +137,7 @@ class FrfSection(ResponseSection):
             )  # fmt: skip
         return found
 
-    def left_out(self, given: TestedModel) -> list[str]:
-        """What of the test's functions is not compared, and why, for people."""
+    def warnings(self, given: TestedModel) -> list[str]:
         found = [note for note in given.notes if OF_FUNCTIONS in note]
         moved = [item.name for item in given.parameters.parameters if item.quantity in DAMPING]
         why = given.deck.undamped()

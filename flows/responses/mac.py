@@ -13,7 +13,7 @@ from modetune.flows.responses.section import Deviations
 
 
 class MacSection(ModewiseSection):
-    """MAC of each pair as one number, in place of the entries of shapes or beside them."""
+    """MAC of each pair as one number, instead of the entries of shapes or in addition to them."""
 
     mode_keys: ClassVar[tuple[str, ...]] = ("weight", "deviation")
 

@@ -61,8 +61,8 @@ class MassQuantitySection(Section):
 
 
 class MassSection(ResponseSection):
-    """Mass, centre of gravity and inertia of the model, compared with what was weighed. They are
-    the deck's own: global axes, inertia as the tensor about the centre of gravity."""
+    """Mass, centre of gravity and inertia of the model as targets and as limits: the deck's own, in
+    global axes, with inertia as the tensor about the centre of gravity."""
 
     mass: MassQuantitySection | None = None
     """Total mass."""

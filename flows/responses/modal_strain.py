@@ -11,14 +11,15 @@ from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.errors import ModelError
 from modetune.core.updating.responses.modal_strain import Gauge, ModalStrain, StrainScale
+from modetune.flows.responses.gauges import elongation
 from modetune.flows.responses.response import ResponseSection, TestedModel
 from modetune.flows.responses.section import Finite, NotNegative, Positive, by_name
-from modetune.flows.responses.static import elongation
 
 
 class ModalStrainSection(ResponseSection):
     """Strains of modes at gauges."""
 
+    shape_changes: ClassVar[bool] = True
     mode_keys: ClassVar[tuple[str, ...]] = ("modes",)
 
     gauges: Annotated[tuple[str, ...], Field(min_length=1)]
@@ -55,9 +56,8 @@ class ModalStrainSection(ResponseSection):
     def counts(self) -> bool:
         return self.weight > 0.0
 
-    def nodes(self, deck: Deck) -> tuple[int, ...]:
-        """Nodes at which modes are wanted for the gauges."""
-        return tuple({node for gauge in self._made(deck)[0] for node in gauge.nodes.tolist()})
+    def nodes(self, deck: Deck) -> set[int]:
+        return {node for gauge in self._made(deck)[0] for node in gauge.nodes.tolist()}
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         found = self._made(given.deck)[1]

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Literal, get_args
+from inspect import cleandoc
+from pkgutil import resolve_name
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, create_model
 
-from modetune.adapters.solver import Solver
+from modetune.adapters.solver import Deck, Solver
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, dof_name
@@ -23,12 +25,6 @@ from modetune.core.near_names import suggestion
 from modetune.core.updating.estimation import StepForm
 from modetune.core.updating.responses.response import Response
 from modetune.core.updating.weighting import Weighting
-from modetune.flows.responses.complex_shapes import ComplexSection
-from modetune.flows.responses.damping import DampingSection
-from modetune.flows.responses.frf import FrfSection
-from modetune.flows.responses.mac import MacSection
-from modetune.flows.responses.mass_properties import MassSection
-from modetune.flows.responses.modal_strain import ModalStrainSection
 from modetune.flows.responses.response import ResponseSection, TestedModel
 from modetune.flows.responses.section import (
     OTHERS,
@@ -39,19 +35,40 @@ from modetune.flows.responses.section import (
     Weights,
     by_name,
 )
-from modetune.flows.responses.static import StaticSection
 
 #: What a key of modes stands for.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]
 SensorKey = Literal["sensor_weight", "sensor_deviation"]
+#: The response types besides frequencies and shapes, in the order of their rows: the file of this
+#: folder, whose name is the type's key below `residuals`, and the section in it.
+TYPES = (
+    "mac:MacSection",
+    "modal_strain:ModalStrainSection",
+    "static:StaticSection",
+    "damping:DampingSection",
+    "complex_shapes:ComplexSection",
+    "mass_properties:MassSection",
+    "frf:FrfSection",
+)
+Keys = TypeVar("Keys", bound=Section)
 
 
-#: Keys of the kinds of responses beside frequencies and shapes, in the order of their rows.
-KINDS = (
-    "mac", "modal_strain", "static", "damping", "complex_shapes", "mass_properties", "frf",
-)  # fmt: skip
+def response_types() -> dict[str, type[ResponseSection]]:
+    """Return the section of each response type by its key."""
+    return {entry.partition(":")[0]: resolve_name(f"{__package__}.{entry}") for entry in TYPES}
 
 
+def with_types(section: type[Keys]) -> type[Keys]:
+    """Return a section with a key for each response type behind its own."""
+    keys: dict[str, Any] = {
+        key: (found | None, Field(default=None, description=cleandoc(found.__doc__ or "")))
+        for key, found in response_types().items()
+    }
+    name, module, meaning = section.__name__, section.__module__, section.__doc__
+    return create_model(name, __base__=section, __module__=module, __doc__=meaning, **keys)
+
+
+@with_types
 class ResidualSection(Section):
     """What is compared: emphasis of frequencies and shapes, and how exactly they were measured.
 
@@ -74,33 +91,37 @@ class ResidualSection(Section):
     sensor_deviation: Annotated[dict[str, Positive], BeforeValidator(by_name)] = Field(default={})
     """Standard deviation of sensors by name, where it is another than `shape_deviation`; 1 unless
     given [of the shape's deviation]"""
-    mac: MacSection | None = None
-    """MAC as a response of its own."""
-    modal_strain: ModalStrainSection | None = None
-    """Strains of modes at gauges."""
-    static: StaticSection | None = None
-    """Static displacements and strains under load cases."""
-    damping: DampingSection | None = None
-    """Modal damping ratios."""
-    complex_shapes: ComplexSection | None = None
-    """Complex measured shapes beside those of the damped model."""
-    mass_properties: MassSection | None = None
-    """Mass, centre of gravity and inertia as targets and as limits."""
-    frf: FrfSection | None = None
-    """Response functions of the test's files."""
 
     @property
     def kinds(self) -> dict[str, ResponseSection]:
-        """The sections of the kinds that are compared beside frequencies and shapes."""
-        found = ((key, getattr(self, key)) for key in KINDS)
-        return {key: section for key, section in found if section is not None}
+        """The sections of the response types that are compared besides frequencies and shapes."""
+        return {key: section for key, section in self if isinstance(section, ResponseSection)}
+
+    @property
+    def shape_changes(self) -> bool:
+        """Whether derivatives of shapes are needed."""
+        return self.with_shapes or any(item.shape_changes for item in self.kinds.values())
+
+    @property
+    def functions(self) -> bool:
+        """Whether response functions are compared."""
+        return any(item.functions for item in self.kinds.values())
+
+    @property
+    def variables(self) -> set[str]:
+        """Names of the `variable` parameters that the response types refer to."""
+        return {name for item in self.kinds.values() for name in item.variables}
+
+    def nodes(self, deck: Deck) -> tuple[int, ...]:
+        """Return the nodes where shapes are needed besides those of the sensors."""
+        return tuple({node for item in self.kinds.values() for node in item.nodes(deck)})
 
     def responses(self, given: TestedModel) -> tuple[Response, ...]:
-        """These kinds as a test and a model have them."""
+        """Return the responses of these types for a test and a model."""
         return tuple(section.response(given) for section in self.kinds.values())
 
     def problems(self, source: YamlFile, given: TestedModel, solver: Solver) -> list[str]:
-        """Why these kinds do not fit a test and a model, each with file and line."""
+        """Return why these types do not fit a test and a model, each with file and line."""
         found = []
         for kind, section in self.kinds.items():
             said = list(section.problems(given))
@@ -117,9 +138,17 @@ class ResidualSection(Section):
             ]
         return found
 
+    def warnings(self, source: YamlFile, given: TestedModel) -> list[str]:
+        """Return what of the test is not compared, each with file and line."""
+        return [
+            f"{source.where(('residuals', kind))}: {said}"
+            for kind, section in self.kinds.items()
+            for said in section.warnings(given)
+        ]
+
     @property
     def by_mode(self) -> Iterator[tuple[tuple[str, ...], Mapping[str, float]]]:
-        """All that is given by mode: its keys below `residuals`, and the values."""
+        """Everything that is given by mode: its keys below `residuals`, and the values."""
         yield from (((key,), getattr(self, key)) for key in get_args(ModeKey))
         for kind, section in self.kinds.items():
             yield from (((kind, key), getattr(section, key)) for key in section.mode_keys)

@@ -1,4 +1,9 @@
-"""What the section of each kind of response tells, and the test and model it is read beside."""
+"""The seam of response types: what the file of a type gives, and the test and model it gets.
+
+A type's section has its campaign keys. From the test and the model it makes the Response of
+`core/updating/responses`, and it requests what the solver must deliver: shapes at further nodes,
+derivatives of shapes, the test's response functions on the model.
+"""
 
 from __future__ import annotations
 
@@ -20,22 +25,25 @@ from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import MeasuredFrfs, RepeatedTests
 from modetune.core.measurement.sensors import SensorMap
 from modetune.core.modes import MeasuredModes, dof_name
-from modetune.core.parameters import ParameterSet
+from modetune.core.parameters import ParameterSet, ValueKind
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.observation import sensor_observation
-from modetune.core.updating.responses.response import Response
+from modetune.core.updating.responses.response import Residual, Response
 from modetune.flows.responses.section import OTHERS, Section, Weights
+
+#: `variable` parameters by name: what their values are, and their bounds.
+Variables = Mapping[str, tuple[ValueKind, tuple[float, float]]]
 
 
 @dataclass(frozen=True, slots=True)
 class TestedModel:
-    """A test, of the modes that are used, and a model.
+    """The modes of a test that the campaign uses, and a model.
 
-    frfs: response functions of the test, where they are asked for; seen: where their sensors and
-    forces are on the model. kilograms, metres: the model's units of mass and length. notes: what
-    readers said of the test. sensors: of the test's shapes on the model; complex_shapes:
-    (n_sensors, n_modes), as measured, where they are not real. repeats: the tests that the test is
-    the mean of.
+    kilograms, metres: the model's units of mass and length. frfs: the test's response functions,
+    where a type compares them; seen: their sensors and forces on the model. notes: remarks of the
+    readers of the test's files. sensors: sensors of the shapes on the model. complex_shapes:
+    (n_sensors, n_modes) as measured, None where they are real. repeats: the tests whose mean the
+    test is.
     """
 
     __test__ = False  # not a test of pytest's
@@ -55,14 +63,18 @@ class TestedModel:
 
 
 class ResponseSection(Section):
-    """A kind of response: what is measured of it, how exactly, and how much it counts."""
+    """A response type: what was measured, how exactly, and how much it counts."""
 
     mode_keys: ClassVar[tuple[str, ...]] = ()
     """Its keys whose values go by mode."""
+    shape_changes: ClassVar[bool] = False
+    """Whether it needs derivatives of shapes, whatever its weights."""
+    functions: ClassVar[bool] = False
+    """Whether it compares the test's response functions."""
 
     @property
     def shape_weights(self) -> Mapping[str, float]:
-        """Its weights by mode, where it compares shapes."""
+        """Its weights by mode, where it compares measured shapes."""
         return {}
 
     @property
@@ -72,15 +84,39 @@ class ResponseSection(Section):
 
     @abstractmethod
     def response(self, given: TestedModel) -> Response:
-        """The kind as a test and a model have it, without what `problems` tells of."""
+        """Return the response of a test and a model, without the parts that have problems."""
 
     def problems(self, given: TestedModel) -> Iterable[tuple[Place, str]]:
-        """Why some of it cannot be compared, each with its place below the section."""
+        """Return why parts of it cannot be compared, each with its place below the section."""
         return ()
+
+    def warnings(self, given: TestedModel) -> Iterable[str]:
+        """Return what of the test is not compared, and why."""
+        return ()
+
+    def nodes(self, deck: Deck) -> Iterable[int]:
+        """Return the nodes where it needs shapes besides those of the sensors."""
+        return ()
+
+    @property
+    def variables(self) -> set[str]:
+        """Names of the `variable` parameters that it refers to."""
+        return set()
+
+    def check_variables(self, variables: Variables) -> None:
+        """Raise ValueError where `variables` lacks one that it refers to, or has an unfit one."""
+
+    @staticmethod
+    def scores(part: Residual) -> Iterable[tuple[str, float, float]] | None:
+        """Return the report's rows of a block where they are not its values as measured.
+
+        A row has a label, the value of a perfect model and the value of this model.
+        """
+        return None
 
 
 class ModewiseSection(ResponseSection):
-    """A kind with a response of each mode."""
+    """A type with one response per mode."""
 
     mode_keys: ClassVar[tuple[str, ...]] = ("weight",)
 
@@ -92,18 +128,21 @@ class ModewiseSection(ResponseSection):
         return any(self.weight.values())
 
     def weights(self, numbers: Iterable[int]) -> dict[int, float]:
-        """Of the modes of these numbers; 1 of those that no key names."""
+        """Return the weights of the modes with these numbers, 1 where no key gives one."""
         return of_modes({OTHERS: 1.0} | self.weight, numbers)
 
 
 def of_modes(given: Mapping[str, float], numbers: Iterable[int]) -> dict[int, float]:
-    """What a key by mode says of the modes of these numbers; without those it does not tell."""
-    told = ((n, given.get(str(n), given.get(OTHERS))) for n in numbers)
-    return {n: value for n, value in told if value is not None}
+    """Return the values of a key by mode for the modes that it covers."""
+    found = ((n, given.get(str(n), given.get(OTHERS))) for n in numbers)
+    return {n: value for n, value in found if value is not None}
 
 
 def observer(what: str, seen: SensorMap, deck: Deck) -> Callable[[MatrixResult], sparse.csr_array]:
-    """Gives the sensors' rows (n_sensors, n_equations) for matrices; what: is compared there."""
+    """Return a function that gives the sensors' rows (n_sensors, n_equations) for matrices.
+
+    what: is compared there, for messages. The function raises ModelError.
+    """
 
     def observe(here: MatrixResult) -> sparse.csr_array:
         observed = sensor_observation(seen, partial(deck.observation, here))
@@ -116,5 +155,5 @@ def observer(what: str, seen: SensorMap, deck: Deck) -> Callable[[MatrixResult],
 
 
 def nothing_seen(here: MatrixResult) -> sparse.csr_array:
-    """No sensors."""
+    """Return the rows of no sensors."""
     return sparse.csr_array((0, here.nodes.size))

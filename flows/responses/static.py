@@ -14,6 +14,7 @@ from modetune.core.modes import COMPONENTS, Floats, Integers
 from modetune.core.parameters import Values
 from modetune.core.updating.responses.static import Static
 from modetune.core.updating.static import LoadCase, Reading
+from modetune.flows.responses.gauges import elongation, node_number
 from modetune.flows.responses.response import ResponseSection, TestedModel
 from modetune.flows.responses.section import Finite, NotNegative, Positive, Section, by_name
 
@@ -115,26 +116,6 @@ def _displacement(name: str, deck: Deck) -> tuple[Integers, Integers, Floats]:
     return np.array([node]), np.array([component]), np.ones(1)
 
 
-def elongation(name: str, deck: Deck) -> tuple[Integers, Integers, Floats]:
-    """(u_b - u_a) . t / l, with t the direction from a to b and l their distance."""
-    first, _, second = name.partition("-")
-    if not (first.isdecimal() and second.isdecimal()) or first == second:
-        raise ModelError(f"{name!r} is not two nodes such as 12-13")
-    ends, mesh = np.array([_node(first, deck), _node(second, deck)]), deck.mesh()
-    if not mesh.nodes.size:
-        raise ModelError("the model has no geometry, which strains need")
-    at = mesh.coordinates[mesh.rows(ends)]
-    length = float(np.linalg.norm(at[1] - at[0]))
-    if not length:
-        raise ModelError(f"nodes {first} and {second} lie at one place")
-    along = (at[1] - at[0]) / length**2
-    factors = [
-        sign * (mesh.frames.get(int(node), np.eye(3)) @ along)
-        for node, sign in zip(ends, (-1.0, 1.0), strict=True)
-    ]
-    return np.repeat(ends, 3), np.tile(np.arange(1, 4), 2), np.concatenate(factors)
-
-
 def _dof(name: str, deck: Deck) -> tuple[int, int]:
     node, _, component = name.partition(".")
     if component not in COMPONENTS:
@@ -144,11 +125,4 @@ def _dof(name: str, deck: Deck) -> tuple[int, int]:
     number = COMPONENTS.index(component) + 1
     if number not in deck.summary.components:
         raise ModelError(f"{name}: nodes of this model have no {component}")
-    return _node(node, deck), number
-
-
-def _node(text: str, deck: Deck) -> int:
-    node = int(text) if text.isdecimal() else 0
-    if node not in deck.summary.node_ids:
-        raise ModelError(f"the model has no node {text}")
-    return node
+    return node_number(node, deck), number

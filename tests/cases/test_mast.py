@@ -11,6 +11,8 @@ from modetune.configs.cases import write_case
 from modetune.configs.mast import twin
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.responses.mass_properties import MassSection
+from modetune.flows.responses.static import StaticSection
 from modetune.flows.updating.running import update_campaign
 from modetune.flows.updating.updating import Unwatched
 from tests.adapters.solved import needs_ccx
@@ -59,8 +61,8 @@ def test_the_campaigns_numbers_are_what_ccx_finds_for_the_true_mast(folder: Path
     np.testing.assert_allclose(
         test.frequencies_hz, modes.frequencies_hz, rtol=4.0 * twin.FREQUENCY_NOISE
     )
-    static = campaign.residuals.static
-    assert static is not None
+    static = campaign.residuals.kinds["static"]
+    assert isinstance(static, StaticSection)
     moved = twin.truth_displacements()
     read = static.cases[0].displacements
     assert {int(name.partition(".")[0]) for name in read} == set(twin.GAUGES)
@@ -69,7 +71,7 @@ def test_the_campaigns_numbers_are_what_ccx_finds_for_the_true_mast(folder: Path
         node, _, component = name.partition(".")
         true = moved[int(node)]["xyz".index(component)]
         assert abs(value - true) < 4.0 * twin.GAUGE_NOISE * largest
-    weighed = campaign.residuals.mass_properties
-    assert weighed is not None
+    weighed = campaign.residuals.kinds["mass_properties"]
+    assert isinstance(weighed, MassSection)
     mass = weighed.targets["mass"].value
     assert mass == pytest.approx(twin.truth_mass(), rel=4.0 * twin.WEIGHING_NOISE)
