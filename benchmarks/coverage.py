@@ -45,16 +45,16 @@ from modetune.core.updating.observation import observe
 from modetune.core.updating.reduced_basis import reduce, unreduced
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import Execution
 from modetune.flows.report.form_verdict import record_verdict
-from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.by_matrices import ByReduced, reduced_modal
 from modetune.flows.updating.evaluation import compare
-from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.matrix_source import MatrixSource
-from modetune.flows.updating.running import job_engine
-from modetune.flows.updating.updating import Unwatched, Updating
+from modetune.flows.updating.evaluator import CaseState, Evaluator
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.matrices import MatrixSource
+from modetune.flows.updating.mode_source import campaign_analysis
+from modetune.flows.updating.reduced_model import ByReduced, reduced_modal
+from modetune.flows.updating.update import Updating
 
 #: Standard errors beside the value that hold the truth in 95 of 100 cases.
 INTERVAL = 1.96

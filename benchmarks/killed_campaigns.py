@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from tests.flows.records import differences
-from tests.flows.updating.test_by_matrices import OWN, STORED, written
 from tests.flows.updating.test_same_bits import LONG, SHORT
+from tests.flows.updating.test_stored_matrices import OWN, STORED, written
 
 from modetune.flows.cli.main import main as modetune
 

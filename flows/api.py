@@ -46,8 +46,8 @@ from modetune.flows.studies.requests import (
 )
 from modetune.flows.studies.study import split_files
 from modetune.flows.updating.display import ConsoleProgress
-from modetune.flows.updating.run import CampaignRun, read_run
-from modetune.flows.updating.updating import Progress, Unwatched
+from modetune.flows.updating.forecast import Progress, Unwatched
+from modetune.flows.updating.record import CampaignRun, read_run
 
 if TYPE_CHECKING:
     from modetune.core.updating.results import ModalResult

@@ -22,8 +22,8 @@ from modetune.core.storage.keys import canonical_json
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.running import update_campaign
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.update import update_campaign
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 #: Steel, N, mm, t: 2 x 250 mm in two materials of the same numbers.

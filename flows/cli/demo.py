@@ -24,7 +24,7 @@ from modetune.flows.studies.result import near
 if TYPE_CHECKING:
     from modetune.configs.claims import Beside, Claim
     from modetune.configs.six_mass.methods import Outcome
-    from modetune.flows.updating.run import CampaignRun
+    from modetune.flows.updating.record import CampaignRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +44,7 @@ def demo(
     with begun(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
         from modetune.flows.report.terminal import terminal
-        from modetune.flows.updating.recording import summary
-        from modetune.flows.updating.run import CampaignRun
+        from modetune.flows.updating.record import CampaignRun, summary
 
         if case not in DEMOS:
             raise CampaignError(f"there is no demo {case!r}{suggestion(case, DEMOS)}")

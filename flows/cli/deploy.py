@@ -59,7 +59,7 @@ def deployable(
 ) -> tuple[Study, dict[str, Any], str]:
     """Return a study as typed, its parameters and the campaign's name. Raises CampaignError."""
     from modetune.flows.cli.command import parse_study
-    from modetune.flows.updating.updating import Unwatched
+    from modetune.flows.updating.forecast import Unwatched
 
     study, options = parse_study(line)
     first, *others = study.fields

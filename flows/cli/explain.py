@@ -18,7 +18,7 @@ from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
     from modetune.flows.jobs.explain import AskedJob, Nearest
-    from modetune.flows.updating.lookup import Explanation
+    from modetune.flows.jobs.lookup import Explanation
 
 #: Digits of a key that are shown.
 SHORT = 12
@@ -30,7 +30,7 @@ def explain(
     as_json: AsJson = False,
 ) -> None:
     """Tell what a job is, what became of it, and in what it differs from the nearest result."""
-    from modetune.flows.updating.lookup import explain_job, key_start
+    from modetune.flows.jobs.lookup import explain_job, key_start
 
     start = key_start(job)
     place, campaign = store_and_campaign(store)

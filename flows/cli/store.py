@@ -192,8 +192,8 @@ def store_forget(
     as_json: AsJson = False,
 ) -> None:
     """Remove one job's result and folders; it is computed again when it is needed."""
+    from modetune.flows.jobs.lookup import key_start, one_key
     from modetune.flows.jobs.store_files import files_of, remove
-    from modetune.flows.updating.lookup import key_start, one_key
 
     place, _ = store_and_campaign(store)
     start = key_start(key)

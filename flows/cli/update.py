@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
     """Print what an update with these parameters would run. Raises CampaignError, StoreError."""
     from modetune.flows.updating.dry_run import dry_run
-    from modetune.flows.updating.updating import Unwatched
+    from modetune.flows.updating.forecast import Unwatched
 
     with find_study("update").opened(parameters, Unwatched()) as on:
         found = dry_run(on.campaign, on.folder)

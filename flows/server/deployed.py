@@ -22,7 +22,7 @@ from modetune.flows.jobs.server_client import ServerClient, ServerRefused
 from modetune.flows.server.permission import check_request
 from modetune.flows.server.prefect_client import prefect_client
 from modetune.flows.studies.catalogue import find_study
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
 
 #: Seconds for which a run waits at its end for a server that is gone, and between two attempts.
 RETURN_S, PAUSE_S = 300.0, 2.0

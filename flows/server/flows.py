@@ -47,8 +47,8 @@ from modetune.flows.studies.catalogue import STUDIES, find_study
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Opened, Study
 from modetune.flows.updating.artifacts import files_sheet, result_sheets, table_sheet
-from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.updating import Progress, Unwatched
+from modetune.flows.updating.forecast import Progress, Unwatched
+from modetune.flows.updating.record import CampaignRun
 
 #: Names of the flows.
 FLOWS = STUDIES

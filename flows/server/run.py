@@ -23,7 +23,7 @@ from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import PoolRunner, Runner
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Opened, Study
-from modetune.flows.updating.updating import Progress
+from modetune.flows.updating.forecast import Progress
 
 if TYPE_CHECKING:
     from modetune.flows.jobs.prefect_server import SharedServer

@@ -37,7 +37,7 @@ from modetune.flows.jobs.server_client import ServerClient, ServerRefused
 from modetune.flows.jobs.silent_runs import BEAT_S, send_heartbeat
 from modetune.flows.updating.artifacts import Sheet, progress_sheets
 from modetune.flows.updating.display import iteration_line
-from modetune.flows.updating.updating import Progress
+from modetune.flows.updating.forecast import Progress
 
 #: Seconds between two looks at the state of the run, and that one request may take.
 LOOK_S, REQUEST_S = 3.0, 4.0

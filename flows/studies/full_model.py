@@ -21,10 +21,10 @@ from modetune.core.parameters import Values
 from modetune.core.updating.observation import Observation, sensor_observation
 from modetune.core.updating.results import MatrixResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.requests import is_file
-from modetune.flows.updating.running import job_engine
 
 Dofs = list[tuple[int, int]]
 #: NODE, NODE.z or NODE.xyz, and NODE.123 as Nastran has it; a range of nodes in place of NODE.

@@ -21,7 +21,7 @@ def modes(
 ) -> StudyResult:
     """Compute the modes of a campaign's model or of a deck, at its values or those of --at."""
     from modetune.flows.campaign.units import KILOGRAMS
-    from modetune.flows.updating.modal_run import model_modes
+    from modetune.flows.updating.mode_source import model_modes
 
     campaign = on.campaign
     found = model_modes(campaign, on.values, number)

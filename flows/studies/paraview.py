@@ -27,9 +27,9 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job
 from modetune.flows.report.field_tables import field_map
-from modetune.flows.updating.running import job_engine
 
 #: Which models of a campaign: as it started, as updating left it.
 State = Literal["initial", "updated"]

@@ -47,7 +47,7 @@ from modetune.flows.studies.result import StudyResult, near
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
-    from modetune.flows.updating.updating import Progress
+    from modetune.flows.updating.forecast import Progress
 
 T = TypeVar("T")
 REQUIRED = inspect.Parameter.empty
@@ -200,7 +200,7 @@ class DeckOptions(StudyOptions):
     def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
         from modetune.flows.campaign.sketch import looked_at
         from modetune.flows.report.page import check_page
-        from modetune.flows.updating.modal_run import parse_values
+        from modetune.flows.updating.mode_source import parse_values
 
         check_page(places(self)[0])
         changed = with_model(self.settings, self.solver, self.units)

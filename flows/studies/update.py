@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modetune.flows.campaign.campaign import Campaign
-    from modetune.flows.updating.run import CampaignRun
-    from modetune.flows.updating.updating import Progress
+    from modetune.flows.updating.forecast import Progress
+    from modetune.flows.updating.record import CampaignRun
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,8 @@ def update(on: Opened) -> StudyResult:
     from modetune.flows.report.mode_tables import mode_table
     from modetune.flows.report.parameter_tables import parameter_table
     from modetune.flows.updating.forecast import told_forecast
-    from modetune.flows.updating.recording import summary
-    from modetune.flows.updating.running import is_same
-    from modetune.flows.updating.starts import update_from_starts
+    from modetune.flows.updating.record import summary
+    from modetune.flows.updating.update import is_same, update_from_starts
 
     campaign, progress = on.campaign, on.progress
     campaign.solver_version()  # a missing solver is reported before anything else starts

@@ -20,10 +20,10 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, mode_name
 from modetune.core.storage.record import RunCounts
 from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.report.tables import Column
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluators import engine_of, evaluator_of
-from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.evaluators import evaluator_of
 
 #: Which model of a record: as updating left it, or as it started.
 State = Literal["updated", "initial"]

@@ -31,7 +31,7 @@ from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_t
 from modetune.flows.report.response_tables import response_table
 from modetune.flows.report.tables import OUTSIDE, Table, columns_of, show
 from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text
-from modetune.flows.updating.run import CampaignRun
+from modetune.flows.updating.record import CampaignRun
 
 
 def iteration_line(record: IterationRecord) -> str:

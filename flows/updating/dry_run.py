@@ -15,17 +15,17 @@ from pathlib import Path
 from modetune.core.errors import NotComputed, NotStored
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_by_note
 from modetune.flows.jobs.job import NOMINAL, Job
+from modetune.flows.jobs.lookup import Explanation
 from modetune.flows.jobs.nearest import nearest
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.lookup import Explanation
-from modetune.flows.updating.running import job_engine
-from modetune.flows.updating.starting import read_earlier, start_of
-from modetune.flows.updating.updating import Unwatched, Updating
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.update import Updating, read_earlier, start_of
 
 
 @dataclass(frozen=True, slots=True)

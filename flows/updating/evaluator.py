@@ -1,55 +1,429 @@
-"""The evaluator: parameter sets and the cases of a campaign in, evaluations and sensitivities out.
+"""The evaluator: from parameter values and a campaign's cases to evaluations and sensitivities.
 
-Every case has a finder of its modes (`finders.py`) and shares parameters with the others. What a
-set needs in all cases goes to the execution in one go, so that the jobs of all run side by side,
-and is counted (`pieces.py`). A lost mode widens the computed range of its case and pairs again; a
-finder that cannot be believed is replaced (`asked.py`). Sensitivities are put together in
-`deriving.py`, what is only judged by in `holding_out.py`.
+Each case has a source of its modes (`mode_source.py`) and shares parameters with the others. The
+solver work of all cases at a point is submitted together, so that their jobs run in parallel, and
+is counted. If a mode is lost the computed range of its case is widened and the modes are paired
+again; a source that turns out to be wrong is replaced.
 """
 
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Protocol
 
 import numpy as np
+import scipy
 
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
-from modetune.core.correlation.held_out import HeldOut
+from modetune.core.algebra.factor_room import factor_room
+from modetune.core.correlation.matching import NotAmongComputed
+from modetune.core.correlation.pairing import LostMode, Pairing
 from modetune.core.errors import ModesError, ModetuneError, SolverError
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers, mode_name
 from modetune.core.storage.record import RunCounts
 from modetune.core.updating.estimation import Step
 from modetune.core.updating.reduced_range import RangeUse
+from modetune.core.updating.residual import residual_sensitivity
+from modetune.core.updating.responses.frequencies import Frequencies
+from modetune.core.updating.responses.response import ModelState, StateDerivatives
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.engine import JobOutcome
-from modetune.flows.jobs.execution import Execution, Work
+from modetune.flows.campaign.case import Case
+from modetune.flows.jobs.engine import JobEngine, JobOutcome
+from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.job import Job, analysis_kind
 from modetune.flows.jobs.watching import doing
-from modetune.flows.updating.asked import Ahead, AskedModes, CaseState, ModeTrack, Piece
-from modetune.flows.updating.deriving import Deriving
 from modetune.flows.updating.evaluation import (
     CaseEvaluation,
     Evaluation,
     Matrix,
     Point,
+    compare,
+    model_state,
+    part_rows,
     whole_evaluation,
 )
-from modetune.flows.updating.finders import CAMPAIGNS_OWN, REDUCED, UNFIT, by_solver, unless_failed
-from modetune.flows.updating.holding_out import HoldingOut
-from modetune.flows.updating.modes_choice import MANY, confirms_by_matrices
-from modetune.flows.updating.pieces import Pieces
-from modetune.flows.updating.small_matrices import one_thread
+from modetune.flows.updating.matrices import one_thread
+from modetune.flows.updating.mode_source import (
+    CAMPAIGNS_OWN,
+    MANY,
+    REDUCED,
+    UNFIT,
+    Columns,
+    ModeFinder,
+    by_solver,
+    confirms_by_matrices,
+    unless_failed,
+)
+from modetune.flows.updating.sensitivities import UnbalancedEnergies, by_energies
 
 logger = logging.getLogger(__name__)
 
+#: How often the computed range is widened in search of a lost mode.
+WIDENINGS = 1
+#: Sets that modes are tracked from at most: the nearest of so many is near, and they fill memory.
+MOST_KNOWN = 400
 #: What pieces are told under that are carried out once more, for a mode that was lost.
 MORE = ", more modes"
 #: Sets whose shapes are in memory at once.
 TOGETHER = 256
+
+
+@dataclass(slots=True, eq=False)
+class CaseState:
+    """A case under evaluation.
+
+    campaign: the one that the case would make alone; columns: positions of its parameters among
+    all; engine: of its model; analysis: what its modal runs are asked for by now.
+    """
+
+    case: Case
+    campaign: Campaign
+    columns: Integers
+    engine: JobEngine
+    finder: ModeFinder
+    analysis: ModalAnalysis
+
+    def own(self, theta: Floats) -> Floats:
+        """The case's own parameters among all."""
+        return theta[self.columns]
+
+    def compared(
+        self,
+        theta: Floats,
+        key: str,
+        modal: ModalResult,
+        before: CaseEvaluation | None,
+        solved_by: str,
+        drop: bool = False,
+    ) -> CaseEvaluation:
+        """Modes at the case's own parameters beside its test: `compare`."""
+        matrices = self.finder.assembled(theta) if self.case.needs("matrices") else None
+        with factor_room(self.engine.room):
+            return compare(self.case, theta, key, modal, before, solved_by, drop, matrices)
+
+    def named(self, work: Work) -> Work:
+        """A piece of work under the case's name, for its engine."""
+        return Work(self.case.of(work.name), work.jobs, work.engine or self.engine)
+
+
+@dataclass(slots=True, eq=False)
+class AskedModes:
+    """A case at a parameter set, on its way to an evaluation; widened: how often so far."""
+
+    point: int
+    state: CaseState
+    theta: Floats
+    analysis: ModalAnalysis
+    widened: int = 0
+
+    def widen(self, error: LostMode, there: int) -> bool:
+        """Ask for more modes; false where it is of no use.
+
+        there: modes that were found; a model of a few unknowns has no more than it gave.
+        """
+        few = there < self.analysis.n_modes
+        if self.widened == WIDENINGS or few or not error.above:
+            return False
+        self.widened += 1
+        n_modes = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
+        self.analysis = replace(self.analysis, n_modes=n_modes)
+        logger.info("%s; widening the range to %d modes", error, n_modes)
+        return True
+
+    def answered(
+        self, done: Sequence[Done], before: CaseEvaluation | None
+    ) -> CaseEvaluation | None:
+        """The case's evaluation, from what became of its work; None where it is to be asked again.
+
+        before: that of the set that modes are tracked from.
+        """
+        state = self.state
+        try:
+            key, modal = state.finder.modes(self.theta, self.analysis, done)
+        except UNFIT as error:
+            state.finder = state.finder.instead(error)
+            return None
+        try:
+            part = self.compared(key, modal, before)
+        except LostMode as error:
+            if self.widen(error, modal.modes.n_modes):
+                return None
+            if isinstance(error, NotAmongComputed):
+                raise
+            if before is not None or not state.case.rules.drop:
+                raise _lost(error) from error
+            part = self.compared(key, modal, before, drop=True)
+        if before is None:
+            _tell_dropped(state.case, part.pairing)
+        return part
+
+    def compared(
+        self, key: str, modal: ModalResult, before: CaseEvaluation | None, drop: bool = False
+    ) -> CaseEvaluation:
+        """Modes that were found beside those of the test. Raises LostMode."""
+        state = self.state
+        return state.compared(self.theta, key, modal, before, state.finder.name, drop)
+
+
+@dataclass(slots=True)
+class ModeTrack:
+    """Evaluation points that modes are tracked from, where the test has no shapes: the nearest one.
+
+    width: (n_parameters,), what distances are measured by; grows: whether new sets join them, till
+    there are MOST_KNOWN.
+    """
+
+    width: Floats
+    known: list[Evaluation]
+    grows: bool
+    _places: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def next(self, thetas: Floats, waiting: Sequence[int]) -> int:
+        """The waiting set that is nearest to one that is known, where the known grow by it."""
+        if not (self.known and self.grows) or len(waiting) == 1:
+            return waiting[0]
+        return waiting[int(np.argmin(self._distances(thetas[list(waiting)]).min(axis=1)))]
+
+    def nearest(self, theta: Floats) -> Evaluation | None:
+        """The known set that is nearest to a set."""
+        if len(self.known) < 2:
+            return self.known[0] if self.known else None
+        return self.known[int(np.argmin(self._distances(theta[None])))]
+
+    def join(self, evaluation: Evaluation) -> None:
+        """A new set, which others may be tracked from."""
+        if self.grows and len(self.known) < MOST_KNOWN:
+            self.known.append(evaluation)
+
+    def _distances(self, thetas: Floats) -> Floats:
+        if len(self._places) != len(self.known):
+            self._places = np.stack([evaluation.theta for evaluation in self.known]) / self.width
+        return np.asarray(
+            scipy.spatial.distance.cdist(thetas / self.width, self._places, "sqeuclidean")
+        )
+
+
+#: A piece of work of a case.
+Piece = tuple[CaseState, Work]
+
+
+#: What became of pieces by what they are, for those that are asked for again.
+Ahead = dict[tuple[object, ...], Done]
+
+
+def _lost(error: LostMode) -> LostMode:
+    """A lost mode with what the campaign can say of it."""
+    return LostMode(
+        f"{error}; `test.unmatched: drop` updates without it, and `test.pairs` names its partner "
+        "by hand (see `modetune check`)"
+    )
+
+
+def _tell_dropped(case: Case, pairing: Pairing) -> None:
+    """Warn of the modes that are left out."""
+    for row in np.setdiff1d(np.arange(case.test.modes.n_modes), pairing.measured).tolist():
+        logger.warning(
+            "%s at %.4g Hz has no partner among the computed modes and is left out "
+            "(test.unmatched: drop): nothing is compared with it",
+            mode_name(case.test.numbers[row], case.name),
+            case.test.modes.frequencies_hz[row],
+        )
+
+
+class Pieces:
+    """Where pieces are carried out, and what they cost so far."""
+
+    def __init__(self, execution: Execution) -> None:
+        self.execution = execution
+        self._runs = RunCounts()
+
+    @property
+    def runs(self) -> RunCounts:
+        """Solver runs so far, and what they cost."""
+        ledger = self.execution.engine.ledger
+        return replace(self._runs, core_s=ledger.core_s, licence_s=ledger.licence_s)
+
+    def run(
+        self, title: str, works: Sequence[Piece], ahead: Ahead, beside: Sequence[Piece] = ()
+    ) -> list[Done]:
+        """What became of each piece, in order, and counts the runs.
+
+        Pieces that were carried out ahead are not run again; those beside are kept for later.
+        """
+        listed = {_identity(piece): piece for piece in (*works, *beside)}
+        missing = {mark: piece for mark, piece in listed.items() if mark not in ahead}
+        if missing:
+            named = _numbered([state.named(work) for state, work in missing.values()])
+            for mark, work, done in zip(
+                missing, named, self.execution.run(title, named), strict=True
+            ):
+                ahead[mark] = done
+                if not isinstance(done, ModetuneError):
+                    self._runs = self._runs.plus(outcomes_count(work.name, done))
+        return [ahead[_identity(piece)] for piece in works]
+
+    def modes(
+        self, title: str, state: CaseState, theta: Floats, analysis: ModalAnalysis
+    ) -> tuple[str, ModalResult]:
+        """The key and the modes of one case at a set."""
+        while True:
+            works = [(state, work) for work in state.finder.works(theta, analysis)]
+            done = self.run(title, works, Ahead())
+            try:
+                with doing(title):
+                    return state.finder.modes(theta, analysis, done)
+            except UNFIT as error:
+                state.finder = state.finder.instead(error)
+
+
+def _numbered(works: Sequence[Work]) -> list[Work]:
+    """Pieces with a name each: those of one name, as of many sets, are numbered."""
+    many, place = Counter(work.name for work in works), Counter[str]()
+    told = []
+    for work in works:
+        place[work.name] += 1
+        which = f" {place[work.name]} of {many[work.name]}" if many[work.name] > 1 else ""
+        told.append(replace(work, name=work.name + which))
+    return told
+
+
+def _identity(piece: Piece) -> tuple[object, ...]:
+    """What a piece of work is told from others by."""
+    state, work = piece
+    return id(state), work.name, *((*job.values.items(), job.analysis) for job in work.jobs)
+
+
+def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
+    """The runs of one piece of work by kind."""
+    ran = sum(not outcome.reused for outcome in outcomes)
+    modal = name.startswith("modal")
+    return RunCounts(
+        modal=ran if modal else 0, sensitivity=0 if modal else ran, reused=len(outcomes) - ran
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Deriving:
+    """Derives a campaign's residual in the cases that are used."""
+
+    campaign: Campaign
+    used: Sequence[CaseState]
+    pieces: Pieces
+
+    def works(self, theta: Floats) -> list[Piece]:
+        """What has to be carried out before the sensitivity at a set is found."""
+        return [
+            (state, work)
+            for state in self.used
+            for work in state.finder.sensitivity_works(state.own(theta), state.analysis)
+        ]
+
+    def matrix(self, title: str, evaluation: Evaluation, ahead: Ahead) -> Matrix:
+        """The sensitivity at a point; ahead: what was carried out before."""
+        columns: dict[int, Columns] = {}
+        parts = list(evaluation.parts)
+        waiting = list(range(len(parts)))
+        while waiting:
+            for place in waiting:
+                parts[place] = self._suited(title, place, parts[place])
+            works = [
+                state.finder.sensitivity_works(parts[place].theta, state.analysis)
+                for place, state in enumerate(self.used)
+            ]
+            listed = [(self.used[place], work) for place in waiting for work in works[place]]
+            done = iter(self.pieces.run(title, listed, ahead))
+            again = []
+            for place in waiting:
+                state, own = self.used[place], [next(done) for _ in works[place]]
+                try:
+                    with doing(title):
+                        point = parts[place].point
+                        columns[place] = state.finder.columns(point, state.analysis, own)
+                    self._tell(title, state, columns[place])
+                except UNFIT as error:
+                    state.finder = state.finder.instead(error)
+                    again.append(place)
+            waiting = again
+        return self._stacked(parts, [columns[place] for place in range(len(parts))])
+
+    def by_energies(self, evaluation: Evaluation) -> Floats:
+        """What strain energies tell of the sensitivity at a point, without a job: rows of
+        frequencies (n_frequencies, n_parameters), NaN where they tell nothing."""
+        parameters, parts = self.campaign.parameters.names, evaluation.parts
+        whole = evaluation.residual.rows("frequencies")
+        found = np.full((whole.stop - whole.start, len(parameters)), np.nan)
+        for state, part, rows in zip(self.used, parts, part_rows(parts), strict=True):
+            with suppress(UnbalancedEnergies):
+                slopes = by_energies(part.point, state.campaign.parameters.names)
+                place = np.ix_(rows[part.residual.rows("frequencies")], state.columns)
+                found[place] = Frequencies().slopes(_model_state(state.case, part), slopes)
+        return found
+
+    def _tell(self, title: str, state: CaseState, columns: Columns) -> None:
+        """Tell of columns that no work stood for: those of a reduced model around a set."""
+        if state.finder.name != REDUCED and set(columns.methods) == {REDUCED}:
+            named = state.campaign.parameters.names
+            names = [state.case.of(f"sensitivity {name}") for name in named]
+            reason = "follows from the reduced model"
+            self.pieces.execution.skip(title, names, "Derived", reason)
+
+    def _suited(self, title: str, place: int, part: CaseEvaluation) -> CaseEvaluation:
+        """An evaluated case with all that its finder's derivatives are made of."""
+        state = self.used[place]
+        if state.finder.suits(part, state.analysis):
+            return part
+        key, modal = self.pieces.modes(title, state, part.theta, state.analysis)
+        return state.compared(part.theta, key, modal, part, state.finder.name)
+
+    def _stacked(self, parts: Sequence[CaseEvaluation], columns: Sequence[Columns]) -> Matrix:
+        """The sensitivities of all cases as one."""
+        names, rows = self.campaign.parameters.names, part_rows(parts)
+        values = np.zeros((sum(own.size for own in rows), len(names)))
+        methods: list[dict[str, None]] = [{} for _ in names]
+        missing: set[int] = set()
+        for state, part, found, own in zip(self.used, parts, columns, rows, strict=True):
+            there = [n for n in range(state.columns.size) if n not in found.missing]
+            seen = self._seen(state.case, part, found.derivatives)
+            with factor_room(state.engine.room):
+                values[np.ix_(own, state.columns[there])] = residual_sensitivity(
+                    part.responses,
+                    _model_state(state.case, part),
+                    StateDerivatives(seen, tuple(there), found.derivatives),
+                )
+            missing |= {int(state.columns[column]) for column in found.missing}
+            for column, method in zip(state.columns.tolist(), found.methods, strict=True):
+                methods[column][method] = None
+        values[:, sorted(missing)] = 0.0
+        return Matrix(
+            values=values,
+            methods=tuple("+".join(found) for found in methods),
+            keys=tuple(key for found in columns for key in found.keys),
+            age=0,
+            missing=tuple(sorted(missing)),
+        )
+
+    def _seen(
+        self, case: Case, part: CaseEvaluation, derivatives: ModeDerivatives
+    ) -> ModeDerivatives:
+        """Derivatives of shapes as the test's sensors see them."""
+        if not case.needs("shapes"):
+            return derivatives
+        modes = part.modal.modes
+        observer = case.sensors.matrix(modes.nodes, modes.components)
+        shapes = derivatives.mode_shapes
+        seen = observer @ shapes.reshape(shapes.shape[0], -1)
+        return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
+
+
+def _model_state(case: Case, part: CaseEvaluation) -> ModelState:
+    """An evaluated case as its responses see it."""
+    return model_state(case, part.seen, part.pairing, part.modal, part.matrices)
 
 
 class Foresight(Protocol):
@@ -333,14 +707,6 @@ class Evaluator:
             job = Job(state.campaign.parameters.values(state.own(theta)), asked)
             found.append(state.named(Work(analysis_kind(asked), (job,))))
         return found
-
-    def held_out(self, initial: Evaluation, updated: Evaluation) -> HeldOut | None:
-        """Modes and whole cases that are only judged by, before and after.
-
-        A case that is held out takes two modal runs.
-        """
-        holding = HoldingOut(self.campaign, self.used, self.aside, self.pieces)
-        return holding.before_and_after(initial, updated)
 
     def refined(
         self, current: Evaluation, step: Step, region: tuple[Floats, Floats]

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.campaign.case import Case
+from modetune.flows.jobs.campaign_engine import engine_of
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Execution
-from modetune.flows.jobs.job import Plans
-from modetune.flows.jobs.limits import CORES, Limit
-from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.finders import ModeFinder, by_solver, campaign_analysis
-from modetune.flows.updating.large_matrices import LARGE, return_freed_memory
-from modetune.flows.updating.modes_choice import UPDATING, Demand, modes_source
+from modetune.flows.updating.evaluator import CaseState, Evaluator
+from modetune.flows.updating.matrices import LARGE, return_freed_memory
+from modetune.flows.updating.mode_source import (
+    UPDATING,
+    Demand,
+    ModeFinder,
+    by_solver,
+    campaign_analysis,
+    modes_source,
+)
 
 
 def evaluator_of(
@@ -45,8 +46,7 @@ def evaluator_of(
     # A reduced model has directions for each parameter: with a field it is no smaller.
     by_matrices = any(state.finder.name != state.case.solver.program.name for state in states)
     if by_matrices and not campaign.fields:
-        from modetune.flows.updating.by_range import ReducedRanges
-        from modetune.flows.updating.foresight import ReducedForesight
+        from modetune.flows.updating.reduced_model import ReducedForesight, ReducedRanges
 
         evaluator.foresight = ReducedForesight(evaluator)
         evaluator.ranges = ReducedRanges(evaluator)
@@ -59,22 +59,8 @@ def finder_of(campaign: Campaign, engine: JobEngine, demand: Demand, like: Campa
     source = modes_source(like, own if like is campaign else by_solver(like, engine), demand)
     if source is None:
         return own
-    from modetune.flows.updating.by_matrices import ByMatrices
+    from modetune.flows.updating.reduced_model import ByMatrices
 
     if campaign.case.solver.deck.summary.n_elements >= LARGE:
         return_freed_memory()
     return ByMatrices(campaign, engine, source, own)
-
-
-def engine_of(engine: JobEngine, campaign: Campaign, case: Case) -> JobEngine:
-    """The campaign's engine for the model of one of its cases."""
-    if case.solver is engine.solver:
-        return engine
-    solver, name = case.solver, case.solver.program.name
-    limits = [limit for limit in engine.limits if limit.name == CORES]
-    if name in campaign.run.licences:
-        limits.append(Limit(name, campaign.run.licences[name], 1))
-    policy = replace(engine.policy, single_factors=case.single_factors)
-    model = next(n for n, item in enumerate(campaign.cases) if item.solver is solver)
-    order = engine.order and replace(engine.order, model=model)
-    return replace(engine, plans=Plans(solver), limits=tuple(limits), policy=policy, order=order)

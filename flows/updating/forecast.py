@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
 
 from modetune.core.storage.keys import Json
 from modetune.core.storage.record import IterationRecord
@@ -21,7 +23,6 @@ from modetune.flows.jobs.job_prices import NEWEST, Price, job_prices, side_by_si
 from modetune.flows.jobs.limits import CORES
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.updating import Progress
 
 #: So many of the newest results are looked at after an iteration.
 NEWEST_LATER = 20
@@ -74,6 +75,34 @@ class Forecast:
 
 
 NOTHING = Cost(0, 0, 0.0, 0.0, 0.0)
+
+
+class Progress(Protocol):
+    """The watcher of a study; its own methods do nothing."""
+
+    def keep(self, folder: Path) -> None:
+        """Keep the progress of the jobs in a file of a run folder too."""
+        return
+
+    def forecast(self, forecast: Any) -> None:
+        """A `Forecast` of the jobs that are still to come, before the start and later."""
+        return
+
+    def working(self, text: str) -> None:
+        """What is being computed now."""
+        return
+
+    def iteration(self, record: IterationRecord) -> None:
+        """An iteration is complete."""
+        return
+
+    def page(self, address: str) -> None:
+        """Prefect shows the run at this address."""
+        return
+
+
+class Unwatched(Progress):
+    """Watches nothing."""
 
 
 class Forecaster(Progress):

@@ -1,9 +1,9 @@
 """The updating loop: evaluate, compare with the test, step, until e1 holds or nothing is gained.
 
-Each iteration tries a set (`trials.py`): its modal job and, unless e2 skips them, its sensitivity
+Each iteration tries a set : its modal job and, unless e2 skips them, its sensitivity
 jobs go to the execution side by side. A better one is accepted, and e2 decides whether it does with
 the matrix that is there. Where sets cost little the loop goes on from where e1 holds to the least
-misfit (`polishing.py`). Where modes were found otherwise the solver's own confirm the end.
+misfit. Where modes were found otherwise the solver's own confirm the end.
 
 The loop is deterministic and all results are in the store by content, so a campaign that was
 killed is resumed by starting it again: what was finished is answered by the store.
@@ -11,23 +11,373 @@ killed is resumed by starting it again: what was finished is answered by the sto
 
 from __future__ import annotations
 
+import logging
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
+from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats
+from modetune.core.updating.criteria import slope
+from modetune.core.updating.estimation import BELIEVED, Step
+from modetune.core.updating.sensitivity import broyden_update
+from modetune.core.updating.trust_region import TrustRegion
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.polishing import polished
-from modetune.flows.updating.trials import State, Trial, Trials, Watcher
+from modetune.flows.updating.mode_source import CAMPAIGNS_OWN
+from modetune.flows.updating.step import Stepping
 
+logger = logging.getLogger(__name__)
+
+#: How far from e1, at least, Broyden's rate is asked to bring errors down: a rate that hardly is
+#: one is none, also where the frequencies hold already and the shapes do not.
+LEAST_WAY = 2.0
+#: A step is shortened at most so often before its start counts as stationary.
+SHORTENINGS = 5
+#: Largest parameter change that counts as none.
+NO_STEP = 1e-8
+#: Parameters that the task of a step names, those that change most.
+SHOWN = 8
+#: Largest parameter change that the least misfit is not worth, where e1 holds.
+POLISHED = 1e-4
+#: ... where an old matrix led there, and new ones are to end at the same values.
+SAME_END = 1e-3
 #: Relative decrease of the objective below which nothing more is gained.
 STATIONARY = 1e-4
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
 #: Frequencies by stored matrices and by the solver itself that differ more are not one model's.
 CONFIRMED = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Between:
+    """What a campaign does without new sensitivities; lower, upper: (n_parameters,), its region."""
+
+    campaign: Campaign
+    evaluator: Evaluator
+    lower: Floats
+    upper: Floats
+
+    @property
+    def waits(self) -> bool:
+        """Whether a set is looked at before its sensitivity is begun: Broyden's may do for it."""
+        e2, between = self.campaign.update.e2, self.campaign.sensitivity.between
+        if e2 == 0.0 or between == "keep" or self.evaluator.cheap:
+            return False
+        return self.n_jobs > self.campaign.parallel  # else a sensitivity takes no time of its own
+
+    @property
+    def n_jobs(self) -> int:
+        """Jobs of a set with its sensitivity; those that all sets share are in the store by then.
+
+        Sets far from each other are compared for that; the solver is asked nothing.
+        """
+        low, high = (
+            [job for work in self.evaluator.planned(theta) for job in work.jobs]
+            for theta in (self.lower, self.upper)
+        )
+        return sum(job not in low for job in high)
+
+    def pays(self, matrix: Matrix, step: Step, evaluation: Evaluation, left: float) -> bool:
+        """Whether Broyden's correction after a step brings e1 about as soon as a new matrix.
+
+        matrix: of the step; evaluation: of the set it led to; left: share of the objective that it
+        left. The new matrix takes its rounds of jobs side by side and one more for the step, which
+        is taken to arrive; a corrected one takes one a step, at the rate of the last. After a new
+        matrix this is not known yet, and tried.
+        """
+        if step.rank < step.change.size and step.regularisation == 0.0:
+            return False  # errors of the matrix would go where the test does not hold them
+        if matrix.age == 0:
+            return True
+        rounds = 1 + math.ceil((self.n_jobs - 1) / self.campaign.parallel)
+        worst = float(np.max(np.abs(evaluation.used_errors), initial=0.0))
+        far = worst / self.campaign.tolerances.frequency
+        # The objective is a square: its share left is that of the errors, squared.
+        return 2.0 * math.log(max(far, LEAST_WAY)) <= -rounds * math.log(max(left, 1e-300))
+
+    def tries_again(self, slope: float) -> bool:
+        """Whether a step by an old matrix that made things worse is gone on from: Broyden's, where
+        the residual changed by no more than e2 a parameter."""
+        campaign = self.campaign
+        return campaign.sensitivity.between == "broyden" and 0.0 < slope <= campaign.update.e2
+
+    def goes_on(self, matrix: Matrix | None, evaluation: Evaluation) -> bool:
+        """Whether the end of an old matrix is followed to the least misfit, as new ones would end.
+
+        e1 then asks for less than what the deviations of frequencies leave: there is no noise.
+        """
+        if matrix is None or matrix.age == 0 or self.campaign.fields:
+            return False
+        if self.campaign.sensitivity.between == "keep":
+            return False
+        noise = evaluation.residual.noise[evaluation.residual.rows("frequencies")]
+        asked = 2.0 * self.campaign.tolerances.frequency  # of an eigenvalue
+        return noise.size > 0 and asked <= BELIEVED * math.sqrt(float(noise.min()))
+
+    def older(self, matrix: Matrix, begun: Evaluation, evaluation: Evaluation) -> Matrix:
+        """The matrix of a step from where it began for use once more, as it is or corrected."""
+        if self.campaign.sensitivity.between == "keep":
+            return replace(matrix, age=matrix.age + 1)
+        change = begun.residual.values - evaluation.residual.values
+        rows = begun.residual.rows("frequencies")
+        step = evaluation.theta - begun.theta
+        values = broyden_update(matrix.values, step, change, rows.stop)
+        exact = self.evaluator.by_energies(evaluation)
+        known = np.isfinite(exact)
+        values[rows][known] = exact[known]
+        methods = tuple(
+            f"{name}+strain_energy" if new and "strain_energy" not in name else name
+            for name, new in zip(matrix.methods, known.any(axis=0).tolist(), strict=True)
+        )
+        return replace(matrix, values=values, methods=methods, age=matrix.age + 1)
+
+
+class Watcher(Protocol):
+    """Who is told what a loop does, as far as it has a method for it."""
+
+    def working(self, text: str) -> None:
+        """What is being computed now."""
+        return
+
+    def noted(self, trial: Noted) -> None:
+        """A set was evaluated, and this was decided of it."""
+        return
+
+    def confirmed(self, evaluation: Evaluation) -> None:
+        """The solver's own modes at the last accepted set."""
+        return
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """An evaluation point: how it was come by, and what was decided.
+
+    by: the step to it, None at the start; slope: e2's, NaN at the start; skipped: whether e2 made
+    this set do without a matrix of its own; newest: the newest matrix.
+    """
+
+    number: int
+    evaluation: Evaluation
+    by: TrialStep | None
+    slope: float
+    accepted: bool
+    decision: str
+    skipped: bool
+    newest: Matrix | None
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Where a loop stands.
+
+    current: the last accepted set; matrix: for the step from there, None where it has yet to be
+    computed; skip: the slope by which e2 lets the next iteration do without a matrix of its own,
+    None where it does not; region: where the next step may go.
+    """
+
+    current: Evaluation
+    matrix: Matrix | None
+    skip: float | None
+    region: TrustRegion
+
+
+@dataclass(frozen=True, slots=True)
+class TrialStep:
+    """A step to a set to be tried, by a matrix, taken in a region.
+
+    begun: where its last part began: the current set but after a step by an old matrix that made
+    things worse; the matrix is that of this part.
+    """
+
+    step: Step
+    matrix: Matrix
+    region: TrustRegion
+    begun: Evaluation
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What a step led to: the set, its fresh matrix if there is one, and e2's slope."""
+
+    by: TrialStep
+    evaluation: Evaluation
+    matrix: Matrix | None
+    slope: float
+
+
+@dataclass
+class Trials:
+    """The trials of a loop.
+
+    region: lower and upper values that it keeps to within the parameters' bounds, each
+    (n_parameters,), where it may not go everywhere. first: number of the first set.
+    """
+
+    campaign: Campaign
+    evaluator: Evaluator
+    watcher: Watcher
+    region: tuple[Floats, Floats] | None
+    first: int
+    newest: Matrix | None = None
+
+    def __post_init__(self) -> None:
+        own, self.number = self.campaign.parameters, self.first
+        low, high = self.region or (own.lower, own.upper)
+        box = np.maximum(own.lower, low), np.minimum(own.upper, high)
+        self.between = Between(self.campaign, self.evaluator, *box)
+        self.stepping = Stepping(self.campaign, self.evaluator, *box)
+
+    def used_up(self) -> bool:
+        """Whether there are no iterations left."""
+        return self.number - self.first == self.campaign.update.max_iterations
+
+    def start(self, title: str, around: Evaluation | None) -> State:
+        """The first set; around: an evaluation point that its modes are tracked from."""
+        self.watcher.working(title)
+        theta, alone = self.campaign.start, self.campaign.update.max_iterations == 0
+        current, matrix = self.evaluator.evaluate(self.first, theta, around, alone)
+        self.newest = matrix
+        self.watcher.noted(Noted(self.first, current, None, np.nan, True, title, False, matrix))
+        return State(current, matrix, None, self.stepping.first)
+
+    def matrix(self, state: State) -> Matrix:
+        """The matrix of the step from a state, computed where it has to be."""
+        if state.matrix is None:
+            self.watcher.working(f"iteration {self.number}: sensitivities")
+        self.newest = state.matrix or self.evaluator.matrix(self.number, state.current)
+        return self.newest
+
+    def step(self, compute: Callable[[], Step]) -> Step:
+        """A step to the next set, computed as a task of its own."""
+
+        def computed() -> tuple[Step, str]:
+            step, names = compute(), self.campaign.parameters.names
+            largest = np.argsort(-np.abs(step.change), kind="stable")[:SHOWN]
+            return step, ", ".join(f"{names[n]} {step.change[n]:+.3g}" for n in largest)
+
+        return self.evaluator.step(f"iteration {self.number + 1}", computed)
+
+    def better(self, state: State, matrix: Matrix) -> Trial | None:
+        """The first set that is better than the current one, or None.
+
+        With a fresh matrix the step is made shorter until it helps. An old one gets one chance, and
+        Broyden's a second: along a narrow valley a long step is worse by its curvature alone, and
+        corrected by what it showed the next one from there ends at the bottom, at the price of a
+        round where a new matrix takes all of its own.
+        """
+        current, stepping = state.current, self.stepping
+        step = self.step(lambda: stepping.step(current, matrix, state.region))
+        by = TrialStep(step, matrix, state.region, current)
+        chances, failures = 2 if matrix.age > 0 else SHORTENINGS + 1, 0
+        for chance in range(chances):
+            if np.max(np.abs(by.step.change)) < NO_STEP or self.used_up():
+                return None
+            self.watcher.working(f"iteration {self.number + 1}")
+            old = by.matrix.age > 0
+            ending = "taken back, new sensitivity" if old else "shorter step"
+            try:
+                trial = self.tried(state, by, alone=chance > 0)
+            except (SolverError, ModesError) as error:
+                never_solved = not old and failures == chance == chances - 1
+                if isinstance(error, CAMPAIGNS_OWN) or never_solved:
+                    raise
+                failures += 1
+                level = logging.WARNING if self.evaluator.steps_run else logging.INFO
+                logger.log(level, "%s; %s", error, ending)
+            else:
+                better = stepping.better(current, trial.evaluation, by.step)
+                if better or trial.evaluation.agrees(self.campaign.tolerances):
+                    return trial
+                again = old and chance == 0 and self.between.tries_again(trial.slope)
+                self.note(trial, f"worse: {'corrected and gone on from' if again else ending}")
+                if again:
+                    by = self._gone_on(current, trial)
+                    continue
+            if old:
+                return None
+            step, region = stepping.shorter(current, by.matrix, by.step, by.region)
+            by = replace(by, step=step, region=region)
+        return None
+
+    def _gone_on(self, current: Evaluation, trial: Trial) -> TrialStep:
+        """From a set that an old matrix made worse, by the matrix corrected by what it showed."""
+        by, begun = trial.by, trial.evaluation
+        matrix = self.between.older(by.matrix, by.begun, begun)
+        step = self.step(lambda: self.stepping.step(begun, matrix, by.region))
+        step = replace(step, change=begun.theta + step.change - current.theta)
+        return TrialStep(step, matrix, by.region, begun)
+
+    def tried(self, state: State, by: TrialStep, alone: bool = False) -> Trial:
+        """The set that a step leads to; alone: without sensitivities beside its modal job.
+
+        Raises SolverError, ModesError, StoreError.
+        """
+        self.number += 1
+        current = state.current
+        # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
+        alone = (
+            alone
+            or self.between.waits
+            or state.skip is not None
+            or self.used_up()
+            or expects_agreement(by.step, current, self.campaign.tolerances)
+        )
+        theta = current.theta + by.step.change
+        evaluation, fresh = self.evaluator.evaluate(self.number, theta, current, alone)
+        change = slope(evaluation.residual, current.residual, theta.size)
+        return Trial(by, evaluation, fresh, change)
+
+    def note(
+        self, trial: Trial, decision: str, accepted: bool = False, skipped: bool = False
+    ) -> None:
+        """Tell what was decided of a trial."""
+        there, newest = trial.evaluation, self.newest
+        self.watcher.noted(
+            Noted(self.number, there, trial.by, trial.slope, accepted, decision, skipped, newest)
+        )
+
+
+def polished(trials: Trials, state: State) -> Trial | None:
+    """The next set on the way from a state that meets e1, None where that is not worth more."""
+    current, stepping = state.current, trials.stepping
+    old = trials.between.goes_on(state.matrix, current)
+    if not old and not trials.evaluator.polishes(current):
+        return None
+    matrix = trials.matrix(state)
+    if old:
+        step = trials.step(lambda: stepping.step(current, matrix, state.region))
+        least = SAME_END
+    else:
+        step = trials.step(lambda: stepping.to_least_misfit(current, matrix))
+        least = POLISHED
+    while np.max(np.abs(step.change)) >= least and not trials.used_up():
+        found = _better(trials, state, TrialStep(step, matrix, state.region, current))
+        if found is not None or old:
+            return found
+        step = stepping.halved(current, matrix, step)
+    return None
+
+
+def _better(trials: Trials, state: State, by: TrialStep) -> Trial | None:
+    """The set of a step, None where it is not better, or e1 does not hold there."""
+    try:
+        trial = trials.tried(state, by)
+    except (SolverError, ModesError) as error:
+        if isinstance(error, CAMPAIGNS_OWN):
+            raise
+        logger.info("%s; shorter step", error)
+        return None
+    better = trials.stepping.better(state.current, trial.evaluation, by.step)
+    if better and trial.evaluation.agrees(trials.campaign.tolerances):
+        return trial
+    trials.note(trial, "worse: shorter step")
+    return None
 
 
 @dataclass(frozen=True, slots=True)

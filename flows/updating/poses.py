@@ -21,10 +21,10 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.mapping import TOLD, Mapping, pose_of
 from modetune.flows.campaign.test import pairing_nodes
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.mode_source import campaign_analysis
 
 logger = logging.getLogger(__name__)
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
         validate,
     )
     from modetune.flows.campaign.campaign import Campaign
-    from modetune.flows.updating.run import CampaignRun
+    from modetune.flows.updating.record import CampaignRun
 
 __version__ = "0.1.0"
 
@@ -72,7 +72,7 @@ __all__ = [
 #: Where the names that are not verbs come from.
 _CLASSES = {
     "Campaign": "modetune.flows.campaign.campaign",
-    "CampaignRun": "modetune.flows.updating.run",
+    "CampaignRun": "modetune.flows.updating.record",
     "ModetuneError": "modetune.core.errors",
 }
 

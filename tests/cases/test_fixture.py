@@ -22,15 +22,16 @@ from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.matrix_source import MatrixSource
-from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.matrices import MatrixSource
+from modetune.flows.updating.record import CampaignRun
 from modetune.flows.updating.sensitivities import Sensitivities
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.update import update_campaign
 
 COARSE = "model.deck=fixture_coarse.inp"
 

@@ -13,11 +13,12 @@ from modetune.configs.garteur.twin import TRUTH
 from modetune.core.errors import SolverMissing
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import sensitivities
-from modetune.flows.updating.matrix_source import MatrixSource
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.matrices import MatrixSource
+from modetune.flows.updating.mode_source import sensitivities
 from modetune.flows.updating.sensitivities import Exact
+from modetune.flows.updating.update import update_campaign
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,12 @@ from modetune.configs.launcher.launcher import GROUPS, UNIT_MOUNTS
 from modetune.core.errors import SolverMissing
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.localise.error_maps import OTHER_STIFFNESS
 from modetune.flows.studies.localise.localisation import localise
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.update import update_campaign
 
 CASES = ("launcher", "case_1", "case_2")
 

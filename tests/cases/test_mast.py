@@ -13,8 +13,8 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.responses.mass_properties import MassSection
 from modetune.flows.responses.static import StaticSection
-from modetune.flows.updating.running import update_campaign
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 
 pytestmark = needs_ccx

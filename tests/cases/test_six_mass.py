@@ -24,9 +24,9 @@ from modetune.configs.six_mass.methods import (
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.running import update_campaign
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.record import CampaignRun
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command
 
 PNG = b"\x89PNG\r\n\x1a\n"

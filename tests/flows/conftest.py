@@ -62,11 +62,11 @@ from modetune.flows.campaign.schema import (
 )
 from modetune.flows.campaign.site import RetriesSection, RunSection
 from modetune.flows.jobs import prefect_server
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.responses.residuals import ResidualSection
-from modetune.flows.updating.running import job_engine
-from modetune.flows.updating.updating import Progress
+from modetune.flows.updating.forecast import Progress
 from tests.embedded import PROGRAMS
 
 SPRINGS = np.array([1500.0, 1600.0, 1400.0, 6500.0, 1300.0, 1500.0, 1300.0])

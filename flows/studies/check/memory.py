@@ -8,8 +8,8 @@ from modetune.core.algebra.pardiso import is_available
 from modetune.core.algebra.pencil import shifted_pattern
 from modetune.core.errors import SolverExhausted
 from modetune.flows.studies.check.findings import MODEL, Finding
-from modetune.flows.updating.asked import CaseState
-from modetune.flows.updating.by_matrices import ByMatrices
+from modetune.flows.updating.evaluator import CaseState
+from modetune.flows.updating.reduced_model import ByMatrices
 
 LIMIT = "run.memory_gb"
 

@@ -22,6 +22,7 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.studies.check.findings import MODEL, PAIRING, TEST, Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
@@ -54,9 +55,8 @@ from modetune.flows.studies.check.sensors import sensor_findings, suspected_sens
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import campaign_analysis
+from modetune.flows.updating.mode_source import campaign_analysis
 from modetune.flows.updating.poses import by_shapes, from_store, may_choose, modal_job
-from modetune.flows.updating.running import job_engine
 
 NO_RUN = RunCounts()
 WITHOUT_TEST = TEST.doubtful("there is none, so the model is judged alone", "test",

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from modetune.flows.studies.check.model import ModelFacts
     from modetune.flows.studies.check.pre_check import PreCheckReport
     from modetune.flows.updating.baseline import Band
-    from modetune.flows.updating.updating import Progress
+    from modetune.flows.updating.forecast import Progress
 
 MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
 

@@ -28,6 +28,7 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.sketch import YAML, is_deck, looked_at
 from modetune.flows.campaign.test import tracking_nodes
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.correlate.correlation import (
@@ -40,9 +41,7 @@ from modetune.flows.studies.correlate.correlation import (
 from modetune.flows.studies.full_model import by_sensors, dof_arrays, full_model
 from modetune.flows.studies.requests import MassReduction
 from modetune.flows.updating.baseline import State
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.modal_run import parse_values
-from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.mode_source import campaign_analysis, parse_values
 
 SourceKind = Literal["campaign", "deck", "record", "test"]
 #: Kinds that have a model to be solved.

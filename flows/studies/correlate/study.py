@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.studies.correlate.correlation import Correlation, Orthogonality
     from modetune.flows.studies.correlate.sides import ComparedSource
-    from modetune.flows.updating.updating import Progress
+    from modetune.flows.updating.forecast import Progress
 
 #: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
 WORST, SHOWN = 10, 14

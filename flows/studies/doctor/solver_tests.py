@@ -34,13 +34,12 @@ from modetune.core.errors import (
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.results import MatrixResult, ModalResult, ModeDerivatives, Result
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.doctor.altered import Altered
 from modetune.flows.studies.doctor.lines import DoctorLine, State, Tell
 from modetune.flows.studies.doctor.ten_elements import TenElements
-from modetune.flows.updating.running import job_engine
-from modetune.flows.updating.semi_analytic import EIGENVALUE_TOLERANCE
-from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE
+from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, EIGENVALUE_TOLERANCE
 
 R = TypeVar("R", bound=Result)
 

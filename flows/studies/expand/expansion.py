@@ -41,6 +41,7 @@ from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.full_model import (
@@ -51,7 +52,6 @@ from modetune.flows.studies.full_model import (
     sensor_names,
 )
 from modetune.flows.studies.requests import ExpansionMethod
-from modetune.flows.updating.running import job_engine
 
 #: Parts that the test points are held out in.
 PARTS = 10

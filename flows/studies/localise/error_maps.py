@@ -33,7 +33,7 @@ from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import CaseEvaluation
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.matrix_source import MatrixSource
+from modetune.flows.updating.matrices import MatrixSource
 
 #: Names of what no parameter scales.
 OTHER_STIFFNESS, OTHER_MASS = "other stiffness", "other mass"

@@ -21,11 +21,11 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.updating.localisation import Removal, removals
 from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.modes_choice import Demand
-from modetune.flows.updating.running import solving_engine
+from modetune.flows.updating.mode_source import Demand
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -20,6 +20,7 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.results import MatrixResult, ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import EXTRA_MODES, RIGID_MODES
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.pretest.candidate_sensors import (
@@ -49,9 +50,8 @@ from modetune.flows.studies.pretest.placement import (
 from modetune.flows.studies.requests import PretestSettings
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.matrix_source import MatrixSource
-from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.matrices import MatrixSource
+from modetune.flows.updating.mode_source import campaign_analysis
 
 #: Elastic modes that are looked at where none are named.
 FIRST_MODES = 8

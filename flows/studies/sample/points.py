@@ -1,7 +1,7 @@
 """Solving parameter sets: modes of a campaign's model there, and the residuals they leave.
 
-Where a reduced model holds between the bounds (`flows/updating/by_range`) it gives many sets, at
-some milliseconds each. Else sets are ordinary modal jobs, which go through the evaluator, its
+Where a reduced model holds between the bounds (`flows/updating/reduced_model`) it gives many sets,
+at some milliseconds each. Else sets are ordinary modal jobs, which go through the evaluator, its
 store, limits and retries, so that what was solved once is never solved again. Without measured
 shapes a set's modes are tracked from the nearest set that has been paired already, beginning at the
 campaign's start. Over long ways modes that approach each other may be mistaken for each other.
@@ -25,10 +25,9 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training
-from modetune.flows.updating.asked import MOST_KNOWN
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.small_matrices import one_thread
+from modetune.flows.updating.evaluator import MOST_KNOWN, Evaluator
+from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)
 

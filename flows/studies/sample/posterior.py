@@ -17,16 +17,16 @@ from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample.chains import LONGER, LONGEST, Chains, check_walkers, sample
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.refinement import Checks, Learned, check, learn
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.modes_choice import MANY, Demand
+from modetune.flows.updating.matrices import one_thread
+from modetune.flows.updating.mode_source import MANY, Demand
 from modetune.flows.updating.poses import settled
-from modetune.flows.updating.running import solving_engine
-from modetune.flows.updating.small_matrices import one_thread
 
 #: Without a number: runs over the range and walkers a parameter, and the least of both.
 POINTS_EACH, LEAST_POINTS, WALKERS_EACH, LEAST_WALKERS = 10, 16, 4, 32

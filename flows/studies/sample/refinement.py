@@ -33,7 +33,7 @@ from modetune.flows.studies.sample.surrogate import (
     density_error,
     fit_surrogate,
 )
-from modetune.flows.updating.modes_choice import MANY
+from modetune.flows.updating.mode_source import MANY
 
 #: Error of the log density, left out, at which learning ends; at sets of the posterior, where sets
 #: cost little; leave-one-out error of a response, in standard deviations of the test, beyond which

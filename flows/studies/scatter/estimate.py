@@ -46,7 +46,7 @@ from modetune.flows.studies.scatter.measured_values import (
     values_of,
 )
 from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
-from modetune.flows.updating.small_matrices import one_thread
+from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)
 

@@ -19,6 +19,7 @@ from modetune.core.storage.record import RunCounts
 from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
 from modetune.flows.studies.screen.design import Design, make_design
@@ -28,9 +29,8 @@ from modetune.flows.studies.screen.local import local_sensitivity, other_rows
 from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening, mode_names
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.modes_choice import Demand
+from modetune.flows.updating.mode_source import Demand
 from modetune.flows.updating.poses import settled
-from modetune.flows.updating.running import solving_engine
 
 #: What is being run, for people.
 DECK, POINTS = "deck's values", "points of the design"

@@ -23,7 +23,7 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.case import EXTRA_MODES
 from modetune.flows.campaign.test import tracking_nodes
 from modetune.flows.report.tables import Column, Table, json_object
-from modetune.flows.updating.modal_run import model_modes, parse_values
+from modetune.flows.updating.mode_source import model_modes, parse_values
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from modetune.flows.studies.study import At, CampaignOptions, Opened, study
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
-    from modetune.flows.updating.updating import Progress
+    from modetune.flows.updating.forecast import Progress
 
 
 @dataclass(frozen=True)

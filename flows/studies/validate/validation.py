@@ -29,16 +29,16 @@ from modetune.core.storage.files import check_writable
 from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import CAMPAIGNS_OWN
-from modetune.flows.updating.modes_choice import STEPS, UPDATING, Demand
+from modetune.flows.updating.forecast import Progress
+from modetune.flows.updating.matrices import one_thread
+from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, STEPS, UPDATING, Demand
 from modetune.flows.updating.poses import settled
-from modetune.flows.updating.running import solving_engine
-from modetune.flows.updating.small_matrices import one_thread
-from modetune.flows.updating.updating import Progress, Updating
+from modetune.flows.updating.update import Updating
 
 logger = logging.getLogger(__name__)
 

@@ -10,12 +10,11 @@ from modetune.core.errors import ModesError, NotStored
 from modetune.core.storage.keys import Json
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.check.pairing import first_pairs, mac_table
 from modetune.flows.studies.view.changes import Change, Part
-from modetune.flows.updating.evaluators import engine_of
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.mode_source import campaign_analysis
 
 #: Elastic modes are shown up to this many times the highest measured frequency.
 REACH = 2.0

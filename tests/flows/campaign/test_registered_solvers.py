@@ -10,7 +10,7 @@ import pytest
 from modetune.core.errors import CampaignError
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.solvers import GROUP, registered
-from modetune.flows.updating.modal_run import model_modes
+from modetune.flows.updating.mode_source import model_modes
 
 ROOT = Path(__file__).resolve().parents[3]
 

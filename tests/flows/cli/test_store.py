@@ -12,7 +12,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
 from modetune.flows.cli.store import age_s, shown_age, shown_size, size_bytes
 from modetune.flows.jobs.store_files import in_use
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command as run
 
 

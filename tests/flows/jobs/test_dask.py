@@ -27,11 +27,12 @@ from modetune.core.errors import (
 from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs import dask_cluster, execution
+from modetune.flows.jobs.campaign_engine import job_engine, solving_engine
 from modetune.flows.jobs.dask_cluster import DaskRunner, dask_result, workers_apart
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.work import Piece, tried
-from modetune.flows.updating.running import job_engine, solving_engine, update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.eventually import eventually
 
 dask_library = pytest.importorskip("dask", reason="Dask is not installed (the extra `cluster`)")
@@ -67,7 +68,7 @@ solvers.SOLVERS["matrices"] = lambda model, deck, parameters: Solver(
 
 STARTER = """
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 class Silent:
     def working(self, text): pass
     def iteration(self, record): pass

@@ -25,11 +25,12 @@ from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs import job as jobs
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import NOMINAL, Job
 from modetune.flows.jobs.job_memory import JobMemory
 from modetune.flows.updating.dry_run import dry_run
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.mode_source import campaign_analysis
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.ccx_decks import bar
 from tests.adapters.solved import needs_ccx
 from tests.core.algebra.test_factor_room import block

@@ -14,7 +14,7 @@ from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs.engine import JobOutcome
 from modetune.flows.jobs.execution import FIRST_FAILURES, Done, Execution, Work
 from modetune.flows.jobs.job import Job
-from tests.flows.updating.test_updating import TRUTH, run
+from tests.flows.updating.test_update import TRUTH, run
 
 JOB = Job({}, ModalAnalysis(1, ()))
 BROKEN = SolverCrashed("it broke off")

@@ -17,11 +17,12 @@ from modetune.core.storage.store import Store
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.cli.explain import explain
 from modetune.flows.cli.update import show_dry_run
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.explain import asked_of, differences
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.lookup import explain_job, key_start
 from modetune.flows.updating.dry_run import dry_run, explain_unrun
-from modetune.flows.updating.lookup import explain_job, key_start
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_store import holdings
 
 TRUTH = {"k1": 1.2, "k2": 0.8}

@@ -32,7 +32,7 @@ from modetune.core.updating.results import MatrixResult, ModalResult, ModeDeriva
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.campaign.site import RetriesSection, RunSection
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_store import holdings
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, Watcher, recased
 

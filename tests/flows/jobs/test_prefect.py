@@ -17,9 +17,9 @@ from modetune.core.modes import MeasuredModes
 from modetune.core.parameters import Parameter
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating import artifacts
-from modetune.flows.updating.running import job_engine, update_campaign
-from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of
+from modetune.flows.updating.update import is_unchanged, read_earlier, start_of, update_campaign
 from tests.flows.conftest import Bench, ChainDeck, Watcher, recased
 
 TRUTH = {"k1": 1.2, "k4": 0.9}

@@ -30,13 +30,14 @@ from modetune.core.errors import (
 )
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.campaign.site import DaskSection, RunSection, SlurmSection, merged
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.slurm import srun_options
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.eventually import eventually
-from tests.flows.updating.test_by_matrices import BAR, update, written
+from tests.flows.updating.test_stored_matrices import BAR, update, written
 
 NODE = Path(__file__).resolve().parents[3] / "tools" / "slurm_node.sh"
 TRUTH = {"k1": 1.2, "k2": 0.8}
@@ -330,7 +331,7 @@ def test_matrices_of_a_model_come_from_slurm_and_modes_are_found_here(
     """By `auto`: two matrix jobs and the last modal one go through srun, and end where jobs of
     this machine do."""
     monkeypatch.setenv("MODETUNE_HOME", str(tmp_path / "home"))
-    monkeypatch.setattr("modetune.flows.updating.modes_choice.RUN_S", 10.0)
+    monkeypatch.setattr("modetune.flows.updating.mode_source.RUN_S", 10.0)
     file = written(BAR, tmp_path / "bar")
     here = update(file, tmp_path / "here", watcher)
     there = update(file, tmp_path / "there", watcher, "run.engine=slurm")

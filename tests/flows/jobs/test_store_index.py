@@ -26,7 +26,7 @@ from modetune.flows.jobs.explain import AskedJob, asked_of, differences
 from modetune.flows.jobs.job import JobNote
 from modetune.flows.jobs.nearest import nearest
 from modetune.flows.jobs.store_index import Chosen, IndexedEntry, StoreIndex, ask_index
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_locks import without_flock
 from tests.core.storage.test_store import holdings
 

@@ -14,7 +14,7 @@ from modetune.core.errors import CampaignRunning
 from modetune.core.storage.locks import FileLock
 from modetune.flows.jobs.limits import Limit, MachineLimits
 from modetune.flows.jobs.prefect_server import _in_use, _new_use
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_locks import holding, without_flock
 
 TRUTH = {"k1": 1.2, "k2": 0.8}

@@ -29,7 +29,7 @@ from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study
 from tests.flows.conftest import Bench, Watcher, api_of
 from tests.flows.server.site import SIX_MASS
-from tests.flows.updating.test_updating import settings
+from tests.flows.updating.test_update import settings
 
 TRUTH = {"k1": 1.2, "k4": 0.9}
 DIFFERENCES = SensitivitySection(method="finite_difference", step=0.001)

@@ -22,7 +22,7 @@ from modetune.flows.studies.requests import Filling
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Study
 from modetune.flows.updating.display import ConsoleProgress
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
 
 #: Parameters of the comparison with a baseline, which only the command offers.
 BASELINE = {"against", "record", "state", "frequency_band", "mac_band"}

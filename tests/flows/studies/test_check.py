@@ -36,7 +36,7 @@ from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.pairing import preview, unmeasured
 from modetune.flows.studies.check.pre_check import NO_RUN, PreCheckReport, check_campaign, judged
 from modetune.flows.studies.check.study import check_summary
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
 from tests.node_sensors import by_number
 

@@ -31,7 +31,7 @@ from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.correlate.correlation import Side, correlate
 from modetune.flows.studies.correlate.figures import correlation_charts, heat_chart
 from modetune.flows.studies.correlate.sides import correlate_sources, source
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.flows.conftest import ScriptedProgram, recased
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"

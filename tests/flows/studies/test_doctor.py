@@ -22,12 +22,13 @@ from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.schema import STORE_VARIABLE
 from modetune.flows.campaign.site import HOME_VARIABLE, SITE_VARIABLE
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.studies.doctor.doctor import DoctorReport, run_doctor
 from modetune.flows.studies.doctor.lines import DoctorLine, without_names
 from modetune.flows.studies.doctor.ten_elements import MODELS
-from modetune.flows.updating.finders import by_solver
-from modetune.flows.updating.running import job_engine, update_campaign
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.mode_source import by_solver
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -14,7 +14,7 @@ from modetune.flows.studies.check.findings import Finding
 from tests.adapters.mystran_decks import frame
 from tests.adapters.solved import needs_ccx, needs_mystran
 from tests.flows.studies.test_condensation import STRIP, measured_of
-from tests.flows.updating.test_by_matrices import row_of_materials
+from tests.flows.updating.test_stored_matrices import row_of_materials
 
 pytestmark = pytest.mark.skipif(
     not pardiso.is_available(), reason="PARDISO is installed on x86_64 only"

@@ -21,6 +21,7 @@ from modetune.core.surface import Surface
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.command import command_of
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job
 from modetune.flows.report.form_verdict import record_verdict, verdict_summary
 from modetune.flows.report.matplotlib_charts import save, save_all
@@ -28,8 +29,8 @@ from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.localise.error_maps import OTHER_MASS, OTHER_STIFFNESS
 from modetune.flows.studies.localise.figures import localisation_figures, on_surface, surface_figure
 from modetune.flows.studies.localise.localisation import Localisation, localise, place_of
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.mode_source import campaign_analysis
+from modetune.flows.updating.update import update_campaign
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 ALL = dict.fromkeys([f"k{number}" for number in range(1, 8)], "spring_stiffness")

@@ -27,7 +27,7 @@ from modetune.flows.studies.paraview import (
     write_paraview,
     write_stored,
 )
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
 from tests.flows.report.conftest import plate_record

@@ -27,8 +27,8 @@ from modetune.flows.report.page import page
 from modetune.flows.report.tables import show
 from modetune.flows.studies.validate.validation import leave_one_out, leave_out, validate
 from modetune.flows.updating.display import held_out_parts
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.record import summary
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command as modetune
 from tests.flows.conftest import recased
 

@@ -16,7 +16,7 @@ from modetune.core.parameters import Values
 from modetune.flows.cli.command import command_of
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.updating.baseline import Band, check_deck, check_record, read_agreement
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.flows.conftest import ChainDeck, recased
 
 TRUTH = {"k1": 1.2, "k2": 0.8}

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from modetune.core.errors import LicenceDenied, SolverCrashed
-from tests.flows.updating.test_updating import TRUTH, run
+from tests.flows.updating.test_update import TRUTH, run
 
 
 def log_of(bench: Any, name: str = "run") -> list[str]:

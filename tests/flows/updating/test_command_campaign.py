@@ -17,9 +17,9 @@ from modetune.core.errors import CampaignError, LicenceDenied, SolverRejected
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.twin.solver_modes import run_twin
-from modetune.flows.updating.modal_run import model_modes
-from modetune.flows.updating.running import update_campaign
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.mode_source import model_modes
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command
 from tests.shaft_line import shaft_frequencies, write_shaft
 

@@ -28,8 +28,8 @@ from modetune.flows.updating.baseline import Band, check_deck
 from modetune.flows.updating.display import pairing_lines
 from modetune.flows.updating.dry_run import dry_run
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.record import summary
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command as modetune
 from tests.flows.conftest import ChainDeck, recased
 
@@ -518,7 +518,7 @@ def test_a_campaign_of_one_configuration_is_what_it_was(folder: Path) -> None:
     assert [item.name for item in alone.cases] == [""]
     assert alone.test.numbers == (1,)
     # Its jobs have the same keys whether it is alone or one of several.
-    from modetune.flows.updating.finders import campaign_analysis
+    from modetune.flows.updating.mode_source import campaign_analysis
 
     contents = [
         item.case.solver.render(item.parameters.values(item.start), campaign_analysis(item)).content

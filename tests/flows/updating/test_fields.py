@@ -26,13 +26,14 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.charts import campaign_charts
 from modetune.flows.report.field_tables import SHOWN, brief_record, told_fields
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.page import page
 from modetune.flows.studies.paraview import SeriesSource, write_field_file
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.ccx_decks import plate
 from tests.adapters.test_solver_contract import run
 

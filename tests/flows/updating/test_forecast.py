@@ -12,6 +12,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.storage.store import Entry
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job, read_note
 from modetune.flows.jobs.job_prices import Price, job_prices, side_by_side
 from modetune.flows.jobs.limits import Limit
@@ -23,10 +24,10 @@ from modetune.flows.updating.forecast import (
     job_cost,
     told_forecast,
 )
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.core.storage.test_store import holdings
-from tests.flows.updating.test_by_matrices import BAR, STORED, written
+from tests.flows.updating.test_stored_matrices import BAR, STORED, written
 
 TRUTH = {"k1": 1.2, "k2": 0.8}
 DIFFERENCES = SensitivitySection(method="finite_difference")

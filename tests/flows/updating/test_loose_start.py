@@ -11,8 +11,8 @@ import pytest
 
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.studies.check.pre_check import check_campaign
-from modetune.flows.updating.modal_run import model_modes
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.mode_source import model_modes
+from modetune.flows.updating.update import update_campaign
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")
 

@@ -19,7 +19,7 @@ from modetune.core.parameters import Parameter
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.ccx_decks import plate as shells
 from tests.adapters.ccx_decks import strip
 from tests.adapters.mystran_decks import frame

@@ -18,9 +18,9 @@ from modetune.core.parameters import Parameter
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.finders import by_solver
-from modetune.flows.updating.modes_choice import modes_source
-from modetune.flows.updating.running import job_engine, update_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
+from modetune.flows.updating.mode_source import by_solver, modes_source
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.mystran_decks import AVERAGED, CARRIED, bracket, frame, plate
 from tests.adapters.solved import needs_mystran
 from tests.adapters.test_solver_contract import run

@@ -18,9 +18,9 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.check.model import size_findings
 from modetune.flows.studies.twin.solver_modes import run_twin
-from modetune.flows.updating.modal_run import model_modes
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.mode_source import model_modes
+from modetune.flows.updating.record import summary
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command
 
 MYSTRAN = shutil.which(os.environ.get("MODETUNE_MYSTRAN", "mystran"))

@@ -18,9 +18,9 @@ from modetune.flows.studies.requests import SamplingRequest, ScreeningRequest
 from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.validate.validation import leave_one_out
+from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.poses import by_shapes, settled
-from modetune.flows.updating.starts import update_from_starts
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.update import update_from_starts
 from tests.flows.conftest import recased
 
 TRUTH = {"k1": 1.1, "k4": 0.9}

@@ -12,13 +12,12 @@ import pytest
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Quantity
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import campaign_analysis
-from modetune.flows.updating.modal_run import model_modes
-from modetune.flows.updating.running import job_engine
+from modetune.flows.updating.mode_source import campaign_analysis, model_modes
 from tests.adapters.ccx_decks import bar
 from tests.adapters.solved import needs_ccx
-from tests.flows.updating.test_by_matrices import Case, update, written
+from tests.flows.updating.test_stored_matrices import Case, update, written
 
 pytestmark = needs_ccx
 

@@ -17,9 +17,9 @@ from modetune.core.errors import CampaignError
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.parameter_tables import parameter_rows
-from modetune.flows.updating.modal_run import model_modes, parse_values
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.mode_source import model_modes, parse_values
+from modetune.flows.updating.record import summary
+from modetune.flows.updating.update import update_campaign
 
 MYSTRAN = shutil.which(os.environ.get("MODETUNE_MYSTRAN", "mystran"))
 needs_mystran = pytest.mark.skipif(MYSTRAN is None, reason="MYSTRAN is not here (tools/mystran.sh)")

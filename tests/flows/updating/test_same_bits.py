@@ -15,17 +15,24 @@ from modetune.core.errors import ModetuneError
 from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.screening import screen_campaign
-from modetune.flows.updating import stored_modes
+from modetune.flows.updating import solutions
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.running import job_engine, update_campaign
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.flows.records import differences
-from tests.flows.updating.test_by_matrices import MODULI, STORED, Case, row_of_materials, written
+from tests.flows.updating.test_stored_matrices import (
+    MODULI,
+    STORED,
+    Case,
+    row_of_materials,
+    written,
+)
 
 pytestmark = needs_ccx
 
@@ -167,7 +174,7 @@ def screened(file: Path, place: Path) -> Screening:
 def test_a_range_that_was_killed_takes_each_full_solution_from_the_store(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ways: list[str]
 ) -> None:
-    monkeypatch.setattr(stored_modes, "KEPT_FROM", 0)  # as if the model were large
+    monkeypatch.setattr(solutions, "KEPT_FROM", 0)  # as if the model were large
     kinds: list[type] = []
     with monkeypatch.context() as patch:
         watch_puts(patch, lambda store, entry: kinds.append(type(entry.result)))

@@ -19,12 +19,12 @@ from modetune.flows.jobs.watching import Ended, doing
 from modetune.flows.jobs.work import Computation, Piece, PoolRunner, Task, TaskEnd, task_end
 from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
-from modetune.flows.updating.starts import update_from_starts
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.update import update_from_starts
 from tests.adapters.solved import needs_ccx
 from tests.flows.conftest import Bench, Watcher
-from tests.flows.updating.test_by_matrices import BAR, STORED, written
-from tests.flows.updating.test_by_range import CASES
+from tests.flows.updating.test_reduced_model import CASES
+from tests.flows.updating.test_stored_matrices import BAR, STORED, written
 
 TRUTH = {"k1": 1.2, "k4": 0.9}
 

@@ -21,11 +21,10 @@ from modetune.core.updating.trust import Trust
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import E1Section, UpdateSection
 from modetune.flows.report.page import page, prose
+from modetune.flows.updating.diagnosis import checked
 from modetune.flows.updating.display import show_run
-from modetune.flows.updating.judging import checked
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.record import CampaignRun, summary
+from modetune.flows.updating.update import update_campaign
 from tests.flows.conftest import recased
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1}

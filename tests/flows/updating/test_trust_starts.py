@@ -20,11 +20,10 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.updating.trust import StartSpread
 from modetune.flows.campaign.schema import E1Section, ReportSection, UpdateSection
 from modetune.flows.report.page import page
-from modetune.flows.updating import running, starts
+from modetune.flows.updating import update
 from modetune.flows.updating.display import show_run
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.starts import update_from_starts
+from modetune.flows.updating.record import CampaignRun, summary
+from modetune.flows.updating.update import update_from_starts
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1}
 
@@ -85,8 +84,7 @@ def test_the_report_is_drawn_once_and_earlier_starts_go(
         drawn.append(len(record.trust.spread.outcomes))
         return folder / "report.html"
 
-    monkeypatch.setattr(starts, "draw_report", draw)
-    monkeypatch.setattr(running, "draw_report", draw)
+    monkeypatch.setattr(update, "draw_report", draw)
     truth, told = {"k1": 1.2, "k7": 0.8}, None
     for n in (3, 2):
         campaign = replace(

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from modetune.core.updating.responses.mac import Mac
 from modetune.flows.campaign.schema import E1Section, UpdateSection
 from modetune.flows.report.mode_tables import mode_table
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 
 TRUTH = {"k1": 1.2, "k4": 0.85}
 MODES = (1, 2, 3, 4)

@@ -14,10 +14,10 @@ from modetune.flows.studies.sample import posterior, refinement
 from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.summary import ITSELF, findings
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
 from tests.adapters.solved import needs_ccx
-from tests.flows.updating.test_by_matrices import BAR, JOINT, Case, written
-from tests.flows.updating.test_by_range import on_springs
+from tests.flows.updating.test_reduced_model import on_springs
+from tests.flows.updating.test_stored_matrices import BAR, JOINT, Case, written
 
 #: Five masses in a row between two walls, alike from both ends; kg, N/m.
 MASSES, SPRINGS = (1.0, 1.5, 2.0, 1.5, 1.0), (900.0, 2000.0, 3000.0, 3000.0, 2000.0, 900.0)

@@ -19,7 +19,7 @@ from modetune.flows.studies.sample.figures import posterior_figures
 from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
 from modetune.flows.studies.sample.summary import findings, told
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_seal import refused_when_damaged
 
 TRUTH = {"k1": 1.2, "k3": 0.8}

@@ -24,7 +24,7 @@ from modetune.flows.studies.scatter.record import SCATTER, ScatterRecord
 from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run
 from tests.flows.studies.sample.test_by_reduced import TRUTH, frequencies, row_of_masses
-from tests.flows.updating.test_by_matrices import BAR, written
+from tests.flows.updating.test_stored_matrices import BAR, written
 
 #: Standard deviations of the parameters from test to test, relative to the deck, and correlation.
 SIZES, TIE = (0.04, 0.03), 0.6

@@ -19,7 +19,7 @@ from modetune.flows.studies.screen.notes import notes
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.screen.summary import lines, tables, told
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, recased
 
 

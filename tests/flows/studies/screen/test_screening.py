@@ -27,7 +27,7 @@ from modetune.flows.studies.screen.figures import screening_charts
 from modetune.flows.studies.screen.record import SCREENING, Screening
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.screen.summary import lines, tables, told
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
 from tests.core.storage.test_seal import refused_when_damaged
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, chain_modes, recased
 from tests.flows.studies.screen.conftest import series_hz

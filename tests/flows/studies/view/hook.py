@@ -22,7 +22,7 @@ from modetune.core.measurement.frf import NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
 from modetune.core.modes import Floats, Integers, mode_set
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating.modal_run import model_modes
+from modetune.flows.updating.mode_source import model_modes
 
 EDGE = 10.0
 #: Lowest and highest brick of each block, in x, y, z.

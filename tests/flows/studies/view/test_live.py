@@ -16,8 +16,7 @@ from modetune.flows.jobs.job import NOTE_FILE, JobNote
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.jobs.store_files import in_use
 from modetune.flows.studies.view.live_record import LiveRecord, told_live
-from modetune.flows.updating import unfinished
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 
 
 def test_jobs_under_way_are_told_while_a_campaign_runs(tmp_path: Path) -> None:
@@ -52,7 +51,9 @@ def test_jobs_done_of_those_asked_are_told_by_the_run_that_counts_them(tmp_path:
 def test_a_record_is_told_with_each_iteration_and_a_run_that_was_broken_off(
     bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(unfinished, "LATE_S", 0.0)  # as of iterations of a second or more
+    monkeypatch.setattr(
+        "modetune.flows.updating.record.LATE_S", 0.0
+    )  # as of iterations of a second or more
     folder, store = Path(bench.folder) / "run", Store(Path(bench.folder) / "store")
     marks = []
     record = LiveRecord(folder)

@@ -20,9 +20,8 @@ import pytest
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import STORE_VARIABLE
-from modetune.flows.updating import unfinished
 from modetune.flows.updating.display import ConsoleProgress
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.flows.studies.view.hook import MOVED, TURN, Hook, write_hook
 
@@ -150,7 +149,9 @@ def test_it_listens_on_the_loopback_device_alone(viewed: Viewed) -> None:
 def test_an_iteration_appears_while_the_page_is_open(
     page: Any, viewed: Viewed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(unfinished, "LATE_S", 0.0)  # as of iterations of a second or more
+    monkeypatch.setattr(
+        "modetune.flows.updating.record.LATE_S", 0.0
+    )  # as of iterations of a second or more
     page.wait_for_selector("#status:has-text('not run yet')")
     campaign = load_campaign(viewed.hook.campaign)
     folder = viewed.hook.campaign.parent / "runs" / "hook"

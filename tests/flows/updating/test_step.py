@@ -13,7 +13,7 @@ import modetune
 from modetune.core.modes import Floats
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.schema import E1Section, SensitivitySection, UpdateSection
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.update import update_campaign
 
 EXACT = {"frequency": 1e-8, "mac": 0.9}
 

@@ -27,14 +27,13 @@ from modetune.core.storage.store import Store
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.updating import solutions
-from modetune.flows.updating.finders import by_solver
-from modetune.flows.updating.foresight import ReducedForesight
-from modetune.flows.updating.modes_choice import Demand, modes_forecast, modes_source
-from modetune.flows.updating.running import job_engine, update_campaign
-from modetune.flows.updating.starting import is_unchanged, read_earlier
-from modetune.flows.updating.stored_modes import MatrixModes
+from modetune.flows.updating.mode_source import Demand, by_solver, modes_forecast, modes_source
+from modetune.flows.updating.reduced_model import ReducedForesight
+from modetune.flows.updating.solutions import MatrixModes
+from modetune.flows.updating.update import is_unchanged, read_earlier, update_campaign
 from tests.adapters.ccx_decks import bar, plate, wall
 from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run

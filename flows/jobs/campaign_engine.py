@@ -1,27 +1,20 @@
-"""Running a campaign from its file to its run folder: the Python API behind `modetune update`."""
+"""The engine that solves the jobs of a campaign: its store, runner, limits, and model."""
 
 from __future__ import annotations
 
-import logging
 import threading
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
-from modetune.core.errors import CampaignError, CampaignRunning
-from modetune.core.storage.files import check_writable, storage_errors
-from modetune.core.storage.locks import FileLock
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
 from modetune.flows.campaign.campaign import Campaign, cores, load_campaign
-from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.site import server_home
 from modetune.flows.campaign.sketch import looked_at
-from modetune.flows.campaign.solvers import not_confirmed
-from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import CORES, Limit, Limits, MachineLimits
@@ -32,17 +25,6 @@ from modetune.flows.jobs.store_files import in_use
 from modetune.flows.jobs.tasks import StudyRun, Tasks, running_with, study_run
 from modetune.flows.jobs.watching import current_display
 from modetune.flows.jobs.work import Attempt, Ledger, Order, PoolRunner, Solved, Tries, run_end
-from modetune.flows.report.drawing import draw_report
-from modetune.flows.updating.campaign_log import campaign_log, log_iterations
-from modetune.flows.updating.evaluators import engine_of, evaluator_of
-from modetune.flows.updating.forecast import Forecast, Forecaster
-from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.sensitivities import not_linear
-from modetune.flows.updating.starting import is_unchanged, read_earlier, start_of, with_first_cost
-from modetune.flows.updating.unfinished import unfinished_record
-from modetune.flows.updating.updating import Progress, Updating
-
-logger = logging.getLogger(__name__)
 
 
 def job_engine(campaign: Campaign) -> JobEngine:
@@ -83,6 +65,20 @@ def job_engine(campaign: Campaign) -> JobEngine:
         order=_order(campaign, study is not None and study.licences),
     )
     return on_slurm(engine, run.slurm, campaign.name) if run.engine == "slurm" else engine
+
+
+def engine_of(engine: JobEngine, campaign: Campaign, case: Case) -> JobEngine:
+    """The campaign's engine for the model of one of its cases."""
+    if case.solver is engine.solver:
+        return engine
+    solver, name = case.solver, case.solver.program.name
+    limits = [limit for limit in engine.limits if limit.name == CORES]
+    if name in campaign.run.licences:
+        limits.append(Limit(name, campaign.run.licences[name], 1))
+    policy = replace(engine.policy, single_factors=case.single_factors)
+    model = next(n for n, item in enumerate(campaign.cases) if item.solver is solver)
+    order = engine.order and replace(engine.order, model=model)
+    return replace(engine, plans=Plans(solver), limits=tuple(limits), policy=policy, order=order)
 
 
 def _counted_by_prefect(counter: Limits) -> Limits:
@@ -148,36 +144,6 @@ def _runner(campaign: Campaign) -> Iterator[None]:
             yield
 
 
-def is_same(campaign: Campaign, folder: Path) -> bool:
-    """Whether nothing has changed since the run that left its record in a run folder."""
-    earlier = read_earlier(folder)
-    return earlier is not None and is_unchanged(campaign, job_engine(campaign), earlier)
-
-
-def update_campaign(
-    campaign: Campaign,
-    folder: Path,
-    progress: Progress,
-    forecast: Callable[[Forecast], None] | None = None,
-) -> CampaignRun:
-    """Update a campaign's model and leave record and updated deck in its run folder.
-
-    forecast: is called before the start and after each iteration with what is still to come.
-    Raises SolverError, ModesError, StoreError.
-    """
-    campaign.solver_version()  # a missing solver is told before anything else starts
-    check_writable(campaign.store.folder, STORE_REMEDY)
-    check_writable(folder, "name another place for run folders with --runs")
-    with FileLock(folder / ".lock") as lock:
-        if not lock.take():
-            raise CampaignRunning(
-                f"another run of this campaign is under way in {folder}; wait for it, or name "
-                "another place for run folders with --runs"
-            )
-        with campaign_log(campaign, folder), solving_engine(campaign) as engine:
-            return _update(campaign, engine, folder, progress, forecast)
-
-
 @contextmanager
 def solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
     """The engine that solves a campaign's jobs where the campaign says. The store keeps what it has
@@ -189,52 +155,3 @@ def solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
         except BaseException:
             engine.cancelled.set()
             raise
-
-
-def _update(
-    campaign: Campaign,
-    engine: JobEngine,
-    folder: Path,
-    progress: Progress,
-    forecast: Callable[[Forecast], None] | None,
-) -> CampaignRun:
-    earlier = read_earlier(folder)
-    campaign = start_of(campaign, engine, earlier)
-    # What an earlier run left stays until this one has come to its end.
-    unfinished, logged = folder / "campaign.unfinished.h5", 0
-
-    def keep(record: CampaignRecord) -> None:
-        nonlocal logged
-        ended = record.status != "running"
-        write(with_first_cost(record, earlier) if ended else record)
-        logged = log_iterations(record, logged)
-
-    if campaign.sensitivity.method == "auto":
-        solvers = [case.solver for case in campaign.cases]
-        told = [tell(solver) for solver in solvers for tell in (not_linear, not_confirmed)]
-        for said in dict.fromkeys(filter(None, told)):
-            logger.warning("%s", said)
-    for case in campaign.cases:
-        doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
-        if doubt:
-            logger.warning("%s; `model.checks: [units]` accepts that", doubt)
-    # What several models cost side by side nobody has worked out yet.
-    if len(campaign.cases) > 1:
-        forecast = None
-    forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
-    evaluator = evaluator_of(campaign, engine)
-    with unfinished_record(unfinished) as write:
-        record = Updating(campaign, evaluator, forecaster or progress, keep).run()
-    logger.info("%s: %s", record.status, record.reason)
-    for case in campaign.cases:
-        engine_of(engine, campaign, case).keep_text()
-    values = campaign.parameters.values(record.updated)
-    deck = campaign.write_updated(values, folder / "updated")
-    with storage_errors(unfinished):
-        unfinished.replace(folder / "campaign.h5")
-    if campaign.report.page:
-        progress.working("drawing the report")
-        page = draw_report(with_first_cost(record, earlier), folder)
-    else:
-        page = None
-    return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)

@@ -13,6 +13,7 @@ import pytest
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.studies.localise.localisation import Localisation, localise
 from modetune.flows.studies.pretest.plan import Pretest, run_pretest
 from modetune.flows.studies.requests import (
@@ -26,16 +27,15 @@ from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.validate.validation import Validation, leave_one_out
-from modetune.flows.updating import by_range
+from modetune.flows.updating import reduced_model
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import REDUCED
-from modetune.flows.updating.running import job_engine
-from modetune.flows.updating.starts import update_from_starts
-from modetune.flows.updating.tried_starts import OtherStarts
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.mode_source import REDUCED
+from modetune.flows.updating.starts import OtherStarts
+from modetune.flows.updating.update import update_from_starts
 from tests.adapters.ccx_decks import bar
 from tests.adapters.solved import needs_ccx
-from tests.flows.updating.test_by_matrices import (
+from tests.flows.updating.test_stored_matrices import (
     BAR,
     JOINT,
     OWN,
@@ -145,12 +145,12 @@ def test_few_points_are_runs_of_the_solver(tmp_path: Path) -> None:
 def test_a_reduced_model_that_the_solver_does_not_confirm_gives_way_to_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    made: Callable[..., object] = by_range.ByRange._reduced
+    made: Callable[..., object] = reduced_model.ByRange._reduced
 
-    def too_stiff(self: by_range.ByRange, theta: Floats, n_modes: int) -> object:
+    def too_stiff(self: reduced_model.ByRange, theta: Floats, n_modes: int) -> object:
         return made(self, 1.001 * theta, n_modes)
 
-    monkeypatch.setattr(by_range.ByRange, "_reduced", too_stiff)
+    monkeypatch.setattr(reduced_model.ByRange, "_reduced", too_stiff)
     found = screened(BAR, tmp_path / "bar")
     assert "the solver's own frequencies differ by 5." in caplog.text
     assert found.points_by == ""

@@ -20,10 +20,9 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.page import page
 from modetune.flows.studies.check.pre_check import check_campaign
 from modetune.flows.updating.display import show_run
-from modetune.flows.updating.modal_run import model_modes
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.run import CampaignRun
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.mode_source import model_modes
+from modetune.flows.updating.record import CampaignRun, summary
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_mystran
 
 needs_calculix = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not installed")

@@ -23,7 +23,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
-from modetune.flows.updating.stepping import step_problem
+from modetune.flows.updating.step import step_problem
 
 #: Collinear subsets that the summary names.
 NAMED = 10

@@ -18,13 +18,14 @@ from modetune.core.errors import SolverExhausted
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.updating import modes_choice, solutions
-from modetune.flows.updating.running import update_campaign
-from modetune.flows.updating.updating import Unwatched
+from modetune.flows.updating import mode_source, solutions
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.flows.records import differences
 from tests.flows.studies.test_once import cymbal, ladder, tuning_fork
-from tests.flows.updating.test_by_matrices import (
+from tests.flows.updating.test_same_bits import Killed, watch_puts
+from tests.flows.updating.test_stored_matrices import (
     BAR,
     STORED,
     Case,
@@ -32,7 +33,6 @@ from tests.flows.updating.test_by_matrices import (
     updated,
     written,
 )
-from tests.flows.updating.test_same_bits import Killed, watch_puts
 
 pytestmark = needs_ccx
 
@@ -71,7 +71,7 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
         monkeypatch.setattr(pencil, "FACTORISED_COLUMNS", 100.0)
     by_modes = record_of(file, tmp_path / "modes", watcher)
     assert by_modes.best.solved_by == "calculix"  # of so few elements a run takes nothing
-    monkeypatch.setattr(modes_choice, "SPARED_S", 0.0)
+    monkeypatch.setattr(mode_source, "SPARED_S", 0.0)
     ways = list[str]()
     real = ModeSolver.solve
 
@@ -93,8 +93,8 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
         by_matrices.best.computed.frequencies_hz, by_modes.best.computed.frequencies_hz, rtol=1e-6
     )
     # The choice stays in the store, whatever is expected later.
-    monkeypatch.setattr(modes_choice, "RUN_S", 1e3)
-    monkeypatch.setattr(modes_choice, "SPARED_S", 100.0)
+    monkeypatch.setattr(mode_source, "RUN_S", 1e3)
+    monkeypatch.setattr(mode_source, "SPARED_S", 100.0)
     again = record_of(file, tmp_path / "modes", watcher)
     assert (again.best.solved_by, again.runs.modal) == ("calculix", 0)
 
@@ -108,7 +108,7 @@ def test_without_room_for_a_count_matrices_confirm_uncounted(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     file, auto = written(case(), tmp_path / "part"), "model.eigensolver=auto"
-    monkeypatch.setattr(modes_choice, "RUN_S", 1e3)
+    monkeypatch.setattr(mode_source, "RUN_S", 1e3)
     real, counts = ModeSolver.solve, list[bool]()
 
     def solve(self: ModeSolver, *given: Any) -> Any:

@@ -25,8 +25,8 @@ from modetune.core.storage.record_file import read_record
 from modetune.flows.campaign.schema import E1Section, SensitivitySection, UpdateSection
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.jobs.job import Job
-from modetune.flows.updating.recording import summary
-from modetune.flows.updating.running import update_campaign
+from modetune.flows.updating.record import summary
+from modetune.flows.updating.update import update_campaign
 
 TRUTH = {"k1": 1.2, "k2": 0.8, "k3": 1.1, "k4": 0.9}
 

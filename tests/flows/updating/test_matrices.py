@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import platform
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +16,16 @@ from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, mode_set
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.evaluators import evaluator_of
-from modetune.flows.updating.finders import by_solver, campaign_analysis
-from modetune.flows.updating.matrix_source import MatrixSource
-from modetune.flows.updating.modes_choice import modes_source
-from modetune.flows.updating.running import job_engine
-from modetune.flows.updating.semi_analytic import SemiAnalytic, UnlikeMatrices
+from modetune.flows.updating.matrices import MatrixSource
+from modetune.flows.updating.mode_source import by_solver, campaign_analysis, modes_source
+from modetune.flows.updating.sensitivities import SemiAnalytic, UnlikeMatrices
 from tests.adapters.solved import needs_ccx
-from tests.flows.updating.test_by_matrices import row_of_materials
+from tests.flows.updating.test_stored_matrices import row_of_materials
 
 pytestmark = needs_ccx
-
 CAMPAIGN = """\
 name: part
 model: {deck: part.inp, solver: calculix, units: mm-t-s}
@@ -39,6 +40,30 @@ store: store
 """
 #: Away from the deck's values.
 THETA = np.array([1.05, 0.9, 1.2])
+#: Forty arrays of 4 MB, a small one after each, which keeps a heap from shrinking; in another
+#: thread, as matrices are read, after one of 30 MB has come and gone. What stays is told.
+PROGRAM = """
+import os, sys, threading
+import numpy as np
+from modetune.flows.updating.matrices import return_freed_memory
+
+def held():
+    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+def work():
+    global kept
+    np.ones(30 << 17)
+    pairs = [(np.ones(1 << 19), bytearray(5000)) for _ in range(40)]
+    kept = [small for _, small in pairs]
+
+if sys.argv[1:]:
+    return_freed_memory()
+before = held()
+thread = threading.Thread(target=work)
+thread.start()
+thread.join()
+print(held() - before)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +159,7 @@ def test_sums_of_powers_are_known_everywhere_from_the_same_jobs(file: Path) -> N
 def test_jobs_on_other_machines_bring_matrices_as_those_here_do(
     file: Path, eigensolver: str, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("modetune.flows.updating.modes_choice.RUN_S", 10.0)
+    monkeypatch.setattr("modetune.flows.updating.mode_source.RUN_S", 10.0)
     settings = [
         f"model.eigensolver={eigensolver}",
         f"run.engine={place}",
@@ -157,7 +182,7 @@ def test_matrices_that_do_not_fit_are_refused_with_what_needs_none(
     def unlike(*arguments: Any) -> Any:
         raise ModelError("the stored matrices have other equations")
 
-    monkeypatch.setattr("modetune.flows.updating.matrix_source.differences", unlike)
+    monkeypatch.setattr("modetune.flows.updating.matrices.differences", unlike)
     remedy = r"`sensitivity.method: finite_difference` with `model.eigensolver: solver`"
     engine = job_engine(load_campaign(file))
     for job in source.jobs(THETA, [1]):
@@ -172,3 +197,15 @@ def test_matrices_that_do_not_fit_are_refused_with_what_needs_none(
         )
         is None
     )
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the C library is another one")
+def test_arrays_that_were_freed_are_not_held() -> None:
+    assert what_stays("returned") < 10e6
+    # Some settings of glibc make it give all back by itself, and now and then a thread's heap does.
+    if (held := max(what_stays() for _ in range(3))) < 100e6:
+        pytest.skip(f"this C library held {held / 1e6:.0f} MB of 168 by itself")
+
+
+def what_stays(*given: str) -> int:
+    return int(subprocess.check_output([sys.executable, "-c", PROGRAM, *given]))

@@ -1,0 +1,385 @@
+"""The record of a campaign, its run folder, and the summary for people and machines.
+
+A record under way is written at most once in a second, since writing each would take a campaign
+with all results in the store longer than its iterations; the newest record is always written. A
+kill loses at most the view of that second's work: its results are stored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from modetune import __version__
+from modetune.core.errors import ModesError, StorageUnavailable
+from modetune.core.measurement.sensors import global_directions
+from modetune.core.mesh import Mesh, global_shapes
+from modetune.core.modes import Floats, ModeSet, mode_set
+from modetune.core.storage.keys import Json
+from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
+from modetune.core.storage.record_file import read_record, write_record
+from modetune.core.surface import Surface
+from modetune.core.updating.estimation import parameter_covariance
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
+from modetune.flows.report.comparison import mac_table
+from modetune.flows.report.drawing import PAGE
+from modetune.flows.report.field_tables import told_fields
+from modetune.flows.report.form_verdict import verdict_summary
+from modetune.flows.report.mode_tables import (
+    ModeRow,
+    held_out_rows,
+    mode_labels,
+    mode_rows,
+    unmatched_modes,
+)
+from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows
+from modetune.flows.report.response_tables import response_rows
+from modetune.flows.report.tables import frame, json_object
+from modetune.flows.updating.diagnosis import campaign_trust, field_answers, trust_summary
+from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.forecast import Forecast
+from modetune.flows.updating.step import prior_weights, used_weights, way_to_least_misfit
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+#: Packages whose arithmetic a campaign's numbers depend on, beside the solver's.
+PACKAGES = ("numpy", "scipy", "h5py")
+#: Seconds that a record may wait to be written.
+LATE_S = 1.0
+
+
+def campaign_record(
+    campaign: Campaign,
+    iterations: Sequence[IterationRecord],
+    matrix: Matrix | None,
+    status: str,
+    reason: str,
+    runs: RunCounts,
+    wall_s: float,
+) -> CampaignRecord:
+    """The record of a campaign as it stands; standard errors are by its newest matrix."""
+    accepted, only = [item for item in iterations if item.accepted], campaign.only
+    own = campaign.parameters
+    errors, correlation, remaining, held = _scatter(campaign, accepted[-1], matrix)
+    answers = () if status == "running" else field_answers(campaign, iterations, matrix)
+    return CampaignRecord(
+        name=campaign.name,
+        campaign_text=campaign.text,
+        settings=campaign.settings,
+        modetune_version=__version__,
+        solver=campaign.solver_name,
+        solver_version=campaign.solver_version(),
+        parameters=own,
+        deck_values=np.array(
+            [campaign.deck_value(item) for item in (*own.parameters, *own.dependents)]
+        ),
+        test=campaign.test,
+        iterations=tuple(iterations),
+        status=status,
+        reason=reason,
+        updated=accepted[-1].parameters,
+        standard_errors=errors,
+        correlation=correlation,
+        runs=runs,
+        wall_s=wall_s,
+        surface=None if only is None else shown_surface(only),
+        geometry=None if only is None else only.measurement.geometry,
+        sensors=only.sensors if only is not None and only.sensors.n_sensors else None,
+        places=None if only is None else sensor_places(only),
+        frfs=None if only is None else only.measurement.frfs,
+        units=campaign.cases[0].units,
+        e1_frequency=campaign.tolerances.frequency,
+        e1_mac=campaign.tolerances.mac,
+        e2=campaign.update.e2,
+        configurations=campaign.configurations,
+        splits=campaign.splits,
+        versions=_versions(),
+        # A large deck takes a moment to digest, so only the record that stays tells it.
+        deck_digest="" if status == "running" else _deck_digest(campaign),
+        trust=None
+        if status == "running"
+        else campaign_trust(
+            campaign, iterations, matrix, errors, remaining, status == "converged", answers, held
+        ),
+        fields=answers,
+    )
+
+
+@cache
+def _versions() -> tuple[str, ...]:
+    python = f"Python {platform.python_version()}"
+    return (python, *(f"{name} {version(name)}" for name in PACKAGES), platform.platform())
+
+
+def _deck_digest(campaign: Campaign) -> str:
+    """SHA-256 and name of each deck's file, as `sha256sum` tells them; includes are not in it."""
+    files = [file for each in campaign.cases if (file := each.solver.deck.summary.file) is not None]
+    try:
+        told = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
+    except OSError:  # moved since it was read
+        return ""
+    return "; ".join(dict.fromkeys(told))
+
+
+def _scatter(
+    campaign: Campaign, last: IterationRecord, matrix: Matrix | None
+) -> tuple[Floats, Floats, Floats, tuple[str, ...]]:
+    """Standard errors (n,) and correlation (n, n) of the parameters as they stand, their way to the
+    least misfit (n,), and what a limit holds there.
+
+    Measurement variances leave the least misfit with a covariance C; the parameters, which stand d
+    before it, are off the truth by C + d d^T. What bounds and limits hold does not scatter.
+    """
+    n, found, factor = len(campaign.parameters), last.residual, last.regularisation
+    if matrix is None:
+        return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan), ()
+    remaining, held, limits = way_to_least_misfit(
+        campaign, last.parameters, found, matrix.values, factor
+    )
+    weights = used_weights(campaign, found)
+    prior = prior_weights(campaign, last.parameters, factor)
+    rows = found.independent(matrix.values)
+    # A pull that was found stronger than deviations beforehand draws real changes back.
+    strength = max(factor, 1.0) if np.isfinite(factor) else 1.0
+    covariance = parameter_covariance(rows, found.variances, weights, prior, held, strength)
+    covariance = covariance + np.outer(remaining, remaining)
+    errors = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(errors, errors)
+    still = errors == 0.0
+    correlation[still], correlation[:, still] = 0.0, 0.0
+    correlation[still, still] = 1.0
+    return errors, correlation, remaining, tuple(found.labels[row] for row in limits.tolist())
+
+
+def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
+    """The `--json` object of `modetune update`."""
+    return json_object(
+        record,
+        "status reason",
+        ended_at=record.trust and record.trust.ended,
+        iterations=record.iterations[-1].number,
+        solver_runs=record.runs,
+        parameters=parameter_rows(record),
+        modes=mode_rows(record),
+        unmatched=[record.test.numbers[place] for place in unmatched_modes(record)],
+        mean_error_initial=np.abs(record.iterations[0].frequency_errors).mean(),
+        mean_error_updated=np.abs(record.best.frequency_errors).mean(),
+        responses=response_rows(record),
+        held_out=held_out_rows(record.held_out),
+        fields=told_fields(record),
+        splits=record.splits,
+        sensitivity_skipped=sum(item.sensitivity_skipped for item in record.iterations),
+        wall_s=round(record.wall_s, 3),
+        core_minutes=round(record.runs.core_s / 60.0, 4),
+        licence_minutes=round(record.runs.licence_s / 60.0, 4),
+        run_dir=run_dir,
+        solver=record.solver,
+        solver_version=record.solver_version,
+        trust=trust_summary(record.trust),
+        model_form=verdict_summary(record),
+    )
+
+
+def shown_surface(case: Case) -> Surface | None:
+    """The model's surface, None where it has no places (matrices alone)."""
+    return case.surface if case.surface.nodes.size else None
+
+
+def sensor_places(case: Case) -> SensorPlaces | None:
+    """Sensors on the model in global axes, None where the model has no places."""
+    mesh, mapping = case.solver.deck.mesh(), case.mapping
+    if mesh.nodes.size == 0 or mapping.sensors.n_sensors == 0:
+        return None
+    sensors, places = mapping.sensors, mapping.places[mapping.rows]
+    at_nodes = mesh.coordinates[mesh.rows(sensors.model_nodes)]
+    return SensorPlaces(
+        coordinates=np.where(np.isfinite(places), places, at_nodes),
+        directions=global_directions(sensors.model_nodes, sensors.directions, mesh),
+    )
+
+
+def shown_field(campaign: Campaign, evaluation: Evaluation) -> ModeSet:
+    """The paired modes' translations at the nodes of the surface, in global axes."""
+    case, part = campaign.only, evaluation.parts[0]
+    if case is None or case.surface.nodes.size == 0:
+        return mode_set([])
+    surface, paired = case.surface, part.field.select(part.pairing.computed)
+    frames = case.solver.deck.mesh().frames
+    shown = set(surface.nodes.tolist())
+    turned = {node: axes for node, axes in frames.items() if node in shown}
+    shapes = global_shapes(Mesh(surface.nodes, surface.coordinates, (), turned), paired)
+    return mode_set(
+        paired.frequencies_hz,
+        shapes.transpose(1, 2, 0).reshape(3 * surface.nodes.size, paired.n_modes),
+        np.repeat(surface.nodes, 3),
+        np.tile((1, 2, 3), surface.nodes.size),
+    )
+
+
+@contextmanager
+def unfinished_record(path: Path) -> Iterator[Callable[[CampaignRecord], None]]:
+    """Gives what keeps a record in a file; the newest is there when this ends, however it does.
+
+    Raises StorageUnavailable, of a record that waited with the next one.
+    """
+    lock, newest = threading.Lock(), list[CampaignRecord]()
+    written = time.monotonic()
+    timer: threading.Timer | None = None
+
+    def write() -> None:
+        nonlocal written, timer
+        with lock:
+            if timer is not None:
+                timer.cancel()
+            timer = None
+            if newest:
+                write_record(path, newest.pop())
+                written = time.monotonic()
+
+    def write_late() -> None:
+        with suppress(StorageUnavailable):
+            write()
+
+    def keep(record: CampaignRecord) -> None:
+        nonlocal timer
+        with lock:
+            newest[:] = [record]
+        left = written + LATE_S - time.monotonic()
+        if record.status != "running" or left <= 0.0:
+            write()
+        elif timer is None:
+            timer = threading.Timer(left, write_late)
+            timer.start()
+
+    try:
+        yield keep
+    finally:
+        write_late()
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class CampaignRun:
+    """A campaign's end: its record, its folder, the updated deck and the report's page there.
+
+    forecast: what it was expected to cost, where that was asked for. page: None where there is
+    none.
+    """
+
+    record: CampaignRecord
+    folder: Path
+    updated_deck: Path
+    forecast: Forecast | None = None
+    page: Path | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether e1 is met."""
+        return self.record.status == "converged"
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """A row a parameter: initial and updated value, relative to the deck, standard error."""
+        return frame(parameter_rows(self.record), ParameterRow).set_index("name")
+
+    @property
+    def modes(self) -> pd.DataFrame:
+        """A row a mode: frequencies in Hz and MAC before and after, errors as shares."""
+        return frame(mode_rows(self.record), ModeRow).set_index("mode")
+
+    @property
+    def mac(self) -> pd.DataFrame:
+        """MAC of the test's modes (rows) and the updated model's elastic modes (columns)."""
+        import pandas as pd
+
+        record, last = self.record, self.record.best
+        table = mac_table(record, last).T
+        rows = mode_labels(record)
+        return pd.DataFrame(table, rows[: len(table)], range(1, table.shape[1] + 1))
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What `modetune update --json` prints."""
+        return dict(summary(self.record, self.folder))
+
+    def plot_modes(self) -> Figure:
+        """Frequencies of test and model, before and after."""
+        return self._figure("frequencies")
+
+    def plot_mac(self) -> Figure:
+        """MAC of test and model, before and after. Raises ModesError without measured shapes."""
+        return self._figure("mac_map")
+
+    def plot_comac(self) -> Figure:
+        """COMAC of each sensor. Raises ModesError without measured shapes."""
+        return self._figure("comac")
+
+    def plot_parameters(self) -> Figure:
+        """Each parameter over the iterations, relative to the deck."""
+        return self._figure("parameters")
+
+    def plot_sensitivities(self) -> Figure:
+        """The sensitivities that were computed. Raises ModesError where none were."""
+        return self._figure("sensitivities")
+
+    def plot_convergence(self) -> Figure:
+        """Residual and slope (e2) over the iterations."""
+        return self._figure("convergence")
+
+    def __repr__(self) -> str:
+        return "\n".join(self._lines())
+
+    def _repr_html_(self) -> str:
+        head = "<br>".join(self._lines()[:2])
+        return f"<p>{head}</p>{self.modes.to_html()}{self.parameters.to_html()}"
+
+    def _lines(self) -> list[str]:
+        record = self.record
+        first, last = (
+            np.abs(item.frequency_errors) for item in (record.iterations[0], record.best)
+        )
+        return [
+            f"{record.name}: {record.status}: {record.reason}",
+            f"frequency errors: mean {first.mean():.2%} -> {last.mean():.2%}, worst "
+            f"{first.max():.2%} -> {last.max():.2%}; iterations: {record.iterations[-1].number}",
+            "parameters: "
+            + ", ".join(
+                f"{name} {value:.4g}"
+                for name, value in zip(
+                    record.parameters.names, record.parameters.shown(record.updated), strict=True
+                )
+            ),
+            f"in {self.folder}",
+        ]
+
+    def _figure(self, name: str) -> Figure:
+        from modetune.flows.report.charts import campaign_charts
+        from modetune.flows.report.matplotlib_charts import matplotlib_figure
+
+        for known, chart in campaign_charts(self.record):
+            if known == name:
+                return matplotlib_figure(chart)
+        raise ModesError(f"{self.record.name}: there is nothing to show as {name}")
+
+
+def read_run(path: Path) -> CampaignRun:
+    """An update from its run folder or its campaign.h5. Raises StoreError, StoreDamaged."""
+    file = path / "campaign.h5" if path.is_dir() else path
+    record, folder = read_record(file), file.parent
+    names = [item.split("  ", 1)[-1] for item in record.deck_digest.split("; ") if item]
+    deck, page = folder.joinpath("updated", *names[:1]), folder / PAGE
+    return CampaignRun(record, folder, deck, None, page if page.is_file() else None)

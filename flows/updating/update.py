@@ -1,0 +1,542 @@
+"""Updating a campaign's model: from its file to its run folder, behind `modetune update`.
+
+`update: {start: last}` starts from the parameters of the previous run's end, carried over as
+values of the deck's quantities, so a deck whose values were replaced in between means the same
+start. If nothing changed since that run, its own start is used again: the store then has every
+job, and an updating that ended without e1 is not pushed further night after night.
+
+Updating from several starts shows whether the answer depends on the start. The campaign's own start
+comes first, the others are a Latin hypercube within the bounds: each has its own stratum in every
+parameter. All updates share one store and one engine and run in parallel. The best end is the
+campaign's answer. Ends within e1 and the measurements' deviations are one place; another place that
+fits as well is a rival. Each update's record stays in the run folder as starts/NN.h5. The
+campaign's own record goes from its initial model straight to the best start and on along that
+update, with all results in the store. Where evaluations are cheap all of this happens within one
+update (`starts.py`).
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextvars import copy_context
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modetune.core.errors import (
+    CampaignError,
+    CampaignRunning,
+    ModesError,
+    SolverError,
+    StoreDamaged,
+)
+from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.storage.files import check_writable, storage_errors
+from modetune.core.storage.locks import FileLock
+from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
+from modetune.core.storage.record_file import read_record, write_record
+from modetune.core.updating.trust import StartSpread, with_spread
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.schema import STORE_REMEDY
+from modetune.flows.campaign.solvers import not_confirmed
+from modetune.flows.campaign.units import unit_doubt
+from modetune.flows.jobs.campaign_engine import engine_of, job_engine, solving_engine
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import Job
+from modetune.flows.report.drawing import draw_report
+from modetune.flows.updating.campaign_log import campaign_log, log_iterations
+from modetune.flows.updating.diagnosis import checked
+from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.evaluators import evaluator_of, finder_of
+from modetune.flows.updating.forecast import Forecast, Forecaster, Progress, Unwatched
+from modetune.flows.updating.holdout import held_out
+from modetune.flows.updating.loop import End, Loop, Noted
+from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, UPDATING, campaign_analysis
+from modetune.flows.updating.poses import settled
+from modetune.flows.updating.record import (
+    CampaignRun,
+    campaign_record,
+    shown_field,
+    unfinished_record,
+)
+from modetune.flows.updating.reduced_model import ByMatrices
+from modetune.flows.updating.sensitivities import not_linear
+from modetune.flows.updating.starts import (
+    OtherStarts,
+    StartEnd,
+    StartEnds,
+    TriedStarts,
+    chosen_end,
+    drawn_starts,
+    end_of,
+    start_spread,
+    tolerated,
+)
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierRun:
+    """What the record of a finished run tells of its inputs and its end.
+
+    test: numbers, frequencies, shapes, nodes and components as they were measured. started,
+    updated: parameters by name, updated ones as values of the deck's quantities. record: all of it.
+    """
+
+    campaign_text: str
+    settings: str
+    test: tuple[NDArray[Any], ...]
+    modal_key: str
+    started: dict[str, float]
+    updated: dict[str, float]
+    record: CampaignRecord
+
+
+def read_earlier(folder: Path) -> EarlierRun | None:
+    """The run before in this run folder, or nothing. A record that cannot be read is told of."""
+    path = folder / "campaign.h5"
+    if not path.exists():
+        return None
+    try:
+        record = read_record(path)
+    except (CampaignError, StoreDamaged) as error:
+        logger.warning("the record of the run before cannot be read: %s", error)
+        return None
+    names, first = record.parameters.names, record.iterations[0]
+    ends = record.parameters.assigned(record.updated)
+    values = [p.number(deck, v) for (p, v), deck in zip(ends, record.deck_values, strict=True)]
+    return EarlierRun(
+        campaign_text=record.campaign_text,
+        settings="\n".join(record.settings),
+        test=_test_arrays(record.test),
+        modal_key=first.modal_key,
+        started=dict(zip(names, first.parameters.tolist(), strict=True)),
+        updated=dict(zip(names, values, strict=False)),
+        record=record,
+    )
+
+
+def with_first_cost(record: CampaignRecord, earlier: EarlierRun | None) -> CampaignRecord:
+    """The record with runs and times of the run before, where the store answered all of its jobs.
+
+    What a model cost is told of it for good, not what it cost to look it up again.
+    """
+    if earlier is None or record.runs.modal or record.runs.sensitivity:
+        return record
+    then = earlier.record
+    same = [item.modal_key for item in then.iterations] == [
+        item.modal_key for item in record.iterations
+    ]
+    if not same:
+        return record
+    iterations = tuple(
+        replace(item, runs=old.runs, wall_s=old.wall_s)
+        for item, old in zip(record.iterations, then.iterations, strict=True)
+    )
+    return replace(record, runs=then.runs, wall_s=then.wall_s, iterations=iterations)
+
+
+def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> bool:
+    """Whether campaign, settings, test, deck and solver are those of the run before."""
+    if (campaign.text, "\n".join(campaign.settings)) != (earlier.campaign_text, earlier.settings):
+        return False
+    now = _test_arrays(campaign.test)
+    if not all(np.array_equal(one, then) for one, then in zip(now, earlier.test, strict=True)):
+        return False
+    # The key of the first modes stands for all that the deck and the solver are.
+    analysis = campaign_analysis(campaign)
+    if engine.key(Job(earlier.started, analysis)) == earlier.modal_key:
+        return True
+    started = np.array([earlier.started[name] for name in campaign.parameters.names])
+    finder = finder_of(campaign, engine, UPDATING, campaign)
+    if not isinstance(finder, ByMatrices) or finder.works(started, analysis):
+        return False
+    return finder.stored().key(started, analysis) == earlier.modal_key
+
+
+def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) -> Campaign:
+    """The campaign with the start that its `update: start` asks for."""
+    if campaign.update.start == "deck":
+        return campaign
+    if earlier is None:
+        logger.info("there is no run before to start from; starting from the deck")
+        return campaign
+    if is_unchanged(campaign, engine, earlier):
+        names = campaign.parameters.names
+        return replace(campaign, begin=tuple(earlier.started[name] for name in names))
+    begin = []
+    for item in campaign.parameters.parameters:
+        deck_value = campaign.deck_value(item)
+        value = earlier.updated.get(item.name, np.nan)
+        relative = item.relative_to(deck_value, value)
+        known = np.isfinite(relative)
+        begin.append(float(np.clip(relative, item.lower, item.upper)) if known else item.initial)
+    logger.info("starting from the parameters that the run before ended on")
+    return replace(campaign, begin=tuple(begin))
+
+
+def _test_arrays(test: MeasuredModes) -> tuple[NDArray[Any], ...]:
+    modes = test.modes
+    return (
+        np.array(test.numbers),
+        modes.frequencies_hz,
+        modes.mode_shapes,
+        modes.nodes,
+        modes.components,
+    )
+
+
+@dataclass
+class Updating:
+    """A campaign under way. `run` carries it to its end.
+
+    around: an evaluation point that the modes of the start are tracked from.
+    """
+
+    campaign: Campaign
+    evaluator: Evaluator
+    progress: Progress
+    save: Callable[[CampaignRecord], None]
+    around: Evaluation | None = None
+    matrix: Matrix | None = None
+    counted: RunCounts = field(default_factory=RunCounts)
+
+    def __post_init__(self) -> None:
+        self.iterations: list[IterationRecord] = []
+        self.kept: list[Evaluation] = []
+        self.started = self.lap = time.monotonic()
+
+    def run(self) -> CampaignRecord:
+        """Update until e1 holds, nothing more is gained, or the iterations are used up."""
+        campaign, evaluator = self.campaign, self.evaluator
+        others = OtherStarts(campaign, evaluator)
+
+        def seek() -> None:
+            if self.kept[-1].agrees(campaign.tolerances):
+                others.seek(self._record("converged", ""))
+
+        evaluator.idle, idle = seek, evaluator.idle
+        end = Loop(campaign, evaluator, self, around=self.around).run()
+        evaluator.idle, self.matrix = idle, end.matrix
+        tried = others.tried(self._record(end.status, end.reason), end.last)
+        if tried is not None and tried.chosen:
+            end = self._from(tried)
+        held = held_out(self.evaluator, self.kept[0], self.kept[-1])
+        record = checked(replace(self._record(end.status, end.reason), held_out=held))
+        if tried is not None and record.trust is not None:
+            spread = tried.spread(record)
+            record = replace(record, trust=with_spread(record.trust, spread))
+        at_bounds = self.campaign.parameters.at_bounds(record.updated)
+        if at_bounds:
+            record = replace(record, reason=f"{end.reason}; on a bound: {', '.join(at_bounds)}")
+        self.save(record)
+        return record
+
+    def _from(self, tried: TriedStarts) -> End:
+        """Go on from where another start led that fits better."""
+        campaign = replace(self.campaign, begin=tuple(tried.better.tolist()))
+        title, number = "another start fits better", self.iterations[-1].number + 1
+        end = Loop(campaign, self.evaluator, self, first=number, title=title).run()
+        self.matrix = end.matrix
+        return replace(end, reason=f"{end.reason}; the best of {len(tried.ends)} starts")
+
+    def working(self, text: str) -> None:
+        self.progress.working(text)
+
+    def noted(self, trial: Noted) -> None:
+        """Keep an evaluation point in the record."""
+        evaluation, by = trial.evaluation, trial.by
+        step, matrix = (by.step, by.matrix) if by else (None, None)
+        now, parameters = time.monotonic(), self.campaign.parameters
+        runs, wall_s = self.evaluator.runs.since(self.counted), now - self.lap
+        self.counted, self.lap = self.evaluator.runs, now
+        record = IterationRecord(
+            number=trial.number,
+            parameters=evaluation.theta,
+            step=step.change if step else np.zeros(len(parameters)),
+            computed=evaluation.seen,
+            pairing=evaluation.pairing,
+            frequency_errors=evaluation.errors,
+            residual=evaluation.residual,
+            sensitivity=matrix.values if matrix else np.zeros((0, len(parameters))),
+            sensitivity_methods=matrix.methods_had if matrix else (),
+            sensitivity_keys=matrix.keys if matrix else (),
+            sensitivity_age=matrix.age if matrix else 0,
+            sensitivity_skipped=trial.skipped,
+            slope=trial.slope,
+            accepted=trial.accepted,
+            decision=trial.decision,
+            regularisation=step.regularisation if step else np.nan,
+            condition=step.condition if step else np.nan,
+            modal_key=evaluation.key,
+            runs=runs,
+            wall_s=wall_s,
+            field=shown_field(self.campaign, evaluation),
+            solved_by=evaluation.solved_by,
+        )
+        self.iterations.append(record)
+        self.matrix = trial.newest
+        if trial.accepted:
+            self.kept = [*self.kept[:1], evaluation]
+        self.progress.iteration(record)
+        self.save(self._record("running", ""))
+
+    def confirmed(self, evaluation: Evaluation) -> None:
+        """Put the solver's own modes in place of those of the last accepted set."""
+        place = max(n for n, record in enumerate(self.iterations) if record.accepted)
+        before, runs = self.iterations[place], self.evaluator.runs
+        apart = float(np.max(np.abs(evaluation.errors - before.frequency_errors)))
+        said = f"confirmed by {evaluation.solved_by}: frequencies within {apart:.1e}"
+        now = time.monotonic()
+        self.iterations[place] = replace(
+            before,
+            computed=evaluation.seen,
+            pairing=evaluation.pairing,
+            frequency_errors=evaluation.errors,
+            residual=evaluation.residual,
+            modal_key=evaluation.key,
+            decision="; ".join(filter(None, (before.decision, said))),
+            runs=before.runs.plus(runs.since(self.counted)),
+            wall_s=before.wall_s + now - self.lap,
+            field=shown_field(self.campaign, evaluation),
+            solved_by=evaluation.solved_by,
+        )
+        self.counted, self.lap = runs, now
+        self.kept[-1] = evaluation
+        self.progress.working(said)
+        self.save(self._record("running", ""))
+
+    def _record(self, status: str, reason: str) -> CampaignRecord:
+        return campaign_record(
+            self.campaign,
+            self.iterations,
+            self.matrix,
+            status,
+            reason,
+            self.evaluator.runs,
+            time.monotonic() - self.started,
+        )
+
+
+def is_same(campaign: Campaign, folder: Path) -> bool:
+    """Whether nothing has changed since the run that left its record in a run folder."""
+    earlier = read_earlier(folder)
+    return earlier is not None and is_unchanged(campaign, job_engine(campaign), earlier)
+
+
+def update_campaign(
+    campaign: Campaign,
+    folder: Path,
+    progress: Progress,
+    forecast: Callable[[Forecast], None] | None = None,
+) -> CampaignRun:
+    """Update a campaign's model and leave record and updated deck in its run folder.
+
+    forecast: is called before the start and after each iteration with what is still to come.
+    Raises SolverError, ModesError, StoreError.
+    """
+    campaign.solver_version()  # a missing solver is told before anything else starts
+    check_writable(campaign.store.folder, STORE_REMEDY)
+    check_writable(folder, "name another place for run folders with --runs")
+    with FileLock(folder / ".lock") as lock:
+        if not lock.take():
+            raise CampaignRunning(
+                f"another run of this campaign is under way in {folder}; wait for it, or name "
+                "another place for run folders with --runs"
+            )
+        with campaign_log(campaign, folder), solving_engine(campaign) as engine:
+            return _update(campaign, engine, folder, progress, forecast)
+
+
+def _update(
+    campaign: Campaign,
+    engine: JobEngine,
+    folder: Path,
+    progress: Progress,
+    forecast: Callable[[Forecast], None] | None,
+) -> CampaignRun:
+    earlier = read_earlier(folder)
+    campaign = start_of(campaign, engine, earlier)
+    # What an earlier run left stays until this one has come to its end.
+    unfinished, logged = folder / "campaign.unfinished.h5", 0
+
+    def keep(record: CampaignRecord) -> None:
+        nonlocal logged
+        ended = record.status != "running"
+        write(with_first_cost(record, earlier) if ended else record)
+        logged = log_iterations(record, logged)
+
+    if campaign.sensitivity.method == "auto":
+        solvers = [case.solver for case in campaign.cases]
+        told = [tell(solver) for solver in solvers for tell in (not_linear, not_confirmed)]
+        for said in dict.fromkeys(filter(None, told)):
+            logger.warning("%s", said)
+    for case in campaign.cases:
+        doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
+        if doubt:
+            logger.warning("%s; `model.checks: [units]` accepts that", doubt)
+    # What several models cost side by side nobody has worked out yet.
+    if len(campaign.cases) > 1:
+        forecast = None
+    forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
+    evaluator = evaluator_of(campaign, engine)
+    with unfinished_record(unfinished) as write:
+        record = Updating(campaign, evaluator, forecaster or progress, keep).run()
+    logger.info("%s: %s", record.status, record.reason)
+    for case in campaign.cases:
+        engine_of(engine, campaign, case).keep_text()
+    values = campaign.parameters.values(record.updated)
+    deck = campaign.write_updated(values, folder / "updated")
+    with storage_errors(unfinished):
+        unfinished.replace(folder / "campaign.h5")
+    if campaign.report.page:
+        progress.working("drawing the report")
+        page = draw_report(with_first_cost(record, earlier), folder)
+    else:
+        page = None
+    return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)
+
+
+def update_from_starts(
+    campaign: Campaign,
+    folder: Path,
+    progress: Progress,
+    forecast: Callable[[Forecast], None] | None = None,
+) -> CampaignRun:
+    """Update a campaign's model from as many starts as it asks for.
+
+    From one start this is `update_campaign`, whose arguments and errors these are, and which looks
+    at the others too where sets cost little. Where updates from some starts fail the others stand;
+    raises where all fail.
+    """
+    campaign = settled(campaign)
+    n = campaign.update.starts or 1
+    if n == 1:
+        return update_campaign(campaign, folder, progress, forecast)
+    if _cost_little(campaign):
+        try:
+            return update_campaign(campaign, folder, progress, forecast)
+        except ModesError as error:  # of the campaign's own start: the others go by themselves
+            logger.warning("the update from the campaign's own start failed: %s", error)
+    campaign.solver_version()
+    began = time.monotonic()
+    with solving_engine(campaign) as engine:
+        own = start_of(campaign, engine, read_earlier(folder))
+        starts = drawn_starts(own, n)
+        ends = _run_starts(own, engine, starts, progress)
+        counted = reduce(
+            RunCounts.plus, (end.record.runs for end in ends if end.record), RunCounts()
+        )
+        ledger = engine.ledger
+        spent = replace(counted, core_s=ledger.core_s, licence_s=ledger.licence_s)
+    for earlier in (folder / "starts").glob("*.h5"):
+        earlier.unlink()  # of a run with more starts, or others
+    for number, end in enumerate(ends):
+        if end.record is not None:
+            write_record(folder / "starts" / f"{number:02d}.h5", end.record)
+    chosen = chosen_end(ends)
+    answer = ends[chosen].record
+    assert answer is not None
+    spread = start_spread(own, StartEnds(ends, tolerated(own, answer)), chosen)
+    settings = own.update.model_copy(update={"start": "deck", "starts": 1})
+    best = replace(
+        own,
+        update=settings,
+        begin=tuple(starts[spread.chosen].tolist()),
+        report=own.report.model_copy(update={"page": False}),  # drawn below, of all starts
+    )
+    run = update_campaign(best, folder, progress, forecast)
+    record = replace(_joined(run.record, ends, spread, spent), wall_s=time.monotonic() - began)
+    write_record(folder / "campaign.h5", record)
+    if campaign.report.page:
+        progress.working("drawing the report")
+        run = replace(run, page=draw_report(record, folder))
+    return replace(run, record=record)
+
+
+def _cost_little(campaign: Campaign) -> bool:
+    """Whether sets cost little beside the first of them."""
+    engine = job_engine(campaign)
+    return evaluator_of(campaign, engine).sets_cost_little
+
+
+def _run_starts(
+    campaign: Campaign, engine: JobEngine, starts: Floats, progress: Progress
+) -> list[StartEnd]:
+    """Updates from all starts, side by side. Raises what is not a start's own failure."""
+    beside = min(campaign.parallel, len(starts))
+    progress.working(f"updates from {len(starts)} starts")
+    with ThreadPoolExecutor(beside, thread_name_prefix="modetune-start") as pool:
+        try:
+            futures = [
+                pool.submit(
+                    copy_context().run,
+                    _run_start,
+                    campaign,
+                    replace(engine, tasks=engine.tasks.of_part(f"start {number}")),
+                    start,
+                )
+                for number, start in enumerate(starts, start=1)
+            ]
+            for done, _ in enumerate(as_completed(futures), start=1):
+                progress.working(f"updates from {len(starts)} starts: {done} ended")
+            return [future.result() for future in futures]
+        except BaseException:
+            engine.cancelled.set()  # jobs of other threads end with the campaign
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _run_start(campaign: Campaign, engine: JobEngine, start: Floats) -> StartEnd:
+    own = replace(campaign, begin=tuple(start.tolist()))
+    around = None
+    records: list[CampaignRecord] = []
+    try:
+        if _paired_once(campaign) and start.tolist() != campaign.start.tolist():
+            first = evaluator_of(campaign, engine)
+            around = first.evaluate(0, campaign.start, None, alone=True)[0]
+        evaluator = evaluator_of(own, engine)
+        return end_of(start, Updating(own, evaluator, Unwatched(), records.append, around).run())
+    except (SolverError, ModesError) as error:
+        if isinstance(error, CAMPAIGNS_OWN):
+            engine.cancelled.set()
+            raise
+        logger.warning("an update from another start failed: %s", error)
+        return StartEnd(start, error=error, record=records[-1] if records else None)
+
+
+def _paired_once(campaign: Campaign) -> bool:
+    """Whether pairs are those of the campaign's own start, and tracked from there."""
+    return any(case.rules.by_hand or case.rules.drop for case in campaign.used)
+
+
+def _joined(
+    record: CampaignRecord, ends: list[StartEnd], spread: StartSpread, spent: RunCounts
+) -> CampaignRecord:
+    """The record of the best update with what all starts cost and showed.
+
+    It begins with the campaign's own initial model, where that could be evaluated.
+    """
+    iterations, own = record.iterations, ends[0].record
+    if spread.chosen > 0 and own is not None:
+        initial, first = own.iterations[0], iterations[0]
+        jump = replace(
+            first,
+            step=first.parameters - initial.parameters,
+            decision=f"start {spread.chosen + 1} of {len(ends)}, drawn within the bounds",
+        )
+        later = (jump, *iterations[1:])
+        iterations = (initial, *(replace(item, number=item.number + 1) for item in later))
+    trust = None if record.trust is None else with_spread(record.trust, spread)
+    total = record.runs.plus(spent)
+    reason = f"{record.reason}; the best of {len(ends)} starts"
+    return replace(record, iterations=iterations, trust=trust, runs=total, reason=reason)
