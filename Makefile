@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test prefect-versions bench zoo kills lint format docs clean
+.PHONY: demo test quick nightly prefect-versions bench zoo kills lint format docs clean
 
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
@@ -12,9 +12,19 @@ demo: $(VENV)/.ready
 # there are cores, as some wait for a server, a browser or a clock.
 WORKERS := $(shell n=$$(nproc); echo $$((n < 4 ? n + 1 : 4)))
 
+PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest --numprocesses $(WORKERS) \
+	--dist loadfile --no-loadscope-reorder
+
 test: $(VENV)/.ready-dev
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest \
-		--numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
+	$(PYTEST) --durations=40
+
+# What needs no solver, no server and no browser: two minutes.
+quick: $(VENV)/.ready-dev
+	$(PYTEST) tests/core tests/test_structure.py
+
+# The deck corpus too, and many more examples of each law.
+nightly: $(VENV)/.ready-dev
+	$(PYTEST) -m "" --hypothesis-profile=nightly
 
 # The tests of Prefect's engine on the oldest Prefect that is allowed, and on the newest.
 prefect-versions: $(VENV)/.ready-dev

@@ -8,7 +8,8 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -24,11 +25,13 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 #: On a busy machine an example takes any time. Examples of a test share its folder.
-settings.register_profile(
-    "untimed",
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
-)
+for _profile, _examples in (("untimed", 40), ("nightly", 400)):
+    settings.register_profile(
+        _profile,
+        max_examples=_examples,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    )
 settings.load_profile("untimed")
 
 #: Files that take the better part of a minute or more begin first: one at the end would have all
@@ -64,6 +67,36 @@ def pytest_collection_finish() -> None:
     """What is there before the first test is there to the end: no need to look for it again."""
     gc.collect()
     gc.freeze()
+
+
+def _processor_s() -> float:
+    """Return the processor time of this process and of its ended children."""
+    return sum(os.times()[:4])
+
+
+_spent = [_processor_s()]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Attach to each report the processor time since the one before it."""
+    report = yield
+    now = _processor_s()
+    report.user_properties.append(("processor_s", now - _spent[0]))
+    _spent[0] = now
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print the processor time of all tests and of the files that take most of it."""
+    files: Counter[str] = Counter()
+    for report in (report for found in terminalreporter.stats.values() for report in found):
+        seconds = dict(getattr(report, "user_properties", ())).get("processor_s", 0.0)
+        if seconds:
+            files[report.nodeid.partition("::")[0]] += seconds
+    terminalreporter.section(f"{sum(files.values()):.0f} processor seconds")
+    for name, seconds in files.most_common(20):
+        terminalreporter.write_line(f"{seconds:8.1f} s  {name}")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from benchmarks.card_decks import decks
 from benchmarks.corpus import decks_below
 
@@ -47,6 +48,7 @@ def same_bytes(deck: NastranDeck, folder: Path) -> bool:
     return copy.read_bytes() == deck.file.read_bytes()
 
 
+@pytest.mark.nightly
 def test_public_decks_are_read_and_written_back(shared_data: Path, tmp_path: Path) -> None:
     """All that are whole: others lack a file that they include, or hold several models."""
     refused, counts = {}, [0, 0, 0]
