@@ -44,7 +44,7 @@ from modetune.adapters.test_files.geometry_csv import write_geometry_csv
 from modetune.adapters.test_files.hdf5 import write_test_hdf5
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.test_files.modes_csv import read_modes_csv
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import ModelError, ModetuneError
 from modetune.core.measurement.measurement import TestGeometry

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modetune.adapters.regular_file import largest, read_errors, read_regular
-from modetune.adapters.test_files.kinds import OWN_TITLE
+from modetune.adapters.test_files.file_kind import OWN_TITLE, Format
 from modetune.core.errors import CampaignError, ModesError, StoreDamaged
 from modetune.core.measurement.measurement import (
     MeasuredDeviations,
@@ -45,7 +45,7 @@ from modetune.core.storage.seal import content, holds, sealed, title_of
 
 __test__ = False  # tests are what it holds, not what it is
 
-FORMAT, VERSION = OWN_TITLE, 1
+VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
         columns = [getattr(measured.modes, item.name) for item in fields(ModeSet)]
         modes = _Modes(np.array(measured.numbers, dtype=np.int64), *columns)
     form = _File(
-        FORMAT,
+        OWN_TITLE,
         VERSION,
         measurement.notes,
         modes,
@@ -91,7 +91,7 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
         measurement.deviations,
         measurement.repeats,
     )
-    data = sealed(FORMAT, lambda file: write_value(file, form))
+    data = sealed(OWN_TITLE, lambda file: write_value(file, form))
     with writing(path) as part:
         part.write_bytes(data)
 
@@ -100,12 +100,12 @@ def read_test_hdf5(path: Path) -> Measurement:
     """Read a test. Raises CampaignError where the file is damaged or of another form."""
     with read_errors(f"test file {path}", CampaignError):
         data = read_regular(path, largest(0.5))
-    if title_of(data) != FORMAT:
+    if title_of(data) != OWN_TITLE:
         raise CampaignError(
             f"test file {path} is not a test that modetune wrote as HDF5; write one with "
             "`modetune inspect FILES --write OUT.h5`"
         )
-    if not holds(data, FORMAT):
+    if not holds(data, OWN_TITLE):
         raise CampaignError(
             f"the checksum of test file {path} does not hold: it was damaged or cut short; copy or "
             "write it again"
@@ -125,3 +125,6 @@ def read_test_hdf5(path: Path) -> Measurement:
     except (StoreDamaged, ModesError) as problem:
         raise CampaignError(f"test file {path} is not a readable test ({problem})") from problem
     return Measurement(modes, form.geometry, form.frfs, form.notes, form.deviations, form.repeats)
+
+
+FORMAT = Format(read=lambda path, kind: read_test_hdf5(path), write=write_test_hdf5)

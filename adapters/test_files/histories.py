@@ -1,27 +1,19 @@
-"""Time histories of universal files (dataset 58) and of tables as text or in workbooks.
+"""Time histories as a table in a text or a workbook, and the units of their channels.
 
-A table has the time in its first column and a channel in each other one, headed by where and which
-way it measures, and by its unit, which tells forces from motions:
+A table has the time in its first column and a channel in each other column. The heading of a
+channel gives its node and direction, and its unit, which distinguishes forces from motions:
 
     time [s], 1.z [N], 1.z [m/s^2], 2.z [m/s^2], 3.-x [g]
-
-In universal files a channel that comes again begins a new recording.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.test_files.kinds import kind_of
 from modetune.adapters.test_files.modes_csv import sensor_of
-from modetune.adapters.test_files.tables import FileTable, number, read_tables, row_values
-from modetune.adapters.test_files.universal.contents import Function
-from modetune.adapters.test_files.universal.file import read_file
-from modetune.adapters.test_files.universal.units import NEWTONS, motion_label
+from modetune.adapters.test_files.tables import FileTable, number, row_values
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import Response
 from modetune.core.measurement.time_histories import TimeHistories
@@ -29,46 +21,46 @@ from modetune.core.modes import Floats
 
 TIME = re.compile(r"(time|t|zeit)(_s|\s*[\[(]\s*s\s*[\])])?", re.IGNORECASE)
 CHANNEL = re.compile(r"(?:force\s+)?(\S+)\s*[\[(]\s*([^\])]+?)\s*[\])]", re.IGNORECASE)
+#: Standard gravity, m/s^2 (exact by definition).
+GRAVITY = 9.80665
+METRES = {
+    "m": 1.0,
+    "nm": 1e-9,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "in": 0.0254,
+    "inch": 0.0254,
+    "ft": 0.3048,
+}
+NEWTONS = {
+    "n": 1.0, "kn": 1e3, "lbf": 4.4482216152605, "lb": 4.4482216152605, "lbs": 4.4482216152605,
+    "kgf": GRAVITY,
+}  # fmt: skip
+_MOTION = re.compile(r"(nm|um|mm|cm|m|inch|in|ft)(?:/s(?:ec)?((?:\^|\*\*)?2|/s)?)?")
 KINDS: tuple[Response, ...] = ("receptance", "mobility", "accelerance")
-TIME_RESPONSE, FORCES = 1, (9, 13)
-#: Quantities of dataset 58 by how often they are divided by time.
-MOTIONS = {8: 0, 11: 1, 12: 2}
-#: Samples may be this part of a step off their times, as printed ones are.
+#: Deviation of a time from the even grid, as a share of a step: printed times are rounded.
 UNEVEN = 0.01
 
-#: node, component, sign, factor to SI, times divided by time (-1 for a force), values, times, where
+#: Node, component, sign, factor to SI, order of its time derivative (-1: a force), values, times,
+#: place in its file.
 Channel = tuple[int, int, float, float, int, Floats, Floats, str]
 
 
-def read_histories(paths: Sequence[Path]) -> tuple[list[TimeHistories], list[str]]:
-    """The recordings of files and notes on them; none where files hold other things.
-
-    Raises CampaignError with file and line.
-    """
-    found: list[TimeHistories] = []
-    notes: list[str] = []
-    for path in paths:
-        form = kind_of(path).form
-        if form == "universal":
-            found += _of_universal(path, notes)
-        elif form in ("table", "workbook"):
-            tables = [item for item in read_tables(path) if item.rows]
-            found += [
-                _recording(_of_table(item))
-                for item in tables
-                if TIME.fullmatch(item.rows[0].fields[0])
-            ]
-    return found, notes
+def is_history(table: FileTable) -> bool:
+    """Return whether a table has times in its first column."""
+    return bool(table.rows) and TIME.fullmatch(table.rows[0].fields[0]) is not None
 
 
-def _of_table(table: FileTable) -> list[Channel]:
+def history_of(table: FileTable) -> TimeHistories:
+    """Return the recording of a table. Raises CampaignError with file and line."""
     head, *rows = table.rows
     problems: list[str] = []
     columns: list[tuple[int, int, float, float, int]] = []
     for place, name in enumerate(head.fields[1:], start=2):
         match = CHANNEL.fullmatch(name)
         sensor = sensor_of(match[1]) if match else None
-        unit = _unit(match[2]) if match else None
+        unit = channel_unit(match[2]) if match else None
         if sensor is None or unit is None:
             problems.append(
                 f"{head.where}, column {place}: {name!r} is not a channel with its unit, such as "
@@ -90,61 +82,33 @@ def _of_table(table: FileTable) -> list[Channel]:
             break
     if problems:
         raise CampaignError(problems)
-    return [
-        (*column, values[:, place], values[:, 0], head.where)
-        for place, column in enumerate(columns, start=1)
-    ]
+    return recording(
+        [
+            (*column, values[:, place], values[:, 0], head.where)
+            for place, column in enumerate(columns, start=1)
+        ]
+    )
 
 
-def _of_universal(path: Path, notes: list[str]) -> list[TimeHistories]:
-    functions = [
-        item
-        for item in read_file(path).contents
-        if isinstance(item, Function) and item.kind == TIME_RESPONSE
-    ]
-    runs: list[list[Channel]] = []
-    seen: set[tuple[int, ...]] = set()
-    unknown = 0
-    for item in functions:
-        unit = _unit(item.unit)
-        quantity = -1 if item.numerator in FORCES else MOTIONS.get(item.numerator)
-        if (
-            item.node < 1
-            or not 1 <= abs(item.direction) <= 6
-            or (unit is None and quantity is None)
-        ):
-            notes.append(
-                f"{item.place}: a time history without node, direction or unit; passed over"
-            )
-            continue
-        unknown += unit is None
-        factor, order = unit or (1.0, quantity or 0)
-        name = item.node, abs(item.direction), order < 0
-        if not runs or name in seen:
-            runs.append([])
-            seen.clear()
-        seen.add(name)
-        sign = float(np.sign(item.direction))
-        values = np.asarray(item.values.real, dtype=np.float64)
-        runs[-1].append(
-            (item.node, abs(item.direction), sign, factor, order, values, item.abscissae,
-             str(item.place))
-        )  # fmt: skip
-    if unknown:
-        notes.append(
-            f"doubtful: {path}: {unknown} time histories are taken as SI: their labels tell no unit"
-        )
-    return [_recording(run) for run in runs]
+def motion_label(label: str) -> tuple[float, int] | None:
+    """Return the SI value of a unit of motion, and the order of its time derivative."""
+    text = label.strip().lower().strip("()[] ")
+    if text in ("g", "gn", "gs", "g's"):
+        return GRAVITY, 2
+    found = _MOTION.fullmatch(text.replace(" ", ""))
+    if found is None:
+        return None
+    return METRES[found[1]], 2 if found[2] else int("/" in text)
 
 
-def _unit(label: str) -> tuple[float, int] | None:
-    """SI value of a unit and how often it is divided by time, -1 for a force."""
+def channel_unit(label: str) -> tuple[float, int] | None:
+    """Return the SI value of a unit, and the order of its time derivative, -1 for a force."""
     force = NEWTONS.get(label.strip().casefold())
     return (force, -1) if force is not None else motion_label(label)
 
 
-def _recording(channels: list[Channel]) -> TimeHistories:
-    """Channels as one. Raises CampaignError where they do not go together."""
+def recording(channels: list[Channel]) -> TimeHistories:
+    """Join channels. Raises CampaignError where times or quantities differ, or one is twice."""
     where = channels[0][7] if channels else "a table of times"
     orders = {channel[4] for channel in channels} - {-1}
     times = channels[0][6] if channels else np.zeros(0)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from modetune.adapters.hdf5_reader import ALL, read_hdf5
 from modetune.adapters.regular_file import read_regular
+from modetune.adapters.test_files.file_kind import FileKind, Format
 from modetune.adapters.test_files.modes_csv import sensor_of
 from modetune.core.correlation.complexity import real_shapes
 from modetune.core.errors import CampaignError, ModelError, ModesError
@@ -70,8 +71,9 @@ class _Choice:
     values: NDArray[Any]
 
 
-def read_mat(path: Path, said: str) -> Measurement:
-    """The modes and points of a file; said: what it is. Raises CampaignError with what it holds."""
+def read_mat(path: Path, kind: FileKind) -> Measurement:
+    """Read the modes and points of a file. Raises CampaignError with what the file contains."""
+    said = kind.description
     found = _variables(path, said)
     points = _points(found)
     modes, taken = _modes(path, found)
@@ -225,3 +227,6 @@ def _told(found: Variables) -> str:
         for name, values in list(found.items())[:8]
     ]
     return ", ".join(said) + (", ..." if len(found) > 8 else "") or "nothing that is numbers"
+
+
+FORMAT = Format(read=read_mat)

@@ -1,9 +1,8 @@
-"""A test from its files, whatever their form, as one Measurement.
+"""A test from its files, whatever their form, and in files.
 
-What a file is shows its content (`kinds.py`), whatever its name. Universal files are read together,
-since one may hold the points and another the modes. Tables of modes or points, whole tests as HDF5,
-MATLAB's files and what solvers left join them. Parts that say the same thing twice and differently
-are refused with both places.
+The content of a file shows its form, whatever its name (`file_kind.py`). Tables of modes, points,
+repeated tests and time histories are read here; every other format has its own module. Parts that
+contradict each other are refused, with both places.
 """
 
 from __future__ import annotations
@@ -11,36 +10,51 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.test_files.geometry_csv import geometry_of, is_geometry
-from modetune.adapters.test_files.hdf5 import read_test_hdf5
-from modetune.adapters.test_files.kinds import FileKind, kind_of
-from modetune.adapters.test_files.mat import read_mat
-from modetune.adapters.test_files.modes_csv import modes_of
+from modetune.adapters.test_files.file_kind import (
+    NUMBERS,
+    SUFFIXES,
+    Axes,
+    FileKind,
+    Form,
+    Format,
+    kind_of,
+)
+from modetune.adapters.test_files.geometry_csv import geometry_of, is_geometry, write_geometry_csv
+from modetune.adapters.test_files.histories import history_of, is_history
+from modetune.adapters.test_files.modes_csv import modes_of, write_modes_csv
 from modetune.adapters.test_files.repeated_csv import is_repeated, repeated_of
-from modetune.adapters.test_files.solver_results import READERS, computed_modes, read_solver_results
 from modetune.adapters.test_files.tables import FileTable, read_tables
-from modetune.adapters.test_files.universal.axes import Axes
-from modetune.adapters.test_files.universal.file import read_universal
-from modetune.core.correlation.complexity import real_shapes
+from modetune.core.correlation.complexity import modal_phase_collinearity, real_shapes
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats, MeasuredModes, ModeSet
 
-#: How far places of one point may differ between files, relative to the structure's size.
+#: The module of this folder whose FORMAT reads a form. To remove a format, delete both the module
+#: and its line.
+FORMATS: dict[Form, str] = {
+    "universal": "universal.file",
+    "hdf5": "hdf5",
+    "mat": "mat",
+    "op2": "solver_results",
+    "f06": "solver_results",
+    "punch": "solver_results",
+    "frd": "solver_results",
+    "nastran hdf5": "solver_results",
+}
+TABLES: tuple[Form, ...] = ("table", "workbook")
+#: Difference between the places of one point in two files, relative to the structure's size.
 SAME = 1e-4
-#: Suffixes that are written, and say what a damaged file was meant to be.
-UNIVERSAL, CSV, HDF5 = (".unv", ".uff", ".uf"), (".csv",), (".h5", ".hdf5")
-TABLES = ("table", "workbook")
 
 
 @dataclass(frozen=True, slots=True)
 class FileContents:
-    """What a file is (`kinds.Form`), and the datasets of a universal one by name, in order."""
+    """The form of a file (`file_kind.Form`), and the datasets of a universal file, in order."""
 
     path: Path
     form: str
@@ -49,9 +63,9 @@ class FileContents:
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """A test with what each file is.
+    """A test and the form of each of its files.
 
-    collinearity: (n_modes,), modal phase collinearity as measured; empty where real.
+    collinearity: (n_modes,), modal phase collinearity as measured; empty for real modes.
     n_functions: functions of all kinds in universal files, used or not.
     """
 
@@ -66,9 +80,9 @@ def read_measurement(
 ) -> Measurement:
     """Read the files of a test.
 
-    metres: length of the coordinates' unit in metres, over what files say. axes: whether those of
-    universal files are rows or columns of dataset 2420. Raises CampaignError with file and line,
-    also where the files hold neither modes, points nor response functions.
+    metres: length of the coordinates' unit in metres, which overrides the files. axes: whether the
+    axes of universal files are the rows or columns of dataset 2420. Raises CampaignError with file
+    and line, also where the files hold neither modes, points nor response functions.
     """
     measurement = inspect_files(paths, metres, axes).measurement
     if measurement.is_empty:
@@ -84,73 +98,137 @@ def read_measurement(
 def inspect_files(
     paths: Sequence[Path], metres: float | None = None, axes: Axes = "auto"
 ) -> Inspection:
-    """Read the files of a test and tell what each is. Raises CampaignError."""
+    """Read the files of a test and report what each of them is. Raises CampaignError."""
     if not paths:
         raise CampaignError("no test file is named")
     if metres is not None and not (math.isfinite(metres) and metres > 0.0):
         raise CampaignError(f"the length unit of the test is {metres:g} m; it must be above zero")
-    forms = {path: _kind(path) for path in paths}
-    if len(forms) < len(paths):
+    kinds = {path: _readable_kind(path) for path in paths}
+    if len(kinds) < len(paths):
         raise CampaignError("a test file is named twice")
-    universal = [path for path, kind in forms.items() if kind.form == "universal"]
+    formats = {kind.form: _format(kind.form) for kind in kinds.values()}
     parts: list[tuple[str, Measurement]] = []
     datasets: dict[Path, tuple[str, ...]] = {}
-    collinearity, n_functions = np.zeros(0), 0
-    if universal:
-        test = read_universal(universal, axes)
-        parts.append((", ".join(map(str, universal)), test.measurement))
-        datasets = {file.path: file.datasets for file in test.files}
-        collinearity, n_functions = test.collinearity, test.n_functions
-    for path, kind in forms.items():
-        if kind.form != "universal":
-            parts.append((str(path), _read_one(path, kind)))
+    n_functions = 0
+    for form, found in formats.items():
+        if found.read_together:
+            files = [path for path, kind in kinds.items() if kind.form == form]
+            measurement, names, count = found.read_together(files, axes)
+            parts.append((", ".join(map(str, files)), measurement))
+            datasets |= names
+            n_functions += count
+    for path, kind in kinds.items():
+        if read := formats[kind.form].read:
+            parts.append((str(path), read(path, kind)))
+    shapes = [part.complex_shapes for _, part in parts if part.complex_shapes is not None]
     merged = _merged(parts)
     if metres is not None and merged.geometry is not None:
         merged = _in_unit(merged, merged.geometry, metres)
-    files = tuple(
-        FileContents(path, kind.form, datasets.get(path, ())) for path, kind in forms.items()
+    return Inspection(
+        merged,
+        tuple(
+            FileContents(path, kind.form, datasets.get(path, ())) for path, kind in kinds.items()
+        ),
+        modal_phase_collinearity(shapes[0]) if shapes else np.zeros(0),
+        n_functions,
     )
-    return Inspection(merged, files, collinearity, n_functions)
 
 
 def read_computed(path: Path) -> ModeSet:
-    """All modes that a program left in a file, with rotations. Raises CampaignError."""
-    kind = _kind(path)
-    if kind.form in READERS:
-        return computed_modes(path, kind.form)
-    read = _tables(path, kind, computed=True) if kind.form in TABLES else read_measurement([path])
-    if read.modes is None:
+    """Read all modes that a program wrote, with rotations. Raises CampaignError."""
+    kind = _readable_kind(path)
+    if read_modes := _format(kind.form).read_modes:
+        return read_modes(path, kind)
+    modes = read_measurement([path]).modes
+    if modes is None:
         raise CampaignError("it has points or response functions, and no modes")
-    return read.modes.modes
+    return modes.modes
 
 
-def _kind(path: Path) -> FileKind:
-    """What a file is: by its content, and by its suffix where bytes do not tell.
+def read_histories(paths: Sequence[Path]) -> tuple[list[TimeHistories], list[str]]:
+    """Read the time histories of files, with notes; none where files hold something else.
 
-    Raises CampaignError with what it is where nothing reads it.
+    Raises CampaignError with file and line.
     """
-    kind, suffix = kind_of(path), path.suffix.lower()
-    if kind.form in ("unknown", "table") and suffix in UNIVERSAL:
-        return FileKind("universal", "a universal file")  # its reader says what is wrong
-    if kind.form == "unknown" and suffix in HDF5:
-        return FileKind("hdf5", "a test that modetune wrote as HDF5")
-    if kind.form in ("", "unknown"):
-        raise CampaignError(f"{path} is {kind.said}, not a test that can be read; {kind.remedy}")
+    found: list[TimeHistories] = []
+    notes: list[str] = []
+    for path in paths:
+        form = kind_of(path).form
+        if (form in FORMATS or form in TABLES) and (read := _format(form).read_histories):
+            found += read(path, notes)
+    return found, notes
+
+
+def check_out(path: Path) -> None:
+    """Refuse a file that cannot be written, before the work is done. Raises CampaignError."""
+    form = SUFFIXES.get(path.suffix.lower())
+    if form not in FORMATS and form not in TABLES:
+        raise CampaignError(f"{path}: a test file is written as .csv, .h5 or .unv, by the suffix")
+
+
+def write_modes(
+    path: Path, modes: MeasuredModes, geometry: TestGeometry | None, comments: tuple[str, ...]
+) -> None:
+    """Write modes with comments on their origin, and in other forms than CSV with the points.
+
+    Raises as `write_test` does.
+    """
+    points = None if SUFFIXES.get(path.suffix.lower()) in TABLES else geometry
+    write_test(path, Measurement(modes, points, None, comments), comments)
+
+
+def write_test(path: Path, test: Measurement, comments: Sequence[str] = ()) -> list[Path]:
+    """Write a test in the form of the suffix; CSV has comments, and a second file for points.
+
+    Returns what was written. Raises StorageUnavailable, and CampaignError for an unknown suffix or
+    where CSV has no form for what the test holds.
+    """
+    check_out(path)
+    if write := _format(SUFFIXES[path.suffix.lower()]).write:
+        write(path, test)
+        return [path]
+    written = []
+    if (modes := test.modes) is not None:
+        write_modes_csv(path, modes.numbers, modes.modes, comments, test.deviations)
+        written.append(path)
+    if test.geometry is not None:
+        points = path.with_name(f"{path.stem}-points.csv") if written else path
+        write_geometry_csv(points, test.geometry, comments[:1])
+        written.append(points)
+    if not written:
+        raise CampaignError(f"{path}: response functions are not written as CSV; name an .h5")
+    return written
+
+
+def _format(form: Form) -> Format:
+    """Return the format of a form that can be read; its module is imported at first use."""
+    if form in TABLES:
+        return Format(_read_tables, read_modes=_table_modes, read_histories=_table_histories)
+    found: Format = import_module(f"{__package__}.{FORMATS[form]}").FORMAT
+    return found
+
+
+def _readable_kind(path: Path) -> FileKind:
+    """Return the kind of a file by its content, or by its suffix where bytes do not show it.
+
+    Raises CampaignError with a description of the file where nothing reads it.
+    """
+    kind, meant = kind_of(path), SUFFIXES.get(path.suffix.lower())
+    if kind.form == "unknown" and meant in ("universal", "hdf5"):
+        kind = FileKind(meant, kind.description)  # its reader reports what is wrong
+    elif kind.form == "table" and meant == "universal":
+        kind = FileKind(meant, kind.description)
+    if kind.form not in FORMATS and kind.form not in TABLES:
+        remedy = kind.remedy or NUMBERS
+        raise CampaignError(f"{path} is {kind.description}, not a test that can be read; {remedy}")
     return kind
 
 
-def _read_one(path: Path, kind: FileKind) -> Measurement:
-    if kind.form in READERS:
-        return read_solver_results(path, kind.form)
-    if kind.form == "hdf5":
-        return read_test_hdf5(path)
-    if kind.form == "mat":
-        return read_mat(path, kind.said)
-    return _tables(path, kind)
+def _read_tables(path: Path, kind: FileKind, computed: bool = False) -> Measurement:
+    """Read modes and points of a text's one table, or of a workbook's sheets.
 
-
-def _tables(path: Path, kind: FileKind, computed: bool = False) -> Measurement:
-    """Modes and points of a text's one table, or of a workbook's sheets. Raises CampaignError."""
+    Raises CampaignError.
+    """
     tables = read_tables(path)
     if kind.form == "table":
         return _of_table(tables[0], computed)
@@ -162,12 +240,23 @@ def _tables(path: Path, kind: FileKind, computed: bool = False) -> Measurement:
     if not wanted:
         sheets = ", ".join(table.name.removeprefix(f"{path}, sheet ") for table in tables)
         raise CampaignError(
-            f"{path} is {kind.said} with sheets {sheets}, and none begins with a heading `mode`, "
-            "`frequency` or `node`"
+            f"{path} is {kind.description} with sheets {sheets}, and none begins with a heading "
+            "`mode`, `frequency` or `node`"
         )
     merged = _merged([(table.name, _of_table(table, computed)) for table in wanted])
     over = tuple(f"{table.name} is passed over" for table in tables if table not in wanted)
     return replace(merged, notes=merged.notes + over)
+
+
+def _table_modes(path: Path, kind: FileKind) -> ModeSet:
+    modes = _read_tables(path, kind, computed=True).modes
+    if modes is None:
+        raise CampaignError("it has points or response functions, and no modes")
+    return modes.modes
+
+
+def _table_histories(path: Path, notes: list[str]) -> list[TimeHistories]:
+    return [history_of(table) for table in read_tables(path) if is_history(table)]
 
 
 def _of_table(table: FileTable, computed: bool) -> Measurement:
@@ -177,7 +266,7 @@ def _of_table(table: FileTable, computed: bool) -> Measurement:
 
 
 def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
-    """All parts as one. Raises CampaignError where two contradict each other."""
+    """Join all parts. Raises CampaignError where two contradict each other."""
     whole, places = Measurement(), {"modes": "", "geometry": "", "frfs": ""}
     for place, part in parts:
         modes, geometry, frfs = part.modes, part.geometry, part.frfs
@@ -196,6 +285,9 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
         for name, found in (("modes", modes), ("geometry", geometry), ("frfs", frfs)):
             if found is not None:
                 places[name] = place
+        # Joined modes have no complex shapes.
+        shapes = part.complex_shapes if whole.modes is None else whole.complex_shapes
+        joined = whole.modes is not None and part.modes is not None
         whole = Measurement(
             modes or whole.modes,
             geometry or whole.geometry,
@@ -203,22 +295,15 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
             whole.notes + part.notes,
             whole.deviations or part.deviations,
             whole.repeats or part.repeats,
-            _complex_shapes(whole, part),
+            None if joined else shapes,
         )
     return whole
-
-
-def _complex_shapes(first: Measurement, second: Measurement) -> Complexes | None:
-    """Those of the part that has the modes; of joined modes none."""
-    if first.modes is not None and second.modes is not None:
-        return None
-    return second.complex_shapes if first.modes is None else first.complex_shapes
 
 
 def _joined_modes(
     first: MeasuredModes, second: MeasuredModes, places: tuple[str, str]
 ) -> MeasuredModes:
-    """The same modes at the sensors of both. Raises CampaignError where they are not the same."""
+    """Join the sensors of the same modes. Raises CampaignError where the modes differ."""
     one, two = first.modes, second.modes
     if first.numbers != second.numbers or not np.allclose(
         one.frequencies_hz, two.frequencies_hz, rtol=1e-3, atol=0.0
@@ -254,18 +339,18 @@ def _joined_modes(
 def _joined_points(
     first: TestGeometry, second: TestGeometry, places: tuple[str, str]
 ) -> TestGeometry:
-    """The points of both. Raises CampaignError where they give one point two places."""
-    told = f"{places[0]} and {places[1]}"
+    """Join points. Raises CampaignError where one point has two places."""
+    both = f"{places[0]} and {places[1]}"
     known = [not math.isnan(points.metres) for points in (first, second)]
     if all(known) and not math.isclose(first.metres, second.metres, rel_tol=1e-5):
-        raise CampaignError(f"{told} give points in different units of length")
+        raise CampaignError(f"{both} give points in different units of length")
     shared, row, other = np.intersect1d(first.nodes, second.nodes, return_indices=True)
     size = float(np.ptp(first.coordinates, axis=0).max())
     apart = np.abs(first.coordinates[row] - second.coordinates[other]).max(axis=1, initial=0.0)
     turned = np.abs(first.frames[row] - second.frames[other]).max(axis=(1, 2), initial=0.0)
     wrong = np.flatnonzero((apart > SAME * size) | (turned > SAME))
     if wrong.size:
-        raise CampaignError(f"{told} give node {shared[wrong[0]]} different places or axes")
+        raise CampaignError(f"{both} give node {shared[wrong[0]]} different places or axes")
     new = ~np.isin(second.nodes, first.nodes)
     return TestGeometry(
         nodes=np.concatenate([first.nodes, second.nodes[new]]),
@@ -278,7 +363,7 @@ def _joined_points(
 
 
 def _in_unit(measurement: Measurement, points: TestGeometry, metres: float) -> Measurement:
-    """The same with the unit of its coordinates named; told where a file names another."""
+    """Set the unit of the coordinates, with a note where a file has another."""
     notes = measurement.notes
     if not math.isnan(points.metres) and not math.isclose(points.metres, metres, rel_tol=1e-5):
         notes += (

@@ -18,7 +18,7 @@ from modetune.adapters.nastran.hdf5_modes import read_hdf5_modes
 from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.punch import read_punch
 from modetune.adapters.nastran.results import unit_modes
-from modetune.adapters.test_files.kinds import Form
+from modetune.adapters.test_files.file_kind import FileKind, Form, Format
 from modetune.core.errors import CampaignError, SolverError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
@@ -54,26 +54,14 @@ READERS: dict[Form, Callable[[Path], tuple[ModeSet, Points]]] = {
 }
 
 
-def computed_modes(path: Path, form: Form) -> ModeSet:
-    """All modes of a result file, as it has them. Raises CampaignError."""
-    return _read(path, form)[0]
+def read_modes(path: Path, kind: FileKind) -> ModeSet:
+    """Read all modes of a result file, unchanged. Raises CampaignError."""
+    return _read(path, kind)[0]
 
 
-def read_solver_results(path: Path, form: Form) -> Measurement:
-    """The elastic modes of a result file as a test's. Raises CampaignError."""
-    return _as_test(path, *_read(path, form))
-
-
-def _read(path: Path, form: Form) -> tuple[ModeSet, Points]:
-    try:
-        return READERS[form](path)
-    except SolverError as error:
-        raise CampaignError(str(error)) from error
-    except (ValueError, OverflowError) as error:
-        raise CampaignError(f"{path} holds no modes that can be read: {error}") from error
-
-
-def _as_test(path: Path, modes: ModeSet, points: Points) -> Measurement:
+def read_solver_results(path: Path, kind: FileKind) -> Measurement:
+    """Read the elastic modes of a result file as those of a test. Raises CampaignError."""
+    modes, (nodes, coordinates) = _read(path, kind)
     frequencies = modes.frequencies_hz
     elastic = np.flatnonzero(frequencies > RIGID * frequencies.max(initial=0.0))
     if not elastic.size:
@@ -93,7 +81,6 @@ def _as_test(path: Path, modes: ModeSet, points: Points) -> Measurement:
         notes.append(f"{path}: {still} freedoms that never move are left out")
     kept = modes.select(elastic).rows(np.flatnonzero(moving & ~turning))
     measured = MeasuredModes(tuple((elastic + 1).tolist()), kept)
-    nodes, coordinates = points
     places = np.isin(nodes, kept.nodes)
     if not places.any():
         return Measurement(measured, notes=tuple(notes))
@@ -101,3 +88,15 @@ def _as_test(path: Path, modes: ModeSet, points: Points) -> Measurement:
         nodes[places], coordinates[places], np.tile(np.eye(3), (int(places.sum()), 1, 1))
     )
     return Measurement(measured, geometry, notes=tuple(notes))
+
+
+def _read(path: Path, kind: FileKind) -> tuple[ModeSet, Points]:
+    try:
+        return READERS[kind.form](path)
+    except SolverError as error:
+        raise CampaignError(str(error)) from error
+    except (ValueError, OverflowError) as error:
+        raise CampaignError(f"{path} holds no modes that can be read: {error}") from error
+
+
+FORMAT = Format(read=read_solver_results, read_modes=read_modes)

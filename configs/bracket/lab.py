@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from modetune.adapters.solver import ModalAnalysis
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.configs.bracket.bracket import (
     HEIGHT,
     LENGTH,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.configs.claims import Claim
 from modetune.configs.garteur.aircraft import COARSE, aircraft, calculix_deck, node_at
 from modetune.configs.garteur.twin import truth_modes

@@ -71,7 +71,7 @@ def identify(
         stoppable("stopped; the same command starts from the beginning"),
         begun(f"reading {names}") as tell,
     ):
-        from modetune.adapters.test_files.writing import check_out
+        from modetune.adapters.test_files.measurements import check_out
         from modetune.flows.studies.identify.measured_functions import read_functions
         from modetune.flows.studies.identify.operational_modes import identified, write_identified
 

@@ -67,7 +67,7 @@ def inspect(
 
 
 def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path]:
-    from modetune.adapters.test_files.writing import write_test
+    from modetune.adapters.test_files.measurements import write_test
 
     if measurement.is_empty:
         raise CampaignError([f"nothing of the files can be written to {path}", *measurement.notes])

@@ -1,17 +1,39 @@
-"""Response functions of a test, with their coherences, out of all functions of its files."""
+"""Functions of universal files (dataset 58): response functions, coherences and time histories.
+
+Response functions become SI: m, m/s or m/s^2 of motion (rad for rotations) per N (Nm for moments).
+The unit labels of the axes of a function (records 9 and 10 of dataset 58) give the units of its
+values, including `g` and `in/s^2`. Where no label is recognised, dataset 164 of the same file gives
+them by factors from SI to the units of the file. Without either, the values are taken as SI, and a
+note reports it.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.test_files.universal.contents import Function, UniversalFile
-from modetune.adapters.test_files.universal.units import in_si, motion_label
-from modetune.core.measurement.frf import Response
+from modetune.adapters.test_files.histories import (
+    GRAVITY,
+    NEWTONS,
+    Channel,
+    channel_unit,
+    motion_label,
+    recording,
+)
+from modetune.adapters.test_files.universal.datasets import (
+    Content,
+    Function,
+    Units,
+    UniversalFile,
+)
+from modetune.core.measurement.frf import Complexes, Response
 from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats
 
 RESPONSE_FUNCTION, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
@@ -30,6 +52,9 @@ FORCES = (0, 1, 9, 13)
 #: What the others are called, for people.
 MOTIONS = {8: "a displacement", 11: "a velocity", 12: "an acceleration"}
 
+#: A time history among the kinds of dataset 58, forces among its quantities, and the order of the
+#: time derivative of each motion.
+TIME_RESPONSE, FORCE_KINDS, ORDERS = 1, (9, 13), {8: 0, 11: 1, 12: 2}
 #: How a doubt begins about points of several components with one number.
 UNNUMBERED = "whose point"
 
@@ -184,3 +209,159 @@ def _dof(function: Function) -> Dof:
         function.reference_node,
         function.reference_direction,
     )
+
+
+#: How often a motion is divided by time.
+DERIVATIVES: dict[Response, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
+_RATIO = re.compile(r"(.+?)\s*/\s*[(\[]?\s*(kgf|kn|lbf|lbs|lb|n)\s*[)\]]?")
+#: How far the factors of dataset 164, some printed with four digits, may be from those of a label.
+SAME = 1e-3
+#: Where the number of functions goes in a note; in no path or label.
+_COUNT = "\0"
+
+
+def in_si(
+    functions: Sequence[Function], kind: Response, files: Sequence[UniversalFile], notes: list[str]
+) -> list[Complexes]:
+    """The values of these functions in SI, (n_lines,) each; `notes` say what was converted."""
+    given = [item for file in files for item in file.contents if isinstance(item, Units)]
+    said: Counter[str] = Counter()
+    values: list[Complexes] = []
+    for function in functions:
+        factor, note = _factor(function, kind, _units_at(function, given))
+        said[note] += 1
+        values.append(np.asarray(function.values * factor, dtype=np.complex128))
+    notes += [note.replace(_COUNT, str(count)) for note, count in said.items() if note]
+    return values
+
+
+def _factor(function: Function, kind: Response, units: Units | None) -> tuple[float, str]:
+    """What the values are multiplied by, and a note on it, empty where there is nothing to tell."""
+    path = function.place.path
+    by_file = None if units is None else _by_file(function, units)
+    motion, force = _labels(function, kind)
+    if motion is not None or force is not None:
+        return _by_labels(function, kind, (motion, force), by_file)
+    if by_file is not None:
+        factor = by_file[0] / by_file[1]
+        return factor, _converted(factor, f"{path}: dataset 164")
+    return 1.0, (
+        f"doubtful: {path}: {_COUNT} response functions are taken as SI (m, s, N): neither a "
+        "dataset 164 nor their unit labels tell their units"
+    )
+
+
+def _by_labels(
+    function: Function,
+    kind: Response,
+    labels: tuple[float | None, float | None],
+    by_file: tuple[float, float] | None,
+) -> tuple[float, str]:
+    """As `_factor`, where a label names the unit of motion or force, or both."""
+    motion, force = labels
+    file_motion, file_force = by_file or (1.0, 1.0)
+    factor = (motion or file_motion) / (force or file_force)
+    said = f"{function.place.path}: units {_label_text(function)}"
+    if by_file is None and (motion is None or force is None):
+        missing = "motion" if motion is None else "force"
+        times = "" if factor == 1.0 else f", the values are multiplied by {factor:.6g}"
+        return factor, (
+            f"doubtful: {said}: the {missing} of {_COUNT} functions is taken as SI{times}"
+        )
+    # accelerations in g go with any unit of length
+    in_g = motion == GRAVITY and kind == "accelerance"
+    if by_file is not None and (
+        (motion is not None and not in_g and not math.isclose(motion, file_motion, rel_tol=SAME))
+        or (force is not None and not math.isclose(force, file_force, rel_tol=SAME))
+    ):
+        return factor, (
+            f"doubtful: {said} of {_COUNT} response functions contradict dataset 164; the labels "
+            f"are taken (values times {factor:.6g})"
+        )
+    return factor, _converted(factor, said)
+
+
+def _converted(factor: float, source: str) -> str:
+    if math.isclose(factor, 1.0, rel_tol=1e-12):
+        return ""
+    return f"{source}: {_COUNT} response functions are converted to SI, times {factor:.6g}"
+
+
+def _labels(function: Function, kind: Response) -> tuple[float | None, float | None]:
+    """SI values of the units of motion and force that the labels name, nothing for unknown ones."""
+    numerator, denominator = function.unit, function.denominator_unit
+    ratio = _RATIO.fullmatch(numerator.strip().lower())
+    force = NEWTONS.get(denominator.strip().lower().strip("()[] "))
+    if ratio is not None:
+        numerator = ratio[1]
+        force = force or NEWTONS[ratio[2]]
+    found = motion_label(numerator)
+    fits = found is not None and found[1] == DERIVATIVES[kind]
+    # a label of a length at a rotation, or of a force at a moment, is none of its unit
+    motion = found[0] if found is not None and fits and abs(function.direction) <= 3 else None
+    return motion, force if abs(function.reference_direction) <= 3 else None
+
+
+def _by_file(function: Function, units: Units) -> tuple[float, float] | None:
+    """SI values of a file's units of this motion and force; nothing where it tells no force."""
+    if math.isnan(units.newtons):
+        return None
+    return (
+        units.metres if abs(function.direction) <= 3 else 1.0,
+        units.newtons * (1.0 if abs(function.reference_direction) <= 3 else units.metres),
+    )
+
+
+def _units_at(function: Function, given: Sequence[Units]) -> Units | None:
+    """The dataset 164 that goes for a function: of its file, the last before it, else the first."""
+    own = [units for units in given if units.place.path == function.place.path]
+    before = [units for units in own if units.place.line < function.place.line]
+    return before[-1] if before else own[0] if own else None
+
+
+def _label_text(function: Function) -> str:
+    labels = (function.unit, function.denominator_unit)
+    return " over ".join(repr(label) for label in labels if label and label.upper() != "NONE")
+
+
+def histories(contents: Sequence[Content], path: Path, notes: list[str]) -> list[TimeHistories]:
+    """Return the recordings of a file. A repeated channel begins a new recording.
+
+    Adds to the notes. Raises CampaignError where channels differ in times or quantities.
+    """
+    functions = [
+        item for item in contents if isinstance(item, Function) and item.kind == TIME_RESPONSE
+    ]
+    runs: list[list[Channel]] = []
+    seen: set[tuple[int, ...]] = set()
+    unknown = 0
+    for item in functions:
+        unit = channel_unit(item.unit)
+        quantity = -1 if item.numerator in FORCE_KINDS else ORDERS.get(item.numerator)
+        if (
+            item.node < 1
+            or not 1 <= abs(item.direction) <= 6
+            or (unit is None and quantity is None)
+        ):
+            notes.append(
+                f"{item.place}: a time history without node, direction or unit; passed over"
+            )
+            continue
+        unknown += unit is None
+        factor, order = unit or (1.0, quantity or 0)
+        name = item.node, abs(item.direction), order < 0
+        if not runs or name in seen:
+            runs.append([])
+            seen.clear()
+        seen.add(name)
+        sign = float(np.sign(item.direction))
+        values = np.asarray(item.values.real, dtype=np.float64)
+        runs[-1].append(
+            (item.node, abs(item.direction), sign, factor, order, values, item.abscissae,
+             str(item.place))
+        )  # fmt: skip
+    if unknown:
+        notes.append(
+            f"doubtful: {path}: {unknown} time histories are taken as SI: their labels tell no unit"
+        )
+    return [recording(run) for run in runs]

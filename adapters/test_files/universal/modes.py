@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modetune.adapters.test_files.universal.contents import DatasetShape, UniversalFile
+from modetune.adapters.test_files.universal.datasets import DatasetShape, UniversalFile
 from modetune.core.correlation.complexity import DOUBTFUL, modal_phase_collinearity, real_shapes
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import Complexes
@@ -31,21 +30,16 @@ SAME_VALUE = 1e-3
 HIGH = 0.2
 
 
-@dataclass(frozen=True, slots=True)
-class FoundModes:
-    """Measured modes; of complex ones how collinear their phases are, (n_modes,), 0 to 1, and the
-    shapes as they are, (n_dof, n_modes)."""
+def modes(
+    files: Sequence[UniversalFile], notes: list[str]
+) -> tuple[MeasuredModes | None, Complexes | None]:
+    """Return the modes of all files together and, if they are complex, their measured shapes.
 
-    measured: MeasuredModes
-    collinearity: Floats
-    complex_shapes: Complexes | None
-
-
-def modes(files: Sequence[UniversalFile], notes: list[str]) -> FoundModes | None:
-    """The modes of all files together, or nothing. Raises CampaignError for contradictions."""
+    The shapes are (n_dof, n_modes). Raises CampaignError for contradictions.
+    """
     shapes = [item for file in files for item in file.contents if isinstance(item, DatasetShape)]
     if not shapes:
-        return None
+        return None, None
     groups = _groups(shapes)
     merged = [_merged(group, notes) for group in groups]
     nodes = sorted({node for values in merged for node in values})
@@ -62,8 +56,8 @@ def modes(files: Sequence[UniversalFile], notes: list[str]) -> FoundModes | None
     rows, components = np.nonzero(kept)
     with_phase = any(np.iscomplexobj(shape.values) for group in groups for shape in group)
     found = table[kept] if with_phase else table[kept].real
-    collinearity = modal_phase_collinearity(found) if np.iscomplexobj(found) else np.zeros(0)
-    _note_complex(found, collinearity, numbers, notes)
+    if np.iscomplexobj(found):
+        _note_complex(modal_phase_collinearity(found), numbers, notes)
     leaders = [_strongest(group) for group in groups]
     measured = ModeSet(
         frequencies_hz=np.array([shape.frequency_hz for shape in leaders]),
@@ -74,7 +68,7 @@ def modes(files: Sequence[UniversalFile], notes: list[str]) -> FoundModes | None
         normalisation="mass" if _unit_mass(shapes) else "unknown",
     )
     as_measured = np.asarray(found, dtype=np.complex128) if np.iscomplexobj(found) else None
-    return FoundModes(MeasuredModes(numbers, measured), collinearity, as_measured)
+    return MeasuredModes(numbers, measured), as_measured
 
 
 def _groups(shapes: Sequence[DatasetShape]) -> list[list[DatasetShape]]:
@@ -217,11 +211,7 @@ def _numbers(groups: Sequence[Sequence[DatasetShape]], notes: list[str]) -> tupl
     return tuple(range(1, len(groups) + 1))
 
 
-def _note_complex(
-    found: Complexes | Floats, collinearity: Floats, numbers: tuple[int, ...], notes: list[str]
-) -> None:
-    if not np.iscomplexobj(found):
-        return
+def _note_complex(collinearity: Floats, numbers: tuple[int, ...], notes: list[str]) -> None:
     each = ", ".join(
         f"mode {number} {value:.3f}" for number, value in zip(numbers, collinearity, strict=True)
     )

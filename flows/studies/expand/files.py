@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.test_files.writing import check_out, write_modes
+from modetune.adapters.test_files.measurements import check_out, write_modes
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import MeasuredModes

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.pole_estimators import lscf_poles
-from modetune.adapters.test_files import writing
+from modetune.adapters.test_files import measurements
 from modetune.core.brief import brief
 from modetune.core.correlation.complexity import DOUBTFUL, modal_phase_collinearity, real_shapes
 from modetune.core.correlation.correlation import auto_mac
@@ -308,7 +308,7 @@ def write_modes(
     path: Path, found: Identification, geometry: TestGeometry | None, source: str
 ) -> None:
     """Write the real modes. Raises StorageUnavailable, CampaignError for an unknown ending."""
-    writing.write_modes(path, found.modes, geometry, comments(found, source))
+    measurements.write_modes(path, found.modes, geometry, comments(found, source))
 
 
 def comments(found: Identification, source: str) -> tuple[str, ...]:

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from modetune.adapters.test_files.histories import read_histories
-from modetune.adapters.test_files.kinds import kind_of
-from modetune.adapters.test_files.measurements import inspect_files, read_measurement
+from modetune.adapters.test_files.file_kind import kind_of
+from modetune.adapters.test_files.measurements import (
+    inspect_files,
+    read_histories,
+    read_measurement,
+)
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.time_histories import (

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import signal
 
 from modetune.adapters.pole_estimators import ssi_poles
-from modetune.adapters.test_files import writing
+from modetune.adapters.test_files import measurements
 from modetune.core.brief import brief
 from modetune.core.correlation.complexity import modal_phase_collinearity, real_shapes
 from modetune.core.correlation.correlation import auto_mac
@@ -92,7 +92,7 @@ def write_identified(
         write_modes(path, found, test.geometry, source)
     else:
         said = f"identified by modetune from {' '.join(source.split())}", *test.notes, *found.notes
-        writing.write_modes(path, found.modes, test.geometry, said)
+        measurements.write_modes(path, found.modes, test.geometry, said)
 
 
 def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> OperationalModes:

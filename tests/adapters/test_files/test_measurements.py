@@ -13,7 +13,7 @@ from modetune.adapters.test_files.geometry_csv import write_geometry_csv
 from modetune.adapters.test_files.hdf5 import write_test_hdf5
 from modetune.adapters.test_files.measurements import inspect_files, read_measurement
 from modetune.adapters.test_files.modes_csv import write_modes_csv
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
 from modetune.core.modes import MeasuredModes

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from modetune.adapters.test_files.hdf5 import read_test_hdf5, write_test_hdf5
 from modetune.adapters.test_files.modes_csv import read_modes_csv, read_test_csv, write_modes_csv
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredDeviations
 from modetune.core.modes import ModeSet, mode_set

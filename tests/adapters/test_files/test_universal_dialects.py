@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modetune.adapters.test_files.kinds import kind_of
+from modetune.adapters.test_files.file_kind import kind_of
 from modetune.adapters.test_files.universal.file import read_universal
 from modetune.core.measurement.measurement import Measurement
 from tests.adapters.test_files.universal_text import (
@@ -34,7 +34,7 @@ VALUES = [complex(n, -n) for n in range(1, 9)]
 
 
 def read(folder: Path, *datasets: str | bytes) -> tuple[Measurement, str]:
-    found = read_universal([save(folder / "lab.unv", *datasets)]).measurement
+    found = read_universal([save(folder / "lab.unv", *datasets)])[0]
     return found, "\n".join(found.notes)
 
 

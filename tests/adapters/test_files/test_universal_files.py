@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.test_files.measurements import read_measurement
+from modetune.adapters.test_files.measurements import inspect_files, read_measurement
 from modetune.adapters.test_files.universal.file import read_universal
 from modetune.core.errors import CampaignError
 
@@ -56,10 +56,10 @@ def test_every_file_is_in_the_table(shared_data: Path) -> None:
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_holds_what_its_text_says(shared_data: Path, name: str) -> None:
     expected = FILES[name]
-    test = read_universal([shared_data / "uff" / name])
-    measurement = test.measurement
-    assert test.files[0].datasets == expected.datasets
-    assert test.n_functions == expected.functions
+    path = shared_data / "uff" / name
+    measurement, files = read_universal([path])
+    assert files[0].datasets == expected.datasets
+    assert inspect_files([path]).n_functions == expected.functions
     assert measurement.frfs is None  # none of the files has a response function with its places
     points, modes = measurement.geometry, measurement.modes
     found = (
@@ -138,7 +138,7 @@ def test_a_complex_mode_has_the_frequency_and_damping_of_its_pole(shared_data: P
 
 def test_both_forms_of_one_recording_hold_the_same_values(shared_data: Path) -> None:
     # one recording exported twice, as text with 6 digits and as binary
-    from modetune.adapters.test_files.universal.contents import Function
+    from modetune.adapters.test_files.universal.datasets import Function
     from modetune.adapters.test_files.universal.file import read_file
 
     found = [
@@ -154,7 +154,7 @@ def test_both_forms_of_one_recording_hold_the_same_values(shared_data: Path) -> 
 
 
 def test_binary_values_of_eight_bytes_end_before_their_mark(shared_data: Path) -> None:
-    from modetune.adapters.test_files.universal.contents import Function
+    from modetune.adapters.test_files.universal.datasets import Function
     from modetune.adapters.test_files.universal.file import read_file
 
     content = read_file(shared_data / "uff" / "binary8byte.uff").contents[0]
@@ -165,7 +165,7 @@ def test_binary_values_of_eight_bytes_end_before_their_mark(shared_data: Path) -
 
 
 def test_a_last_row_that_is_not_full_is_read(shared_data: Path) -> None:
-    from modetune.adapters.test_files.universal.contents import Function
+    from modetune.adapters.test_files.universal.datasets import Function
     from modetune.adapters.test_files.universal.file import read_file
 
     path = shared_data / "uff" / "time-history-not-all-columns-filled.uff"

@@ -28,7 +28,7 @@ ENDS = (7, -3, 12, 2)
 
 
 def read(path: Path) -> tuple[MeasuredFrfs, str]:
-    measurement = read_universal([path]).measurement
+    measurement = read_universal([path])[0]
     assert measurement.frfs is not None
     return measurement.frfs, "\n".join(measurement.notes)
 
@@ -261,7 +261,7 @@ def test_a_factor_of_forces_that_can_be_none_leaves_si_and_the_unit_of_length(
         nodes_15((7, 0, 0, (1, 2, 3))),
         even_58(VALUES, ENDS),
     )
-    measurement = read_universal([path]).measurement
+    measurement = read_universal([path])[0]
     assert measurement.frfs is not None
     assert measurement.geometry is not None
     assert measurement.frfs.values[:, 0].tolist() == VALUES

@@ -16,7 +16,7 @@ HZ = 2.0 * np.pi
 
 
 def read(*paths: Path) -> tuple[ModeSet, tuple[int, ...], str]:
-    measurement = read_universal(paths).measurement
+    measurement = read_universal(paths)[0]
     assert measurement.modes is not None
     return measurement.modes.modes, measurement.modes.numbers, "\n".join(measurement.notes)
 

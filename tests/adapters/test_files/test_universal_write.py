@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 
 from modetune.adapters.test_files.measurements import read_measurement
-from modetune.adapters.test_files.universal.contents import Function
-from modetune.adapters.test_files.universal.file import read_universal
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.datasets import Function
+from modetune.adapters.test_files.universal.file import read_universal, write_universal
 from modetune.core.errors import ModesError, StorageUnavailable
 from modetune.core.measurement.measurement import Measurement
 from tests.adapters.test_files.measured_tests import Wanted, made, wanted_tests
@@ -94,9 +93,9 @@ def test_many_lines_go_into_several_traces(tmp_path: Path) -> None:
     test = made(Wanted(3, n_nodes=300, parts=(False, True, False)))
     assert test.geometry is not None
     write_universal(tmp_path / "t.unv", test)
-    read = read_universal([tmp_path / "t.unv"])
-    assert read.files[0].datasets.count("82") == 4  # 299 lines, 83 in a trace of 250 numbers
-    same_points(test, read.measurement)
+    measurement, files = read_universal([tmp_path / "t.unv"])
+    assert files[0].datasets.count("82") == 4  # 299 lines, 83 in a trace of 250 numbers
+    same_points(test, measurement)
 
 
 def test_a_fine_uneven_grid_is_refused_rather_than_rounded(tmp_path: Path) -> None:
@@ -145,7 +144,7 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 
 def test_metres_that_are_not_known_are_not_written(tmp_path: Path) -> None:
     write_universal(tmp_path / "t.unv", made(Wanted(7, metres=math.nan)))
-    assert "164" not in read_universal([tmp_path / "t.unv"]).files[0].datasets
+    assert "164" not in read_universal([tmp_path / "t.unv"])[1][0].datasets
 
 
 @pytest.mark.parametrize("metres", [0.0254, math.nan])
@@ -159,11 +158,11 @@ def test_functions_are_written_in_the_units_that_the_file_tells(
         components=np.where(np.arange(test.frfs.nodes.size) % 2, 2, test.frfs.components),
     )
     write_universal(tmp_path / "t.unv", replace(test, frfs=turned))
-    read = read_universal([tmp_path / "t.unv"])
-    assert read.measurement.frfs is not None
-    np.testing.assert_allclose(read.measurement.frfs.values, turned.values, rtol=1e-10)
-    assert not any("contradict" in note for note in read.measurement.notes)
-    written = [item for item in read.files[0].contents if isinstance(item, Function)]
+    measurement, files = read_universal([tmp_path / "t.unv"])
+    assert measurement.frfs is not None
+    np.testing.assert_allclose(measurement.frfs.values, turned.values, rtol=1e-10)
+    assert not any("contradict" in note for note in measurement.notes)
+    written = [item for item in files[0].contents if isinstance(item, Function)]
     # the second is a translation over a force: in inches a newton it is SI divided by 0.0254
     expected = turned.values[:, 1] / (1.0 if math.isnan(metres) else metres)
     np.testing.assert_allclose(written[1].values, expected, rtol=1e-10)

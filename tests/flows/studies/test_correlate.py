@@ -20,7 +20,7 @@ from modetune.adapters.test_files.geometry_csv import write_geometry_csv
 from modetune.adapters.test_files.hdf5 import write_test_hdf5
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.test_files.modes_csv import write_modes_csv
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.errors import CampaignError, ModesError, ModetuneError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import MeasuredModes, ModeSet, dof_name, mode_set

@@ -14,7 +14,7 @@ import pytest
 
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.test_files.modes_csv import read_modes_csv
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.frf import NormalModes, Response, modal_frf

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 import pytest
 
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.modes import MeasuredModes, mode_set
 from tests.adapters.test_files.universal_text import mode_55, save

@@ -13,7 +13,7 @@ import pyuff
 from scipy import linalg
 
 import modetune
-from modetune.adapters.test_files.histories import read_histories
+from modetune.adapters.test_files.measurements import read_histories
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.time_histories import TimeHistories, response_functions

@@ -12,7 +12,7 @@ from scipy import linalg
 
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.nastran.solver import mystran_solver
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement

@@ -12,7 +12,7 @@ import pytest
 
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
-from modetune.adapters.test_files.universal.write import write_universal
+from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.measurement.frf import NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.modes import Floats, MeasuredModes, mode_set

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from modetune.adapters.test_files.kinds import kind_of
+from modetune.adapters.test_files.file_kind import kind_of
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from tests.adapters.test_files.result_decks import bracket, ladder

@@ -26,7 +26,7 @@ ROOT_HALF = math.sqrt(0.5)
 
 
 def read(*paths: Path) -> tuple[TestGeometry, str]:
-    measurement = read_universal(paths).measurement
+    measurement = read_universal(paths)[0]
     assert measurement.geometry is not None
     return measurement.geometry, "\n".join(measurement.notes)
 
@@ -195,7 +195,7 @@ def test_lines_to_nodes_without_a_place_are_left_out_and_told(tmp_path: Path) ->
 def test_points_and_shapes_may_come_from_two_files(tmp_path: Path) -> None:
     first = save(tmp_path / "a.unv", nodes_15((1, 0, 0, (0, 0, 0)), (2, 0, 0, (1, 0, 0))))
     second = save(tmp_path / "b.unv", mode_55(1, 5.0, {1: [1, 0, 0], 3: [1, 0, 0]}))
-    measurement = read_universal([first, second]).measurement
+    measurement = read_universal([first, second])[0]
     assert measurement.geometry is not None
     assert measurement.modes is not None
     assert "1 of 2 points have no shape" in measurement.notes
@@ -268,7 +268,7 @@ def test_axes_of_2420_are_found_by_program_and_drawing(
 @pytest.mark.parametrize("axes", ["rows", "columns"])
 def test_axes_of_2420_as_asked(tmp_path: Path, axes: Literal["rows", "columns"]) -> None:
     path = turned_test(tmp_path, "Simcenter Testlab 2021.1", -1)
-    found = read_universal([path], axes).measurement
+    found = read_universal([path], axes)[0]
     assert found.geometry is not None
     expected = np.array(TURNED) if axes == "rows" else np.array(TURNED).T
     np.testing.assert_allclose(found.geometry.frames[0], expected, atol=1e-15)

@@ -1,7 +1,7 @@
-"""What a file is, by its first bytes and never by its name.
+"""The kind of a test file, by its first bytes and never by its name.
 
-A name says what somebody meant; the content says what there is. What modetune reads has a form;
-what it does not read is told by what it is, with what to do about it.
+A name shows an intention, the content shows the file. A form that modetune reads has a `Format`;
+any other file gets a description and a remedy.
 """
 
 from __future__ import annotations
@@ -9,12 +9,16 @@ from __future__ import annotations
 import re
 import struct
 import zipfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.core.errors import CampaignError
+from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.time_histories import TimeHistories
+from modetune.core.modes import ModeSet
 from modetune.core.near_names import listed
 from modetune.core.storage.seal import title_of
 
@@ -22,14 +26,25 @@ Form = Literal[
     "universal", "table", "workbook", "hdf5", "mat", "op2", "f06", "punch", "frd", "nastran hdf5",
     "", "unknown",
 ]  # fmt: skip
+#: What the axes of a coordinate system are in the matrices of a file that leaves it open.
+Axes = Literal["rows", "columns", "auto"]
+#: The form that a suffix promises: forms that are written, and what a damaged file was meant to be.
+SUFFIXES: dict[str, Form] = {
+    ".csv": "table",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+    ".unv": "universal",
+    ".uff": "universal",
+    ".uf": "universal",
+}
 #: The title of modetune's own HDF5 (`hdf5.py`).
 OWN_TITLE = "modetune test data"
-#: Bytes that are looked at: the echo of a deck stands before the first heading of a print file.
+#: Bytes that are examined: a print file has the echo of its deck before the first heading.
 START = 1 << 16
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 NUMBERS = "ask for the numbers as a universal file, CSV or an Excel workbook"
 
-#: What begins with these bytes, and what to do about it.
+#: First bytes of files that nothing reads, what these files are, and the remedy.
 BINARY: tuple[tuple[bytes, str, str], ...] = (
     (b"%PDF-", "a PDF document", NUMBERS),
     (b"\x89PNG", "a picture (PNG)", NUMBERS),
@@ -45,7 +60,7 @@ BINARY: tuple[tuple[bytes, str, str], ...] = (
     (b"SQLite format 3", "an SQLite database", NUMBERS),
     (b"\x80\x04\x95", "a pickle of Python, which may run anything", NUMBERS),
 )
-#: What has such lines near its start, the first that fits: form, pattern, what it is, remedy.
+#: Lines near the start of a text, the first that matches: form, pattern, description, remedy.
 TEXT: tuple[tuple[Form, str, str, str], ...] = (
     ("universal", r"^ {4}-1[ \t]*\r?\n {0,5}\d{1,5}b?\b|\A\s*-1[ \t]*\r?\n[ \t]*\d{2,4}b?[ \t\r]*$",
      "a universal file", ""),
@@ -70,18 +85,37 @@ TEXT: tuple[tuple[Form, str, str, str], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class FileKind:
-    """form: what reads it, empty where nothing does, `unknown` where bytes do not tell.
+    """What a file is: its form, a description with an article, and a remedy if nothing reads it.
 
-    said: what it is, in words, with an article; remedy: what to do where it is not read.
+    form: empty for files that nothing reads, `unknown` where the bytes do not show it.
     """
 
     form: Form
-    said: str
+    description: str
     remedy: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Format:
+    """What can be done with the files of a format; `measurements.FORMATS` has the list.
+
+    read: read one file. read_together: read all files of a test that have this format as one, with
+    the names of the datasets of each, and the number of functions in them. read_modes: read all
+    modes of a model, rigid ones and rotations too. read_histories: read time histories, with notes.
+    """
+
+    read: Callable[[Path, FileKind], Measurement] | None = None
+    read_together: (
+        Callable[[Sequence[Path], Axes], tuple[Measurement, dict[Path, tuple[str, ...]], int]]
+        | None
+    ) = None
+    read_modes: Callable[[Path, FileKind], ModeSet] | None = None
+    read_histories: Callable[[Path, list[str]], list[TimeHistories]] | None = None
+    write: Callable[[Path, Measurement], None] | None = None
+
+
 def kind_of(path: Path) -> FileKind:
-    """What a file is. Raises CampaignError where it cannot be opened."""
+    """Return what a file is. Raises CampaignError where it cannot be opened."""
     with read_errors(f"test file {path}", CampaignError), open_regular(path) as file:
         start = file.read(START)
     if not start:
@@ -104,9 +138,9 @@ def _binary(path: Path, start: bytes) -> FileKind | None:
         return FileKind("op2", "a result file of Nastran (.op2)")
     if _is_mat_4(start):
         return FileKind("mat", "a MATLAB 4 file")
-    for mark, said, remedy in BINARY:
+    for mark, description, remedy in BINARY:
         if start.startswith(mark):
-            return FileKind("", said, remedy)
+            return FileKind("", description, remedy)
     return None
 
 
@@ -114,16 +148,16 @@ def _text(start: bytes) -> FileKind:
     marked = start.startswith((b"\xff\xfe", b"\xfe\xff"))
     binary = b"\0" in start and not marked  # of text, universal files alone may have such values
     text = start.decode("utf-16" if marked else "utf-8-sig", "replace")
-    for form, pattern, said, remedy in TEXT[: 1 if binary else None]:
+    for form, pattern, description, remedy in TEXT[: 1 if binary else None]:
         if re.search(pattern, text, re.MULTILINE | (0 if form else re.IGNORECASE)):
-            return FileKind(form, said, remedy)
+            return FileKind(form, description, remedy)
     if binary:
         return FileKind("unknown", "a binary file of an unknown form", NUMBERS)
     return FileKind("table", "a table as text")
 
 
 def _archive(path: Path) -> FileKind:
-    """What a ZIP archive is the clothing of."""
+    """Return what a ZIP archive is: a workbook, a document, arrays or only an archive."""
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
@@ -133,19 +167,19 @@ def _archive(path: Path) -> FileKind:
         return FileKind("workbook", "an Excel workbook")
     if "xl/workbook.bin" in names:
         return FileKind("", "a binary Excel workbook (.xlsb)", "save it as .xlsx")
-    for part, said in (("word/", "a Word document"), ("ppt/", "a PowerPoint presentation")):
+    for part, description in (("word/", "a Word document"), ("ppt/", "a PowerPoint presentation")):
         if any(name.startswith(part) for name in names):
-            return FileKind("", said, NUMBERS)
+            return FileKind("", description, NUMBERS)
     if "content.xml" in names:
         return FileKind("", "an OpenDocument file", "save it as .xlsx or CSV")
-    told = listed(names, 4)
+    members = listed(names, 4)
     if names and all(name.endswith(".npy") for name in names):
-        return FileKind("", f"an archive of NumPy's arrays ({told})", NUMBERS)
-    return FileKind("", f"a ZIP archive of {told or 'nothing'}", "unpack it")
+        return FileKind("", f"an archive of NumPy's arrays ({members})", NUMBERS)
+    return FileKind("", f"a ZIP archive of {members or 'nothing'}", "unpack it")
 
 
 def _is_op2(start: bytes) -> bool:
-    """Whether the first record is one word, a mark, in the byte order of any machine."""
+    """Return whether the first record is one word, a mark, in any byte order."""
     for order in "<>":
         (length,) = struct.unpack(f"{order}i", start[:4]) if len(start) >= 4 else (0,)
         if length in (4, 8) and start[4 + length : 8 + length] == start[:4]:
@@ -154,7 +188,7 @@ def _is_op2(start: bytes) -> bool:
 
 
 def _is_mat_4(start: bytes) -> bool:
-    """Whether a matrix's head of five numbers and its name stand first."""
+    """Return whether the file starts with the five numbers and the name of a matrix."""
     if len(start) < 24:
         return False
     for order in "<>":
