@@ -35,7 +35,7 @@ PARTS = (
     ("modes from matrices", ("core/algebra/",)),
     ("reduced models", ("core/updating/reduced", "core/updating/matrix_samples.py")),
     ("parameter matrices", ("core/updating/parameter_matrices.py",)),
-    ("report", ("flows/report/", "flows/updating/artifacts.py")),
+    ("report", ("flows/report/", "flows/server/artifacts.py")),
     ("reading results", ("adapters/calculix/", "adapters/matrices/", "adapters/nastran/")),
     ("store and record", ("core/storage/",)),
     ("pairing, steps", ("core/correlation/", "core/updating/")),

@@ -42,11 +42,11 @@ from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.jobs.silent_runs import TAG
 from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import Runner
+from modetune.flows.server.artifacts import files_sheet, result_sheets, table_sheet
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
 from modetune.flows.studies.catalogue import STUDIES, find_study
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Opened, Study
-from modetune.flows.updating.artifacts import files_sheet, result_sheets, table_sheet
 from modetune.flows.updating.forecast import Progress, Unwatched
 from modetune.flows.updating.record import CampaignRun
 

@@ -35,7 +35,7 @@ from modetune.core.storage.record import IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.jobs.server_client import ServerClient, ServerRefused
 from modetune.flows.jobs.silent_runs import BEAT_S, send_heartbeat
-from modetune.flows.updating.artifacts import Sheet, progress_sheets
+from modetune.flows.server.artifacts import Sheet, progress_sheets
 from modetune.flows.updating.display import iteration_line
 from modetune.flows.updating.forecast import Progress
 

@@ -17,7 +17,7 @@ from modetune.flows.jobs.store_files import campaigns_running
 from modetune.flows.report.iteration_tables import iteration_table
 from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_table
 from modetune.flows.report.tables import Table
-from modetune.flows.updating.campaign_log import LOG
+from modetune.flows.updating.update import LOG
 
 #: Lines of the log that are shown.
 LAST_LINES = 12

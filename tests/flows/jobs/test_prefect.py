@@ -18,7 +18,7 @@ from modetune.core.parameters import Parameter
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.updating import artifacts
+from modetune.flows.server import artifacts
 from modetune.flows.updating.update import is_unchanged, read_earlier, start_of, update_campaign
 from tests.flows.conftest import Bench, ChainDeck, Watcher, recased
 

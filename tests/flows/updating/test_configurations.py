@@ -22,8 +22,8 @@ from modetune.flows.jobs.execution import Execution
 from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.page import page
+from modetune.flows.server import artifacts
 from modetune.flows.studies.validate.validation import leave_one_out, leave_out
-from modetune.flows.updating import artifacts
 from modetune.flows.updating.baseline import Band, check_deck
 from modetune.flows.updating.display import pairing_lines
 from modetune.flows.updating.dry_run import dry_run
