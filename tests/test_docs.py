@@ -29,6 +29,8 @@ from tests.command_line import run_command
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
+#: Texts outside of docs/, whose links the site's build does not see.
+OUTSIDE = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
 CAMPAIGNS = sorted(
     path
     for path in (ROOT / "configs").rglob("*.yaml")
@@ -81,6 +83,46 @@ class Fetched(HTMLParser):
         address = dict(attrs).get(FETCHED.get(tag, ""))
         if address and dict(attrs).get("rel") not in ("canonical", "prev", "next"):
             self.addresses.append(address)
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    words = [re.sub(r"[^\w\s-]", "", heading).strip().lower() for heading in headings]
+    return {re.sub(r"[\s-]+", "-", each) for each in words}
+
+
+@pytest.mark.parametrize("page", OUTSIDE, ids=lambda page: page.name)
+def test_every_link_outside_of_the_site_leads_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text())
+    for link in links:
+        if "://" in link:
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name) if name else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+#: Names of docs pages in code, comments, messages and configurations.
+NAMED = re.compile(r"\bdocs/([\w-]+\.md)(?:#([\w-]+))?")
+
+
+def test_every_page_that_the_tree_names_exists() -> None:
+    folders = ("core", "adapters", "flows", "configs", "tests", "tools", "benchmarks")
+    files = [
+        path
+        for folder in folders
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in (".py", ".js", ".html", ".yaml", ".yml", ".sh")
+    ]
+    files += [*OUTSIDE, ROOT / "Makefile", ROOT / "pyproject.toml", ROOT / "mkdocs.yml"]
+    named = [(path, *found) for path in files for found in NAMED.findall(path.read_text())]
+    assert len(named) > 10
+    for path, name, anchor in named:
+        assert (DOCS / name).is_file(), (path, name)
+        assert not anchor or anchor in anchors(DOCS / name), (path, name, anchor)
 
 
 def test_no_page_fetches_anything_from_the_network(site: Path) -> None:
@@ -271,7 +313,7 @@ def commands(group: Any, above: tuple[str, ...] = ()) -> dict[tuple[str, ...], s
     return found
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [*PAGES, *OUTSIDE[:2]], ids=lambda page: page.name)
 def test_every_command_line_of_the_pages_is_one(page: Path) -> None:
     known = commands(typer.main.get_command(app))
     blocks = re.findall(r"^```\w*\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
