@@ -95,7 +95,7 @@ def full_model(campaign: Campaign, values: Values) -> FullModel:
         raise CampaignError(
             f"this requires stiffness and mass matrices, which {solver.program.name} does not give "
             f"for {solver.deck.summary.name}; `--solver` names another program, or `--solver "
-            "matrices` with a file that names matrices (docs/matrices.md)"
+            "matrices` with a file that names matrices (docs/models.md)"
         )
     engine = job_engine(campaign)
     (outcome,) = solved(engine, [Job(values, MatrixAnalysis())], "matrices")

@@ -63,7 +63,7 @@ def test_another_model_is_met_as_the_thesis_meets_its_test(run: CampaignRun) -> 
     assert record.status == "converged"
     assert record.iterations[-1].number <= 6  # thesis: six iterations
     first, last = record.iterations[0], record.best
-    # As near to Table 26 as the search for the true fixture came (docs/fixture.md).
+    # As near to Table 26 as the search for the true fixture came (docs/thesis.md).
     np.testing.assert_allclose(np.abs(first.frequency_errors), THESIS_BEFORE, atol=0.015)
     np.testing.assert_allclose(first.pairing.mac, THESIS_MAC_BEFORE, atol=0.05)
     assert (np.abs(last.frequency_errors) <= THESIS_AFTER).all()

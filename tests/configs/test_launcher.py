@@ -265,7 +265,7 @@ def test_frequencies_settle_from_above_with_refinement(coarse: ModalResult, tmp_
     own = [0, 1, 3]  # the control unit's frequencies are those of its mounts
     fall = 1.0 - finer.modes.frequencies_hz[own] / coarse.modes.frequencies_hz[own]
     # A mechanism, or a hinge where a joint should be, would fall further and on and on; from here
-    # to 300,000 degrees of freedom it is a few per cent again (docs/launcher.md).
+    # to 300,000 degrees of freedom it is a few per cent again (docs/thesis.md).
     assert ((fall > 0.0) & (fall < 0.03)).all()
 
 

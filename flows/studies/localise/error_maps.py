@@ -69,7 +69,7 @@ def why_no_maps(campaign: Campaign) -> str:
     if not solver.deck.summary.matrix_shapes:
         return (
             "maps need matrices that tell the motion of nodes, which those of "
-            f"{solver.deck.summary.name} do not (docs/matrices.md)"
+            f"{solver.deck.summary.name} do not (docs/models.md)"
         )
     return ""
 
