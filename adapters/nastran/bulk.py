@@ -22,6 +22,7 @@ import numpy as np
 from pyNastran.bdf.bdf import BDF
 from pyNastran.bdf.bdf_interface.utils import fill_dmigs
 
+from modetune.adapters.nastran.cards import CARDS, idents_of
 from modetune.adapters.nastran.deck import NastranDeck, texts_at, with_lines
 from modetune.adapters.nastran.fields import LOST, NAME, NastranCard, read_cards, read_number
 from modetune.adapters.nastran.harmless import HARMLESS, TEMPERATURE_DEPENDENT
@@ -53,8 +54,6 @@ OF_THE_RUN = frozenset(("PARAM", "EIGR", "EIGRL", "EIGB", "EIGC", "EIGP"))
 INTEGER = re.compile(r"[+-]?\d+")
 #: Nastran's integers have 32 bits.
 LARGEST = 2**31 - 1
-#: Cards that hold several properties, and the fields in which their numbers stand.
-SEVERAL = {"PELAS": (1, 5), "PVISC": (1, 5), "PDAMP": (1, 3, 5, 7)}
 #: Cards that fill blank fields of others, by the others' name.
 DEFAULTS = {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
 #: Coordinate systems given by three points.
@@ -68,7 +67,8 @@ SCALAR = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4", "CDAMP5")
 ENDS_AT = {"CMASS1": (3, 5), "CMASS2": (3, 5)}
 #: Elements that never have any.
 NO_MASS = (
-    *SCALAR, "CELAS1", "CELAS2", "CBUSH1D", "CBUSH2D", "CGAP", "CVISC", "CDAMP1", "CDAMP2", "GENEL",
+    *SCALAR, "CGAP", "GENEL",
+    *(row.name for row in CARDS.values() if row.form in ("scalar", "line") or row.unfollowed),
 )  # fmt: skip
 
 Cards = Mapping[int, tuple[NastranCard, ...]]
@@ -173,7 +173,7 @@ def unused_properties(deck: NastranDeck) -> frozenset[NastranCard]:
         if card.name.startswith("P")
         and card.name not in HARMLESS
         and card.text(1).isdecimal()
-        and not used & {card.text(place) for place in SEVERAL.get(card.name, (1,))}
+        and not used & {card.text(place) for place in idents_of(card.name)}
     )
 
 
@@ -270,7 +270,7 @@ def _owners(deck: NastranDeck, bulk: Bulk) -> Owners:
         found = families.get(slots.get(card.name, ""))
         if found is None:
             continue
-        for field in SEVERAL.get(card.name, (1,)):
+        for field in idents_of(card.name):
             if INTEGER.fullmatch(card.text(field)):
                 number = int(card.text(field))
                 found[number] = (*found.get(number, ()), card)

@@ -15,10 +15,9 @@ import numpy as np
 
 from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
 from modetune.adapters.deck_numbers import Number
+from modetune.adapters.nastran.cards import CARDS, fields_of, holds
 from modetune.adapters.nastran.fields import NastranCard
 from modetune.adapters.nastran.mesh import bush_axes, bush_place, output_frames
-from modetune.adapters.nastran.places import ELEMENT_ENTRIES, MATERIAL_ENTRIES
-from modetune.adapters.nastran.sections import FIELDS, holds, section_entries
 from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.solver import Deck
 from modetune.core.errors import ModelError
@@ -26,13 +25,10 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, Quantity
 from modetune.core.updating.damping import DampingKind, Linear
 
-LAMINATES = ("PCOMP", "PCOMPG")
-SCALAR = ("CDAMP1", "CDAMP2", "CDAMP3", "CDAMP4", "CELAS1", "CELAS2", "CELAS3", "CELAS4")
-LINES = ("CBUSH", "CVISC")
-#: Dampers that are not followed.
-OTHERS = {"CBUSH1D": "c", "CBUSH2D": "b1"}
-#: Items of a PVISC: along the line, and about it.
-ALONG, ABOUT = 1, 2
+#: Forms of elements that act along axes in space.
+LINES = ("line", "bush")
+#: Items of a card: its one number, and of a PVISC along the line, and about it.
+WHOLE, ALONG, ABOUT = 0, 1, 2
 
 #: Degrees of freedom with their factors.
 Form = list[tuple[tuple[int, int], float]]
@@ -44,21 +40,20 @@ def damped_groups(structure: Structure) -> tuple[Parameter, ...]:
     used = set(structure.rods_of)
     for number, materials in structure.materials_of.items():
         (card,) = structure.owners.properties[number][:1]
-        if card.name not in LAMINATES:
+        if card.name not in CARDS or not CARDS[card.name].plies:
             used |= materials
-        elif structure.number(card, _loss_field(card)) is not None:
+        elif structure.deck.number(card, _loss_field(structure, card)) is not None:
             found.append(group("property", str(number)))
     for number in sorted(used & structure.owners.materials.keys()):
         card = structure.owners.materials[number][0]
-        known = ("structural_damping", card.name) in MATERIAL_ENTRIES
-        if known and structure.number(card, _loss_field(card)) is not None:
+        known = holds("structural_damping", card.name)
+        if known and structure.deck.number(card, _loss_field(structure, card)) is not None:
             found.append(group("material", str(number)))
     return tuple(found)
 
 
-def _loss_field(card: NastranCard) -> int:
-    entries = FIELDS if card.name in LAMINATES else MATERIAL_ENTRIES
-    ((_, field, _),) = entries["structural_damping", card.name]
+def _loss_field(structure: Structure, card: NastranCard) -> int:
+    ((_, field, _),) = fields_of(structure.deck, "structural_damping", card, int(card.text(1)))
     return field
 
 
@@ -77,8 +72,9 @@ def dampers(
             structure.owners.properties if item.by == "property" else structure.owners.materials
         )
         card = family[int(item.targets[0])][0]
-        place = structure.field(card, _loss_field(card))
-        value = structure.number(card, _loss_field(card)) or 0.0
+        number = _loss_field(structure, card)
+        place = structure.field(card, number)
+        value = structure.deck.number(card, number) or 0.0
         places.append(structure.deck.where(card))
         factors.append(known.of(place, value, places[-1]))
         shared = deck.affected_elements(item)
@@ -97,17 +93,23 @@ class _Links:
 
     def __init__(self, structure: Structure, known: Coefficients) -> None:
         self._structure, self._known, self._bulk = structure, known, structure.bulk
-        lines = [item for item in self._bulk.elements.values() if item.type in LINES]
+        self._rows = {
+            number: CARDS[item.type]
+            for number, item in sorted(self._bulk.elements.items())
+            if item.type in CARDS
+        }
+        lines = [self._bulk.elements[n] for n, row in self._rows.items() if row.form in LINES]
         ends = {n for item in lines for n in (*item.node_ids, getattr(item, "g0", None)) if n}
         self._places = {n: np.asarray(self._bulk.nodes[n].get_position()) for n in ends}
         self._frames = output_frames(self._bulk) if lines else {}
 
     def all(self) -> Iterator[Link]:
-        for number, element in sorted(self._bulk.elements.items()):
+        for number, row in self._rows.items():
+            element = self._bulk.elements[number]
             where = self._structure.deck.where(self._structure.owners.elements[number][0])
-            if element.type in OTHERS and getattr(element.pid_ref, OTHERS[element.type], None):
+            if row.unfollowed and getattr(element.pid_ref, row.unfollowed, None):
                 raise ModelError(f"{where}: damping of {element.type} is not followed: use CBUSH")
-            if element.type not in (*SCALAR, *LINES):
+            if not row.form:
                 continue
             try:
                 for kind, form, numbers in self._of(element):
@@ -117,27 +119,29 @@ class _Links:
                 raise ModelError(f"{where}: {element.type} {number}: {error}") from None
 
     def _of(self, element: Any) -> Iterator[tuple[DampingKind, Form, tuple[Linear, ...]]]:
-        if element.type == "CBUSH":
+        form = CARDS[element.type].form
+        if form == "bush":
             yield from self._bush(element)
-        elif element.type == "CVISC":
-            first, second = element.node_ids
-            span = self._places[second] - self._places[first]
-            axis = span / np.linalg.norm(span)
-            for item, start in ((ALONG, 1), (ABOUT, 4)):
-                number = self._number("viscous_damping", element, item)
-                if number is not None:
-                    ends = ((second, 1.0), (first, -1.0))
-                    form = [term for n, sign in ends for term in self._along(n, sign * axis, start)]
-                    yield "viscous", form, (number,)
-        elif element.type.startswith("CDAMP"):
-            number = self._number("viscous_damping", element)
-            if number is not None:
-                yield "viscous", _scalar(element), (number,)
-        else:
-            loss = self._number("structural_damping", element)
-            stiffness = self._number("spring_stiffness", element)
+            return
+        for item in (WHOLE, ALONG, ABOUT):
+            viscous = self._number("viscous_damping", element, item)
+            loss = self._number("structural_damping", element, item)
+            stiffness = self._number("spring_stiffness", element, item)
+            if viscous is None and (loss is None or stiffness is None):
+                continue
+            terms = _scalar(element) if form == "scalar" else self._line(element, item)
+            if viscous is not None:
+                yield "viscous", terms, (viscous,)
             if loss is not None and stiffness is not None:
-                yield "structural", _scalar(element), (loss, stiffness)
+                yield "structural", terms, (loss, stiffness)
+
+    def _line(self, element: Any, item: int) -> Form:
+        """The second end less the first one, along the line between them or about it."""
+        first, second = element.node_ids
+        span = self._places[second] - self._places[first]
+        axis, start = span / np.linalg.norm(span), 4 if item == ABOUT else 1
+        ends = ((second, 1.0), (first, -1.0))
+        return [term for node, sign in ends for term in self._along(node, sign * axis, start)]
 
     def _bush(self, element: Any) -> Iterator[tuple[DampingKind, Form, tuple[Linear, ...]]]:
         names: tuple[Quantity, ...] = ("viscous_damping", "structural_damping", "spring_stiffness")
@@ -177,14 +181,15 @@ class _Links:
     def _number(self, quantity: Quantity, element: Any, item: int = 0) -> Linear | None:
         """A number of an element or its property, None where its field is blank."""
         structure = self._structure
-        card = structure.owners.elements[element.eid][0]
-        entries = ELEMENT_ENTRIES.get((quantity, card.name))
-        if entries is None and isinstance(getattr(element, "pid", None), int):
-            card = structure.property_card(str(element.pid))
-            if holds(quantity, card.name):
-                entries = tuple(section_entries(structure, quantity, card, element.pid))
-        for _, field, _ in (entry for entry in entries or () if entry[0] == item):
-            value = structure.number(card, field)
+        card, ident = structure.owners.elements[element.eid][0], element.eid
+        pid = getattr(element, "pid", None)
+        if not holds(quantity, card.name) and pid in structure.elements_of:
+            card, ident = structure.property_card(str(pid)), pid
+        if not holds(quantity, card.name):
+            return None
+        fields = fields_of(structure.deck, quantity, card, ident)
+        for field in (at for own, at, _ in fields if own == item):
+            value = structure.deck.number(card, field)
             if value is not None:
                 return self._known.of(
                     structure.field(card, field), value, structure.deck.where(card)

@@ -16,7 +16,13 @@ from pathlib import Path
 
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
-from modetune.adapters.nastran.fields import CardField, NastranCard, changed_texts, read_cards
+from modetune.adapters.nastran.fields import (
+    CardField,
+    NastranCard,
+    changed_texts,
+    read_cards,
+    read_number,
+)
 from modetune.core.errors import ModelError
 
 INCLUDE = re.compile(r"\s*INCLUDE(?=[\s,='\"]|$)\s*[,=]?\s*(.*)", re.IGNORECASE)
@@ -56,6 +62,16 @@ class NastranDeck:
 
     def where(self, card: NastranCard) -> str:
         return self.lines[card.lines[0]].where
+
+    def number(self, card: NastranCard, field: int) -> float | None:
+        """A number of a card, None where the field is blank. Raises ModelError."""
+        found = card.fields[field] if field < len(card.fields) else None
+        if found is None:
+            return None
+        try:
+            return read_number(found.text)
+        except ValueError as error:
+            raise ModelError(f"{self.lines[found.line].where}: {error}") from None
 
 
 def read_deck(path: Path) -> NastranDeck:

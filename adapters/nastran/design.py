@@ -34,13 +34,13 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.deck_numbers import moved_numbers
+from modetune.adapters.nastran.cards import CARDS, station_rows
 from modetune.adapters.nastran.deck import with_lines
 from modetune.adapters.nastran.fields import NastranCard, format_number, read_number
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.op2 import Op2Table, Record, read_tables
 from modetune.adapters.nastran.places import ValuePlace
 from modetune.adapters.nastran.results import COMPONENTS
-from modetune.adapters.nastran.sections import station_rows
 from modetune.adapters.solver import SensitivityAnalysis
 from modetune.core.errors import ModelError, SolverCrashed
 from modetune.core.expressions import names_of, parts, read
@@ -232,9 +232,8 @@ def _coefficient(text: str) -> str:
 
 def _kind(place: ValuePlace, relation: int) -> str:
     """The card that ties one number of the model to design variables."""
-    owner = place.card.name
-    kind = "DVMREL" if owner.startswith("MAT") else "DVCREL" if owner.startswith("C") else "DVPREL"
-    return f"{kind}{relation}"
+    kinds = {"material": "DVMREL", "property": "DVPREL"}
+    return f"{kinds.get(CARDS[place.card.name].owner, 'DVCREL')}{relation}"
 
 
 def _head(number: int, place: ValuePlace) -> tuple[str, str, str, str, str]:

@@ -98,15 +98,15 @@ def _collect(
         if card.name == "LOAD":
             if number in above:
                 raise ModelError(f"{deck.where(card)}: LOAD {number} names itself")
-            whole = structure.number(card, 2) or 0.0
+            whole = structure.deck.number(card, 2) or 0.0
             for place in range(LOAD_PAIRS, len(card.fields), 2):
                 if card.text(place + 1):
-                    share = factor * whole * (structure.number(card, place) or 0.0)
+                    share = factor * whole * (structure.deck.number(card, place) or 0.0)
                     _collect(model, card.text(place + 1), share, (*above, number), found)
         elif card.name in FIRST:
             found.forces += _of_card(structure, card, factor)
         elif card.name == "GRAV":
-            size = factor * (structure.number(card, 3) or 0.0)
+            size = factor * (structure.deck.number(card, 3) or 0.0)
             found.acceleration = found.acceleration + size * _vector(structure, card, 2)
         else:
             found.spread += _pressed(model, card, factor)
@@ -132,7 +132,7 @@ def _vector(structure: Structure, card: NastranCard, frame_at: int) -> Floats:
     between) and follow for PLOAD4. Raises ModelError for a system that is not rectangular.
     """
     first = frame_at + (2 if card.name == "GRAV" else 1)
-    vector = np.array([structure.number(card, first + k) or 0.0 for k in range(3)])
+    vector = np.array([structure.deck.number(card, first + k) or 0.0 for k in range(3)])
     frame = _frame(structure, card, frame_at) if vector.any() else None
     if frame is not None and not frame.type.endswith("R"):
         where = structure.deck.where(card)
@@ -154,8 +154,8 @@ def _of_card(structure: Structure, card: NastranCard, factor: float) -> list[For
     frame, (grid,) = _frame(structure, card, 3), _grids(structure, card, [card.text(2)])
     point = structure.bulk.nodes[grid]
     place = np.asarray(point.get_position(), dtype=np.float64)
-    vector = np.array([structure.number(card, k) or 0.0 for k in (5, 6, 7)])
-    size = factor * (structure.number(card, 4) or 0.0)
+    vector = np.array([structure.deck.number(card, k) or 0.0 for k in (5, 6, 7)])
+    size = factor * (structure.deck.number(card, 4) or 0.0)
     values = local_axes(point.cd_ref, place) @ (local_axes(frame, place).T @ (size * vector))
     where = structure.deck.where(card)
     return [
@@ -168,7 +168,7 @@ def _of_card(structure: Structure, card: NastranCard, factor: float) -> list[For
 def _pressed(model: LoadedModel, card: NastranCard, factor: float) -> list[Force]:
     """A pressure at grid points, along a shell's normal, into a solid, or along a vector."""
     structure, mesh, vector = model.structure, model.mesh, np.zeros(3)
-    size = factor * (structure.number(card, 3 if card.name == "PLOAD4" else 2) or 0.0)
+    size = factor * (structure.deck.number(card, 3 if card.name == "PLOAD4" else 2) or 0.0)
     if card.name == "PLOAD":
         corners = _grids(structure, card, [card.text(k) for k in range(3, 7) if card.text(k)])
         faces = [Face(corners, SHAPES["S4" if len(corners) == 4 else "S3"])]
@@ -201,7 +201,7 @@ def _pressed(model: LoadedModel, card: NastranCard, factor: float) -> list[Force
 def _refuse_uneven(structure: Structure, card: NastranCard) -> None:
     """Raise ModelError for a PLOAD4 that is not one pressure along one direction."""
     where = structure.deck.where(card)
-    pressures = {structure.number(card, k) for k in (3, 4, 5, 6)} - {None}
+    pressures = {structure.deck.number(card, k) for k in (3, 4, 5, 6)} - {None}
     if len(pressures) > 1:
         raise ModelError(f"{where}: PLOAD4 that differs from corner to corner is not supported")
     if card.text(13) not in ("", "SURF") or card.text(14) not in ("", "NORM"):

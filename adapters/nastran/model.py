@@ -141,7 +141,7 @@ class NastranModel(Deck):
                     raise ModelError(f"{line.where}: {error}") from None
         for card in self.deck.named("PARAM"):
             if card.text(1) == "WTMASS":
-                return self.structure.number(card, 2) or 1.0
+                return self.structure.deck.number(card, 2) or 1.0
         return 1.0
 
     def targets(self) -> tuple[Target, ...]:
@@ -299,8 +299,8 @@ class NastranModel(Deck):
         if self.problems((parameter,)):
             return None
         items = (parameter, *driven_by(parameter, self.parameters))
-        places = [place for item in items for place in self.places(item)]
-        powers = powers_of(parameter, places, self.is_linear(parameter))
+        places = [self.places(item) for item in items]
+        powers = powers_of(parameter, places[0], self.is_linear(parameter))
         if not powers or (powers != (1,) and not (parameter.proportional and len(items) == 1)):
             return None
         whole = bool(self.energy_sets(parameter))

@@ -1,16 +1,8 @@
-"""Where a parameter stands in a Nastran deck: the fields of cards that hold its numbers.
-
-The tables give, for each quantity and card, the fields as the manuals number them. What no table
-can tell (a ply, a station of a tapered beam, a dimension of a cross-section, the K row of a bush)
-is found by the functions after them.
+"""Where a parameter stands in a Nastran deck, and what follows from the rows of its cards.
 
 Stiffness is linear in moduli of whole elements, springs and constants of bars without shear, mass
 in densities and masses (`NastranModel.is_linear`). What constraints and rigid elements eliminate
 moves to the grid points that it depends on.
-
-Of the thickness t of a plate MYSTRAN's elements have t in the plane, t^3 in bending, and of shear
-t^3 / (t^2 + c), with c by the element's size: no polynomial, but one of six powers through six
-thicknesses between half and double is off by 3e-6 of the stiffness and of the eigenvalues at most.
 """
 
 from __future__ import annotations
@@ -21,16 +13,8 @@ from dataclasses import dataclass
 
 from modetune.adapters.deck_numbers import FROM_ZERO, check_moved, check_one
 from modetune.adapters.nastran.bulk import Cards
+from modetune.adapters.nastran.cards import CARDS, Field, Numbers, fields_of, holds, station_rows
 from modetune.adapters.nastran.fields import NastranCard
-from modetune.adapters.nastran.sections import (
-    ACTS_WITH,
-    DEFAULTS,
-    STATION,
-    Entry,
-    check_end,
-    holds,
-    section_entries,
-)
 from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.solver import AffectedElements, Target
 from modetune.adapters.splitting import OF_MATERIALS
@@ -56,77 +40,23 @@ class ValuePlace:
     along: bool = False
 
 
-_MAT8_SHEAR = ((12, 5, "G12"), (13, 6, "G1Z"), (23, 7, "G2Z"))
-_MAT9 = ("11", "12", "13", "14", "15", "16", "22", "23", "24", "25", "26", "33", "34", "35",
-         "36", "44", "45", "46", "55", "56", "66")  # fmt: skip
-#: Numbers of materials by quantity and card.
-MATERIAL_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
-    # G goes along with E, so that Poisson's ratio stays and the stiffness is proportional.
-    ("youngs_modulus", "MAT1"): ((0, 2, "E"), (-1, 3, "G")),
-    ("youngs_modulus", "MAT2"): (
-        (11, 2, "G11"), (12, 3, "G12"), (13, 4, "G13"), (22, 5, "G22"), (23, 6, "G23"),
-        (33, 7, "G33"),
-    ),
-    ("youngs_modulus", "MAT8"): (
-        (1, 2, "E1"), (2, 3, "E2"), (-1, 5, "G12"), (-1, 6, "G1Z"), (-1, 7, "G2Z"),
-    ),
-    ("youngs_modulus", "MAT9"): tuple(
-        (int(pair), field, f"G{pair}") for field, pair in enumerate(_MAT9, start=2)
-    ),
-    ("shear_modulus", "MAT1"): ((0, 3, "G"),),
-    ("shear_modulus", "MAT8"): _MAT8_SHEAR,
-    ("poissons_ratio", "MAT1"): ((0, 4, "NU"),),
-    ("poissons_ratio", "MAT8"): ((0, 4, "NU12"),),
-    ("density", "MAT1"): ((0, 5, "RHO"),),
-    ("density", "MAT2"): ((0, 8, "RHO"),),
-    ("density", "MAT3"): ((0, 8, "RHO"),),
-    ("density", "MAT8"): ((0, 8, "RHO"),),
-    ("density", "MAT9"): ((0, 23, "RHO"),),
-    ("density", "MAT10"): ((0, 3, "RHO"),),
-    ("density", "MAT11"): ((0, 11, "RHO"),),
-    ("structural_damping", "MAT1"): ((0, 8, "GE"),),
-    ("structural_damping", "MAT2"): ((0, 12, "GE"),),
-    ("structural_damping", "MAT8"): ((0, 17, "GE"),),
-    ("structural_damping", "MAT9"): ((0, 31, "GE"),),
-}  # fmt: skip
-#: Offsets of both ends of a bar or beam, their fields after the pin flags.
-_ENDS = tuple((place, 10 + place, f"W{place - 3 * (place > 3)}{'AB'[place > 3]}")
-              for place in range(1, 7))  # fmt: skip
-_INERTIA = ((11, 9, "I11"), (21, 10, "I21"), (22, 11, "I22"), (31, 12, "I31"), (32, 13, "I32"),
-            (33, 14, "I33"))  # fmt: skip
-_PLATES = ("CQUAD4", "CQUADR", "CTRIA3", "CTRIAR")
-#: Numbers that stand on the element itself, by quantity and card.
-ELEMENT_ENTRIES: dict[tuple[str, str], tuple[Entry, ...]] = {
-    ("area", "CONROD"): ((0, 5, "A"),),
-    ("torsion_constant", "CONROD"): ((0, 6, "J"),),
-    ("spring_stiffness", "CELAS2"): ((0, 2, "K"),),
-    ("spring_stiffness", "CELAS4"): ((0, 2, "K"),),
-    ("structural_damping", "CELAS2"): ((0, 7, "GE"),),
-    ("viscous_damping", "CDAMP2"): ((0, 2, "B"),),
-    ("viscous_damping", "CDAMP4"): ((0, 2, "B"),),
-    ("nonstructural_mass", "CONROD"): ((0, 8, "NSM"),),
-    ("offset", "CBAR"): _ENDS,
-    ("offset", "CBEAM"): _ENDS,
-    **{("offset", plate): ((0, 8 if plate[1] == "Q" else 7, "ZOFFS"),) for plate in _PLATES},
-    ("offset", "CONM2"): ((1, 5, "X1"), (2, 6, "X2"), (3, 7, "X3")),
-    ("rotary_inertia", "CONM2"): _INERTIA,
-    ("mass", "CMASS2"): ((0, 2, "M"),),
-    ("mass", "CMASS4"): ((0, 2, "M"),),
-    # The inertia goes along with the mass: the body keeps its shape.
-    ("mass", "CONM2"): ((0, 4, "M"), *((-1, field, symbol) for _, field, symbol in _INERTIA)),
-}  # fmt: skip
 #: Thicknesses that stand on an element beside its property's: first and last field, and the flag
 #: that makes them fractions of the property's (1) instead.
 OWN_THICKNESS = {
     "CQUAD4": (11, 14, 10), "CQUADR": (11, 14, 10), "CQUAD8": (11, 14, 17),
     "CTRIA3": (11, 13, 10), "CTRIAR": (11, 13, 10), "CTRIA6": (11, 13, 14),
 }  # fmt: skip
-#: Quantities of point masses.
-OF_MASSES = ("mass", "rotary_inertia", "offset")
 REMEDY = {
     "elset": "a Nastran deck has no element sets: name a property or elements instead",
     "part": "a Nastran deck has no matrix parts: name a material, a property or elements instead",
 }
+#: Between these relative values the powers of a plate's thickness hold.
+HALF, DOUBLE = 0.5, 2.0
+#: More elements of one card than this are one target.
+ALONE = 12
+#: What preprocessors write before a name in the comment above a card.
+TITLE = re.compile(r"^\$[\s*$-]*(?:(?:femap|hm|patran)?\s*(?:material|property|name|mat|prop)\b"
+                   r"[^:\"]*[:\"])?\s*(.*?)[\s\"*$-]*$", re.IGNORECASE)  # fmt: skip
 
 
 def find_places(structure: Structure, parameter: Parameter) -> list[ValuePlace]:
@@ -171,19 +101,17 @@ def _of_properties(
 
 
 def _of_material(structure: Structure, parameter: Parameter, card: NastranCard) -> list[ValuePlace]:
-    where, quantity = structure.deck.where(card), parameter.quantity
     ident = int(card.text(1))
-    entries = MATERIAL_ENTRIES.get((quantity, card.name))
-    if entries is None:
-        raise ModelError(f"{where}: {card.name} {ident} has no {quantity} that can be updated")
+    fields = fields_of(structure.deck, parameter.quantity, card, ident)
     if card.name == "MAT1":
-        _check_isotropic(structure, card, where, quantity)
-    return select(structure, parameter, card, ident, entries)
+        where = structure.deck.where(card)
+        _check_isotropic(structure, card, where, parameter.quantity)
+    return select(structure, parameter, card, ident, fields)
 
 
 def _check_isotropic(structure: Structure, card: NastranCard, where: str, quantity: str) -> None:
     """Of E, G and NU two are free; the third follows, or is half ignored."""
-    young, shear, poisson = (structure.number(card, field) for field in (2, 3, 4))
+    young, shear, poisson = (structure.deck.number(card, field) for field in (2, 3, 4))
     number = card.text(1)
     if quantity == "youngs_modulus" and young is None:
         raise ModelError(
@@ -205,28 +133,28 @@ def _check_isotropic(structure: Structure, card: NastranCard, where: str, quanti
 def _of_property(
     structure: Structure, parameter: Parameter, card: NastranCard, ident: int
 ) -> list[ValuePlace]:
-    entries = section_entries(structure, parameter.quantity, card, ident)
-    if parameter.quantity == "dimension" and parameter.item == 0:
+    deck, quantity = structure.deck, parameter.quantity
+    fields, where = fields_of(deck, quantity, card, ident), deck.where(card)
+    law = CARDS[card.name].numbers[quantity]
+    if quantity == "dimension" and parameter.item == 0:
         raise ModelError(
-            f"{structure.deck.where(card)}: {card.name} {ident} has several dimensions: give the "
-            "parameter an item"
+            f"{where}: {card.name} {ident} has several dimensions: give the parameter an item"
         )
-    if parameter.quantity == "thickness" and card.name == "PSHELL":
+    if quantity == "thickness" and card.name == "PSHELL":
         _check_own_thickness(structure, card, ident)
-    if card.name == "PBEAM" and parameter.quantity in STATION and parameter.item == 1:
-        check_end(structure, card, ident, entries)
-    if card.name == "PBAR" and parameter.quantity == "shear_factor" and structure.number(card, 19):
+    rows = station_rows(card) if law.stations and parameter.item == 1 else []
+    if rows and fields[-1][1] < rows[-1]:  # a change of end A alone, which end B would follow
         raise ModelError(
-            f"{structure.deck.where(card)}: PBAR {ident} has I12, beside which K1 and K2 have no "
+            f"{where}: end B of PBEAM {ident} is blank, so that it follows end A: write it out"
+        )
+    if card.name == "PBAR" and quantity == "shear_factor" and deck.number(card, 19):
+        raise ModelError(f"{where}: PBAR {ident} has I12, beside which K1 and K2 have no effect")
+    if law.needs and card.text(law.needs[0]) in ("", "0", "-1"):
+        raise ModelError(
+            f"{where}: {card.name} {ident} has no {law.needs[1]}, without which {quantity} has no "
             "effect"
         )
-    field, name = ACTS_WITH.get(parameter.quantity, (0, ""))
-    if name and card.text(field) in ("", "0", "-1"):
-        raise ModelError(
-            f"{structure.deck.where(card)}: {card.name} {ident} has no {name}, without which "
-            f"{parameter.quantity} has no effect"
-        )
-    return select(structure, parameter, card, ident, entries)
+    return select(structure, parameter, card, ident, fields)
 
 
 def _check_own_thickness(structure: Structure, card: NastranCard, ident: int) -> None:
@@ -244,19 +172,20 @@ def _check_own_thickness(structure: Structure, card: NastranCard, ident: int) ->
 def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]:
     quantity = parameter.quantity
     owners = structure.owners
+    kinds = {row.owner for row in CARDS.values() if quantity in row.numbers}
     family = owners.elements
-    if quantity in OF_MASSES:
-        family = owners.masses if quantity != "offset" else {**owners.elements, **owners.masses}
+    if "mass" in kinds:
+        family = {**owners.elements, **owners.masses} if "element" in kinds else owners.masses
     numbers = structure.element_numbers(family, parameter.targets)
     found: list[ValuePlace] = []
     by_property: list[int] = []
     materials: dict[int, None] = {}
     for number in numbers:
         card = structure.element(family, number)
-        entries = ELEMENT_ENTRIES.get((quantity, card.name))
-        if entries is not None:
-            found += select(structure, parameter, card, number, entries)
-        elif quantity in OF_MASSES and number in owners.masses:
+        if holds(quantity, card.name):
+            fields = fields_of(structure.deck, quantity, card, number)
+            found += select(structure, parameter, card, number, fields)
+        elif "mass" in kinds and number in owners.masses:
             if quantity != "mass":
                 raise ModelError(
                     f"{structure.deck.where(card)}: {card.name} {number} has no {quantity} that "
@@ -280,24 +209,23 @@ def select(
     parameter: Parameter,
     card: NastranCard,
     ident: int,
-    entries: Iterable[Entry],
+    fields: list[Field],
 ) -> list[ValuePlace]:
     """The entries that a parameter's item picks and that hold a number. Raises ModelError."""
     where = f"{structure.deck.where(card)}: {card.name} {ident}"
-    known = list(entries)
-    item = parameter.item
+    item, law = parameter.item, CARDS[card.name].numbers[parameter.quantity]
     if item == 0:
-        picked = known
+        picked = fields
     else:
-        picked = [entry for entry in known if entry[0] == item]
-        items = sorted({entry[0] for entry in known if entry[0] > 0})
+        picked = [entry for entry in fields if entry[0] == item]
+        items = sorted({entry[0] for entry in fields if entry[0] > 0})
         if not picked:
             choice = ", ".join(map(str, items)) or "one alone, so leave the item out"
             raise ModelError(f"{where}: no item {item} of {parameter.quantity}; it has {choice}")
     numbers = [
-        (entry, DEFAULTS.get((card.name, entry[2])) if number is None else number)
+        (entry, law.blank if number is None else number)
         for entry in picked
-        for number in [structure.number(card, entry[1])]
+        for number in [structure.deck.number(card, entry[1])]
     ]
     symbols = ", ".join(symbol for _, _, symbol in picked)
     if all(value is None for _, value in numbers):
@@ -306,7 +234,7 @@ def select(
             f"out (0. for none, and {FROM_ZERO})"
         )
     relative = parameter.values == "relative"
-    if parameter.quantity not in STATION:  # all stations of a beam are of one number
+    if not law.stations:  # all stations of a beam are of one number
         check_one(parameter, where, [entry[0] for entry, value in numbers if value is not None])
     given = [value for _, value in numbers if value is not None]
     check_moved(parameter, f"{where}: {symbols}", given)
@@ -318,34 +246,30 @@ def select(
     ]
 
 
-#: Quantities in which stiffness and mass matrices are linear whatever the card.
-LINEAR = (
-    "density", "mass", "rotary_inertia", "nonstructural_mass", "spring_stiffness",
-    "torsion_constant", "structural_damping", "viscous_damping",
-)  # fmt: skip
-#: K1 and K2, the shear stiffness factors of a PBAR.
-SHEAR_FACTORS = (17, 18)
+def law_of(place: ValuePlace, parameter: Parameter) -> Numbers:
+    """What the row of its card says of a number."""
+    return CARDS[place.card.name].numbers[parameter.quantity]
 
 
 def energy_sets(structure: Structure, parameter: Parameter) -> tuple[str, ...]:
     """Groups of elements whose strain energy is proportional to the parameter's numbers.
 
-    Empty where it is not theirs alone: other materials share a property, or only some of its
-    constants scale.
+    `P12` is all elements of property 12, `E7` element 7. Empty where the energy is not theirs
+    alone: other materials share a property, or only some of its constants scale.
     """
     try:
         places = find_places(structure, parameter)
     except ModelError:
         return ()
-    if parameter.quantity == "youngs_modulus" and parameter.item == 0:
-        return _users(structure, {place.ident for place in places})
-    if parameter.quantity != "spring_stiffness":
+    if not places or not all(law_of(place, parameter).energy for place in places):
         return ()
+    if CARDS[places[0].card.name].owner == "material":
+        return () if parameter.item else _users(structure, {place.ident for place in places})
     names: dict[str, None] = {}
     for place in places:
-        if place.card.name == "PBUSH" and not _whole_bush(structure, place, places):
+        if not _whole(structure, parameter, place, places):
             return ()
-        kind = "E" if place.card.name.startswith("CELAS") else "P"
+        kind = "P" if CARDS[place.card.name].owner == "property" else "E"
         names[f"{kind}{place.ident}"] = None
     return tuple(names)
 
@@ -365,83 +289,80 @@ def _users(structure: Structure, materials: set[int]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _whole_bush(structure: Structure, place: ValuePlace, places: Iterable[ValuePlace]) -> bool:
-    """Whether all stiffness of a PBUSH scales: every K of it that is given and not zero."""
-    scaled = {other.field for other in places if other.card == place.card}
-    rows = (row for row in range(2, len(place.card.fields), 8) if place.card.text(row) == "K")
-    fields = {row + item for row in rows for item in range(1, 7)}
-    return {field for field in fields if structure.number(place.card, field)} == scaled
+def _whole(
+    structure: Structure, parameter: Parameter, place: ValuePlace, places: Iterable[ValuePlace]
+) -> bool:
+    """Whether all numbers of a property or element scale that are given and not zero."""
+    card, ident = place.card, place.ident
+    scaled = {other.field for other in places if other.card == card and other.ident == ident}
+    fields = [field for _, field, _ in fields_of(structure.deck, parameter.quantity, card, ident)]
+    return {field for field in fields if structure.deck.number(card, field)} <= scaled
 
 
 def is_linear(structure: Structure, parameter: Parameter) -> bool:
-    """Whether stiffness and mass matrices are linear in the numbers of a parameter."""
-    if parameter.quantity in (*LINEAR, "variable"):
-        return True
-    if parameter.quantity == "youngs_modulus":
-        # Single constants, and one of several materials of a laminate, act in series with
-        # others (Poisson coupling, transverse shear, condensed bubbles): not linear.
-        return bool(energy_sets(structure, parameter))
-    if parameter.quantity not in ("area", "inertia_1", "inertia_2"):
-        return False
-    try:
-        return all(
-            _without_shear(structure, place.card) for place in find_places(structure, parameter)
-        )
-    except ModelError:
-        return False
+    """Whether stiffness and mass matrices are linear in the numbers of a parameter.
 
-
-def _without_shear(structure: Structure, card: NastranCard) -> bool:
-    """Whether a bar bends without shear, so that its stiffness is linear in A and I.
-
-    Shear acts in series with bending: K = 12 EI / (L^3 (1 + phi)), phi = 12 EI / (K1 A G L^2).
-    A PBEAM has it unless K1 and K2 are zero (blank is 1), a PBAR where K1 or K2 is given.
+    Single constants of a material, and one of several materials of a laminate, act in series with
+    others (Poisson coupling, transverse shear, condensed bubbles): these are not linear.
     """
-    if card.name == "PBAR":
-        return not any(structure.number(card, field) for field in SHEAR_FACTORS)
-    return card.name in ("PROD", "CONROD")
+    if parameter.quantity == "variable":
+        return True
+    try:
+        places = find_places(structure, parameter)
+        if any(_in_series(structure, place, parameter) for place in places):
+            return False
+    except ModelError:  # then as far as all cards with the quantity agree
+        rows = [row for row in CARDS.values() if parameter.quantity in row.numbers]
+        laws = [row.numbers[parameter.quantity] for row in rows]
+        alone = any(row.owner == "material" for row in rows) and any(law.energy for law in laws)
+        return bool(laws) and not alone and all(x.powers == (1,) and not x.series for x in laws)
+    laws = [law_of(place, parameter) for place in places]
+    if any(CARDS[p.card.name].owner == "material" and law_of(p, parameter).energy for p in places):
+        return bool(energy_sets(structure, parameter))
+    return all(law.powers == (1,) for law in laws)
 
 
-#: Quantities that move one of the two matrices; the others may move both.
-STIFFNESS_ALONE = frozenset(("youngs_modulus", "spring_stiffness"))
-MASS_ALONE = frozenset(("density", "mass"))
-
-
-#: Powers of a plate's thickness, and between which relative values they hold.
-THICKNESS, HALF, DOUBLE = (1, 2, 3, 4, 5, 6), 0.5, 2.0
+def _in_series(structure: Structure, place: ValuePlace, parameter: Parameter) -> bool:
+    """Whether something acts in series with a number of a card."""
+    fields = law_of(place, parameter).series
+    return any(structure.deck.number(place.card, field) for field in fields)
 
 
 def powers_of(parameter: Parameter, places: Iterable[ValuePlace], linear: bool) -> tuple[int, ...]:
     """The powers of a parameter that the matrices are made of, none where they are not."""
     if linear:
         return (1,)
-    plates = parameter.quantity == "thickness" and {p.card.name for p in places} == {"PSHELL"}
+    laws = {law_of(p, parameter).powers for p in places if holds(parameter.quantity, p.card.name)}
     within = parameter.lower >= HALF and parameter.upper <= DOUBLE
-    return THICKNESS if plates and within else ()
+    powers = laws.pop() if len(laws) == 1 and within else ()
+    return () if powers == (1,) else powers
 
 
 def affected_elements_of(
     structure: Structure,
     parameters: Sequence[Parameter],
-    places: Iterable[ValuePlace],
+    places: Sequence[Sequence[ValuePlace]],
     powers: tuple[int, ...],
     whole: bool,
 ) -> AffectedElements:
     """What a parameter and those that follow it by expressions move in these powers.
 
-    places: where they stand; whole: whether all stiffness of its elements is proportional to it.
+    places: where each of them stands; whole: whether all stiffness of its elements is proportional
+    to it.
     """
-    moved = {item.quantity for item in parameters} - {"variable"}
-    elements = frozenset[int]().union(*(_elements_with(structure, place) for place in places))
+    pairs = zip(parameters, places, strict=True)
+    moved = {law_of(place, item).moves for item, row in pairs for place in row}
+    every = [place for row in places for place in row]
+    elements = frozenset[int]().union(*(_elements_with(structure, place) for place in every))
     known = structure.bulk.elements | structure.bulk.masses
     nodes = {node for number in elements for node in known[number].node_ids if node}
     return AffectedElements(
         elements=elements,
         nodes=frozenset(with_tied(nodes, _ties(structure))),
-        stiffness=not moved <= MASS_ALONE,
-        mass=not moved <= STIFFNESS_ALONE,
+        stiffness=any("K" in matrices for matrices in moved),
+        mass=any("M" in matrices for matrices in moved),
         powers=powers,
-        proportional=whole and moved <= STIFFNESS_ALONE,
+        proportional=whole and moved <= {"K"},
         related=len(parameters) > 1,
     )
 
@@ -470,15 +391,6 @@ def _ties(structure: Structure) -> Iterable[tuple[set[int], set[int]]]:
             yield set(item.node_ids[:1]), set(item.node_ids)
 
 
-#: More elements of one card than this are one target.
-ALONE = 12
-#: Quantities for which elements are named one by one.
-OF_ELEMENTS = ("area", "spring_stiffness", "mass")
-#: What preprocessors write before a name in the comment above a card.
-TITLE = re.compile(r"^\$[\s*$-]*(?:(?:femap|hm|patran)?\s*(?:material|property|name|mat|prop)\b"
-                   r"[^:\"]*[:\"])?\s*(.*?)[\s\"*$-]*$", re.IGNORECASE)  # fmt: skip
-
-
 def targets(structure: Structure) -> tuple[Target, ...]:
     """Materials and properties that elements use, then elements with numbers of their own."""
     owners = structure.owners
@@ -505,10 +417,11 @@ def _numbered(
 
 
 def _element_targets(structure: Structure, family: Cards) -> Iterator[Target]:
-    named = {card for quantity, card in ELEMENT_ENTRIES if quantity in OF_ELEMENTS}
     found: dict[str, list[int]] = {}
     for number, cards in sorted(family.items()):
-        if cards[0].name in named:
+        row = CARDS.get(cards[0].name)
+        laws = row.numbers.values() if row else ()
+        if any(law.moves and law.powers == (1,) for law in laws):
             found.setdefault(cards[0].name, []).append(number)
     for kind, numbers in found.items():
         if len(numbers) > ALONE:

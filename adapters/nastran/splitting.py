@@ -12,10 +12,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from modetune.adapters.nastran.bulk import BY_LINES, SEVERAL
+from modetune.adapters.nastran.bulk import BY_LINES
+from modetune.adapters.nastran.cards import holds, idents_of, materials_named
 from modetune.adapters.nastran.deck import NastranDeck, changed_lines, with_added
 from modetune.adapters.nastran.fields import CardField, NastranCard, large_field
-from modetune.adapters.nastran.sections import holds
 from modetune.adapters.nastran.structure import Copies, Structure
 from modetune.adapters.splitting import (
     OF_MATERIALS,
@@ -29,10 +29,6 @@ from modetune.core.errors import ModelError
 from modetune.core.near_names import listed
 from modetune.core.parameters import Parameter
 
-#: Fields of a PSHELL that name materials; of others it is the second one.
-MATERIAL_FIELDS = {"PSHELL": (2, 4, 6, 11)}
-#: The field of the first ply's material, and how far the next one's is.
-PLIES = {"PCOMP": (9, 4), "PCOMPG": (10, 8)}
 #: Materials that belong to another by its number, such as its dependence on temperature.
 BESIDE = ("MATT", "MATS", "MATF", "MATTC", "CREEP")
 
@@ -61,7 +57,7 @@ class _Edits:
     ) -> None:
         """Add a card like this one with another number, and other numbers in some fields."""
         where = self.structure.deck.where(card)
-        if card.name in BY_LINES or card.name in SEVERAL:
+        if card.name in BY_LINES or len(idents_of(card.name)) > 1:
             raise ModelError(
                 f"{where}: {card.name} {card.text(1)} is shared with others and cannot be copied; "
                 f"give {whom} a {card.name} of their own"
@@ -132,15 +128,9 @@ def split_materials(
 def _rename(edits: _Edits, kind: str, owner: int, old: int, new: int) -> None:
     """Let a property, or a CONROD, name another material where it names this one."""
     structure = edits.structure
-    if kind == "element":
-        edits.name(structure.owners.elements[owner][0], 4, new)
-        return
-    card = structure.property_card(str(owner))
-    fields: Iterable[int] = MATERIAL_FIELDS.get(card.name, (2,))
-    if card.name in PLIES:
-        first, stride = PLIES[card.name]
-        fields = range(first, len(card.fields), stride)
-    for field in fields:
+    rod = kind == "element"
+    card = structure.owners.elements[owner][0] if rod else structure.property_card(str(owner))
+    for field in materials_named(card):
         if card.text(field) == str(old):
             edits.name(card, field, new)
 

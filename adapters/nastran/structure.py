@@ -9,7 +9,7 @@ from functools import cached_property
 
 from modetune.adapters.nastran.bulk import Bulk, Cards, Owners
 from modetune.adapters.nastran.deck import NastranDeck
-from modetune.adapters.nastran.fields import CardField, NastranCard, blank_field, read_number
+from modetune.adapters.nastran.fields import CardField, NastranCard, blank_field
 from modetune.core.errors import ModelError
 from modetune.core.near_names import suggestion
 
@@ -77,16 +77,6 @@ class Structure:
         layers = list(getattr(item, "mids", None) or [])
         # PSHELL's MID2 = -1 means plane strain, 0 and None mean no material.
         return frozenset(mid for mid in [*named, *layers] if isinstance(mid, int) and mid > 0)
-
-    def number(self, card: NastranCard, field: int) -> float | None:
-        """A number of a card, None where the field is blank. Raises ModelError."""
-        found = card.fields[field] if field < len(card.fields) else None
-        if found is None:
-            return None
-        try:
-            return read_number(found.text)
-        except ValueError as error:
-            raise ModelError(f"{self.deck.lines[found.line].where}: {error}") from None
 
     def field(self, card: NastranCard, number: int) -> CardField:
         """A field of a card, blank or not. Raises ModelError where the card has no such line."""
