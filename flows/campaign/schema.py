@@ -39,9 +39,28 @@ from modetune.flows.campaign.parameters import TARGET_KEYS, ParameterSection
 from modetune.flows.campaign.site import RunSection, Word
 from modetune.flows.campaign.units import LengthUnit, Units
 from modetune.flows.responses.residuals import ResidualSection
-from modetune.flows.responses.section import Name, NotNegative, Positive, Section, Share
+from modetune.flows.responses.section import Finite, Name, NotNegative, Positive, Section, Share
 
+#: e2 where old sensitivities are kept as they are, without a correction for changed values.
+KEPT_E2 = 0.002
+
+SolverName = Literal["calculix", "nastran", "mystran", "matrices", "command"]
+#: Solvers that take parameters by their names, without a target.
+BY_NAME = ("command",)
+NastranDialect = Literal["msc", "nx"]
+Eigensolver = Literal["auto", "solver", "pardiso", "mixed_precision"]
+ModelCheck = Literal["units", "size", "mass"]
+Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
+#: Names the store's folder for all campaigns.
+STORE_VARIABLE = "MODETUNE_STORE"
+STORE_REMEDY = f"name another store with `store:` in the campaign or {STORE_VARIABLE}"
+#: The path of the files of a test where there is no test.
+NO_TEST = ""
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+#: A name, not an address: users keep the file wherever they like.
+IDENTIFIER = "urn:modetune:campaign"
 Number = Annotated[int, Field(ge=1)]
+Triple = tuple[Finite, Finite, Finite]
 Delimiter = Annotated[str, Field(pattern=r"^[^\w\s.:=-]{1,8}$")]
 
 
@@ -74,15 +93,9 @@ class EditSection(Section):
 
     def rule(self) -> NumberRule:
         """The edit as the adapter has it."""
-        return NumberRule(
-            self.parameter,
-            self.file,
-            self.line or 0,
-            self.field or 0,
-            self.columns or (0, 0),
-            self.pattern or "",
-            self.format,
-        )
+        given = dict(self) | {"line": self.line or 0, "field": self.field or 0}
+        given |= {"columns": self.columns or (0, 0), "pattern": self.pattern or ""}
+        return NumberRule(form=given.pop("format"), **given)
 
 
 class CommandSection(Section):
@@ -145,30 +158,12 @@ class CommandSection(Section):
 
     def settings(self, metres: float) -> CommandSettings:
         """The program as the adapter has it; metres: of the deck's unit of length."""
-        return CommandSettings(
-            name=self.name,
-            run=self.run,
-            version=self.version,
-            nodes=self.nodes,
-            results=self.results or "",
-            reader=self.reader or "",
-            components=tuple(COMPONENTS.index(name) + 1 for name in self.components),
-            normalisation=self.normalisation,
-            inputs=self.inputs,
-            delimiters=self.delimiters,
-            edits=tuple(item.rule() for item in self.edits),
-            most_modes=self.most_modes or 0,
-            success=self.success,
-            fatal=self.fatal,
-            logs=self.logs,
-            exit_codes=self.exit_codes,
-            metres=metres,
-        )
-
-
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Triple = tuple[Number, Number, Number]
-Node = Annotated[int, Field(ge=1)]
+        given = dict(self)
+        given |= {key: given[key] or "" for key in ("results", "reader")}
+        given["most_modes"] = self.most_modes or 0
+        given["components"] = tuple(COMPONENTS.index(name) + 1 for name in self.components)
+        given["edits"] = tuple(item.rule() for item in self.edits)
+        return CommandSettings(**given, metres=metres)
 
 
 class SensorSection(Section):
@@ -181,17 +176,17 @@ class SensorSection(Section):
     """`fit` finds rotation and translation, and the scale where no unit tells it; those given here
     choose then among fits that cannot be told apart. `none` takes those given here, and else the
     model's axes. Without it: `match` alone fixes the alignment, else `none`."""
-    scale: Annotated[Number, Field(gt=0.0)] | None = None
+    scale: Annotated[Finite, Field(gt=0.0)] | None = None
     """Model lengths a test length; without it from the units of both."""
     rotation: Triple | tuple[Triple, Triple, Triple] | None = None
     """From the test's axes to the model's: degrees about the model's x, then y, then z; or a
     matrix, three rows."""
     translation: Triple | None = None
     """Where the test's origin lies in the model, in the model's length."""
-    match: dict[Node, Node | Triple] = Field(default={})
+    match: dict[Number, Number | Triple] = Field(default={})
     """Landmarks by hand: test node to model node, or to a place in the model's axes and length.
     Three or more, not on one line, fix the alignment; with `align: fit` fewer do, which choose."""
-    tolerance: Annotated[Number, Field(gt=0.0)] | None = None
+    tolerance: Annotated[Finite, Field(gt=0.0)] | None = None
     """How far a sensor may be from its node, in the model's length; without it 2 % of the model's
     box diagonal, or half the mean element edge where that is more."""
     unmapped: Literal["refuse", "leave_out"] = "refuse"
@@ -235,21 +230,6 @@ class SensorSection(Section):
         from scipy.spatial.transform import Rotation  # few campaigns turn their sensors
 
         return np.asarray(Rotation.from_euler("xyz", given, degrees=True).as_matrix())
-
-
-#: e2 where old matrices are kept as they are: nothing corrects them for what has changed.
-KEPT_E2 = 0.002
-
-SolverName = Literal["calculix", "nastran", "mystran", "matrices", "command"]
-#: Solvers that take parameters by their names alone, without a target.
-BY_NAME = ("command",)
-NastranDialect = Literal["msc", "nx"]
-Eigensolver = Literal["auto", "solver", "pardiso", "mixed_precision"]
-ModelCheck = Literal["units", "size", "mass"]
-Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
-#: Names the store's folder for all campaigns.
-STORE_VARIABLE = "MODETUNE_STORE"
-STORE_REMEDY = f"name another store with `store:` in the campaign or {STORE_VARIABLE}"
 
 
 class ModelSection(Section):
@@ -525,10 +505,6 @@ class CampaignFile(Section):
         return self.model_copy(update={"update": self.update.model_copy(update=own)})
 
 
-#: Stands for the files of a test that is not there; the path of nothing.
-NO_TEST = ""
-
-
 class OpenFile(CampaignFile):
     """A campaign file whose `test` and `parameters` may be missing: what can be looked at without
     them."""
@@ -550,11 +526,6 @@ class ModelFile(OpenFile):
     @classmethod
     def _without_test(cls, given: Any) -> Any:
         return {**given, "test": {"modes": NO_TEST}} if isinstance(given, dict) else given
-
-
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
-#: A name, not an address: the file is wherever it was put.
-IDENTIFIER = "urn:modetune:campaign"
 
 
 def campaign_schema() -> dict[str, Any]:
