@@ -18,11 +18,12 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.core.measurement.stabilisation import Criteria
 from modetune.flows.campaign.arrays import write_campaign
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.terminal import terminal
@@ -30,21 +31,9 @@ from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.identify.identification import Identification, IdentificationSettings
 from modetune.flows.studies.identify.measured_functions import SpectraSettings, read_functions
-from modetune.flows.studies.identify.operational_modes import OperationalModes, identified
-from modetune.flows.studies.init.draft import Draft
-from modetune.flows.studies.init.text import init_campaign
-from modetune.flows.studies.requests import (
-    Directions,
-    DirectMethod,
-    ExpansionMethod,
-    Filling,
-    MassReduction,
-    ModelState,
-    PlacementMethod,
-    ReductionMethod,
-    ScreeningMethod,
-)
-from modetune.flows.studies.study import split_files
+from modetune.flows.studies.identify.operational_modes import OperationalModes, identify_test
+from modetune.flows.studies.init.draft import Draft, init_campaign
+from modetune.flows.studies.study import split_files, with_model
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.forecast import Progress, Unwatched
 from modetune.flows.updating.record import CampaignRun, read_run
@@ -53,16 +42,24 @@ if TYPE_CHECKING:
     from modetune.core.updating.results import ModalResult
     from modetune.flows.studies.check.pre_check import PreCheckReport
     from modetune.flows.studies.correlate.correlation import Correlation
+    from modetune.flows.studies.correlate.request import MassReduction
     from modetune.flows.studies.direct.correction import DirectCorrection
+    from modetune.flows.studies.direct.request import DirectMethod, Filling
     from modetune.flows.studies.expand.expansion import Expansions
+    from modetune.flows.studies.expand.request import ExpansionMethod
     from modetune.flows.studies.localise.localisation import Localisation
     from modetune.flows.studies.pretest.plan import Pretest
+    from modetune.flows.studies.pretest.request import Directions, PlacementMethod
     from modetune.flows.studies.reduce.reduction import ModelReduction
+    from modetune.flows.studies.reduce.request import ReductionMethod
     from modetune.flows.studies.sample.record import PosteriorRecord
     from modetune.flows.studies.scatter.record import ScatterRecord
     from modetune.flows.studies.screen.record import Screening
+    from modetune.flows.studies.screen.request import ScreeningMethod
+    from modetune.flows.studies.study import ModelState
     from modetune.flows.studies.twin.solver_modes import Twin
     from modetune.flows.studies.validate.validation import Validation
+    from modetune.flows.updating.baseline import BaselineCheck
 
 StrPath = str | Path
 #: A campaign, the path of its file, or its keys with arrays in place of files.
@@ -110,17 +107,19 @@ def init(
     test: StrPath | Sequence[StrPath] = (),
     out: StrPath | None = None,
     *,
+    solver: str | None = None,
+    units: str | None = None,
     force: bool = False,
     settings: Settings = (),
 ) -> Draft:
     """Write a campaign file for a deck: its test, and what could be updated, with reasons.
 
-    test: its files; out: the file, `campaign.yaml` beside the deck unless named; one that is there
-    stays unless force. settings: `model.solver` and `model.units`, which are found in the deck
-    unless given. Raises CampaignError, ModelError.
+    test: its files; out: the file, `campaign.yaml` beside the deck unless named; an existing file
+    stays unless force. Raises CampaignError, ModelError.
     """
     place = None if out is None else Path(out)
-    return init_campaign(Path(deck), _paths(test), _texts(settings), place, force)
+    changed = with_model(_texts(settings), solver, units)
+    return init_campaign(Path(deck), _paths(test), changed, place, force)
 
 
 def modes(
@@ -143,11 +142,17 @@ def modes(
     return found
 
 
+@overload
 def check(
     campaign: CampaignLike,
     test: Paths = (),
     *,
     run: bool = True,
+    against: None = None,
+    record: None = None,
+    state: ModelState = "updated",
+    frequency_band: float = 0.01,
+    mac_band: float = 0.05,
     solver: str | None = None,
     units: str | None = None,
     summary: StrPath | None = None,
@@ -155,14 +160,58 @@ def check(
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
-) -> PreCheckReport:
+) -> PreCheckReport: ...
+
+
+@overload
+def check(
+    campaign: CampaignLike,
+    test: Paths = (),
+    *,
+    run: bool = True,
+    against: StrPath | CampaignRun,
+    record: StrPath | CampaignRun | None = None,
+    state: ModelState = "updated",
+    frequency_band: float = 0.01,
+    mac_band: float = 0.05,
+    solver: str | None = None,
+    units: str | None = None,
+    summary: StrPath | None = None,
+    junit: StrPath | None = None,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> BaselineCheck: ...
+
+
+def check(
+    campaign: CampaignLike,
+    test: Paths = (),
+    *,
+    run: bool = True,
+    against: StrPath | CampaignRun | None = None,
+    record: StrPath | CampaignRun | None = None,
+    state: ModelState = "updated",
+    frequency_band: float = 0.01,
+    mac_band: float = 0.05,
+    solver: str | None = None,
+    units: str | None = None,
+    summary: StrPath | None = None,
+    junit: StrPath | None = None,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> PreCheckReport | BaselineCheck:
     """Judge campaign, test and model before updating, or a deck, alone or with a test's files.
 
-    run: with one modal run beside the test. summary, junit: files for CI, in Markdown and XML.
+    run: whether to run the model's modes. against: an earlier update, with whose modes the model
+    is compared instead; record: another update that takes the model's place; state: which model
+    of the earlier update; frequency_band, mac_band: how much larger a relative frequency error and
+    how much smaller a MAC may be. summary, junit: files for CI, in Markdown and XML.
     """
     given = locals()
     given["no_run"] = not given.pop("run")
-    found: PreCheckReport = _found("check", given)
+    found: PreCheckReport | BaselineCheck = _found("check", given)
     return found
 
 
@@ -429,23 +478,28 @@ def identify(
     order: int = 60,
     pick: Sequence[float] = (),
     *,
+    criteria: tuple[float, float, float] = (0.01, 0.05, 0.02),
     estimator: Literal["h1", "h2"] | None = None,
     segment: float | None = None,
     window: Literal["hann", "boxcar"] | None = None,
+    out: StrPath | None = None,
+    figures: StrPath | None = None,
 ) -> Identification | OperationalModes:
     """Modes from response functions or time histories; of responses alone from these.
 
-    band in Hz; pick: take the poles nearest to these, Hz. estimator, segment (s), window: of
-    response functions from time histories.
+    band in Hz; pick: take the poles nearest to these, Hz; criteria: shares to which a stable pole
+    agrees in frequency, damping and shape. estimator, segment (s), window: of response functions
+    from time histories. out: a test file with the modes; figures: a folder.
     """
-    settings = IdentificationSettings(band, order, tuple(pick))
-    outputs = None
+    settings = IdentificationSettings(band, order, tuple(pick), Criteria(*criteria))
+    outputs, files = None, []
     if isinstance(test, MeasuredFrfs):
         test = Measurement(frfs=test)
     elif not isinstance(test, Measurement):
-        spectra = SpectraSettings(estimator, segment, window)
-        test, outputs = read_functions(_paths(test), spectra)
-    return identified(test, outputs, settings)
+        files = _paths(test)
+        test, outputs = read_functions(files, SpectraSettings(estimator, segment, window))
+    places = [None if place is None else Path(place) for place in (out, figures)]
+    return identify_test(test, outputs, settings, files, *places)[0]
 
 
 def read_test(paths: StrPath | Sequence[StrPath]) -> Measurement:

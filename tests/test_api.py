@@ -213,6 +213,7 @@ def test_the_studies_take_a_path_and_give_results(
 
 
 def test_everything_promised_is_there_and_nothing_heavy_is_imported_for_it() -> None:
+    assert dir(modetune) == sorted([*modetune.__all__, "__version__"])
     assert all(getattr(modetune, name) is not None for name in modetune.__all__)
     said = subprocess.run(
         [sys.executable, "-c", "import modetune, sys; print('numpy' in sys.modules)"],

@@ -123,9 +123,9 @@ def _judge_six_mass(run: CampaignRun, folder: Path) -> CaseVerdict:
 def _figures(result: Outcome, folder: Path) -> list[Path]:
     """An outcome's MAC, frequencies, and the receptances that the thesis shows."""
     from modetune.configs.six_mass.methods import EXCITATION_HZ
-    from modetune.flows.report.charts import frequencies, mac_towers, responses
+    from modetune.flows.report.campaign_charts import frequencies, mac_towers, responses
     from modetune.flows.report.matplotlib_charts import save
-    from modetune.flows.report.responses import ResponseCurve
+    from modetune.flows.report.response_functions import ResponseCurve
 
     stem, hz = result.name.replace(" ", "_"), (result.test, result.before, result.after)
     numbers = range(1, 7)

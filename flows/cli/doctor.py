@@ -15,7 +15,7 @@ from modetune.flows.cli.options import AsJson, stoppable
 
 if TYPE_CHECKING:
     from modetune.flows.studies.doctor.doctor import DoctorReport
-    from modetune.flows.studies.doctor.lines import DoctorLine
+    from modetune.flows.studies.doctor.installation import DoctorLine
 
 CampaignFile = Annotated[
     Path | None,
@@ -73,7 +73,7 @@ def _text(report: DoctorReport) -> str:
 
 
 def _counted(report: DoctorReport) -> str:
-    from modetune.flows.studies.doctor.lines import STATES
+    from modetune.flows.studies.doctor.installation import STATES
 
     states = [line.state for line in report.lines]
     return ", ".join(f"{states.count(state)} {state}" for state in STATES)

@@ -82,11 +82,11 @@ def _told(found: Explanation) -> dict[str, Json]:
         "key where wall_s nearest log",
         status=found.state,
         written=written,
-        job=told_job(found.job),
+        job=job_json(found.job),
     )
 
 
-def told_job(job: AskedJob | None) -> dict[str, Json] | None:
+def job_json(job: AskedJob | None) -> dict[str, Json] | None:
     """A job for machines."""
     if job is None:
         return None

@@ -66,27 +66,19 @@ def identify(
     Time histories with a force become response functions first; of responses alone the modes come
     from their covariances, without a scale of shapes.
     """
-    names = ", ".join(map(str, frfs))
     with (
         stoppable("stopped; the same command starts from the beginning"),
-        begun(f"reading {names}") as tell,
+        begun(f"reading {', '.join(map(str, frfs))}") as tell,
     ):
-        from modetune.adapters.test_files.measurements import check_out
         from modetune.flows.studies.identify.measured_functions import read_functions
-        from modetune.flows.studies.identify.operational_modes import identified, write_identified
+        from modetune.flows.studies.identify.operational_modes import identify_test
 
         settings = _settings(band, order, pick, criteria)
-        if out is not None:
-            check_out(out)
         measurement, outputs = read_functions(frfs, _spectra(estimator, segment, window))
         tell("identifying modes")
-        if outputs is not None and figures is not None:
-            raise CampaignError("--figures shows response functions, and none were measured")
-        found = identified(measurement, outputs, settings)
-        about, lines, files = _told(found, figures, ", ".join(path.name for path in frfs))
-        if out is not None:
-            write_identified(out, found, measurement, names)
-            files = (out, *files)
+        found, drawn = identify_test(measurement, outputs, settings, frfs, out, figures)
+        about, lines = _fit(found, drawn)
+        files = drawn if out is None else (out, *drawn)
     modes, notes = _modes(found), (*measurement.notes, *found.notes)
     about |= json_object(found, "auto_mac", status="identified", modes=modes, notes=notes, out=out)
     table = table_of("Identified modes", modes, IdentifiedMode)
@@ -146,21 +138,15 @@ def _modes(found: Identification | OperationalModes) -> list[IdentifiedMode]:
     ]
 
 
-def _told(
-    found: Identification | OperationalModes, figures: Path | None, title: str
-) -> tuple[dict[str, Json], list[str], tuple[Path, ...]]:
-    """What the `--json` object has of response functions beside modes, or of none; the fit in a
-    sentence; and the figures, written where they are asked for."""
+def _fit(
+    found: Identification | OperationalModes, figures: tuple[Path, ...]
+) -> tuple[dict[str, Json], list[str]]:
+    """Return what the JSON object has of response functions, and their fit in a sentence."""
     from modetune.flows.studies.identify.identification import Identification
 
     about = json_object(normalisation=found.modes.modes.normalisation)
     if not isinstance(found, Identification):
-        return about | {"output_only": True}, [], ()
-    written: tuple[Path, ...] = ()
-    if figures is not None:
-        from modetune.flows.studies.identify.figures import write_figures
-
-        written = write_figures(figures, title, found)
+        return about | {"output_only": True}, []
     lines, frac = found.frfs.frequencies_hz, found.frac
     worst = [
         {"function": found.function_name(place), "frac": frac[place]}
@@ -171,10 +157,10 @@ def _told(
         order=found.settings.order,
         functions=frac.size,
         frac={"mean": frac.mean(), "least": frac.min(), "worst": worst},
-        figures=written,
+        figures=figures,
     )
     fit = f"FRAC of {frac.size} functions: mean {frac.mean():.4f}, least {frac.min():.4f} at "
-    return about, [fit + str(worst[0]["function"])], written
+    return about, [fit + str(worst[0]["function"])]
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

@@ -36,14 +36,14 @@ def init(
 ) -> None:
     """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
     with stoppable("stopped; the same command starts from the beginning"), begun(f"reading {deck}"):
-        from modetune.flows.studies.init.text import init_campaign
+        from modetune.flows.studies.init.draft import init_campaign
 
         draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)
-    print_result(told(draft), _lines(draft), as_json)
+    print_result(summary(draft), _lines(draft), as_json)
 
 
-def told(draft: Draft) -> dict[str, Json]:
-    """The `--json` object of `modetune init`."""
+def summary(draft: Draft) -> dict[str, Json]:
+    """Return the JSON object of a draft."""
     test, sketch = draft.test, draft.sketch
     return json_object(
         draft,

@@ -1,8 +1,8 @@
-"""The command line. It alone turns errors into a paragraph and an exit code.
+"""The command line, which turns errors into a paragraph and an exit code.
 
 Exit codes: 0 done (and converged); 2 bad input; 3 finished, e1 not met; 4 the solver failed;
-5 the store cannot be used; 130 stopped by the user. Heavy packages are imported by the commands
-that need them.
+5 the store cannot be used; 130 stopped by the user. Commands import the heavy packages that they
+use.
 """
 
 from __future__ import annotations
@@ -21,29 +21,38 @@ from collections.abc import Callable
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
+from types import EllipsisType
 from typing import Annotated
 
 import typer
 
 from modetune import __version__
 from modetune.core.errors import ModetuneError
-from modetune.flows.studies.catalogue import STUDIES, find_study
+from modetune.flows.studies.catalogue import (
+    BEFORE,
+    HERE,
+    MATRICES,
+    STUDIES,
+    TEST,
+    TRUST,
+    UPDATING,
+    find_study,
+)
 
-#: In the order of a campaign's life, under the headings of `--help`. A study's command is derived
-#: from its definition, any other is in the module of its name.
-COMMANDS = {
-    "The test": ("pretest", "inspect", "identify", "sensors"),
-    "Model and test, before updating": (
-        "init", "check", "modes", "correlate", "screen", "localise",
-    ),
-    "Updating": ("update", "view", "explain"),
-    "Whole matrices": ("expand", "reduce", "direct"),
-    "How far to trust it": ("validate", "sample", "scatter"),
+#: Commands in the order of a campaign's life, under the headings of `--help`; `...` is the place of
+#: the heading's studies. A study's command is derived from its definition, any other is in the
+#: module of its name.
+HEADINGS: dict[str, tuple[str | EllipsisType, ...]] = {
+    TEST: (..., "inspect", "identify", "sensors"),
+    BEFORE: ("init", ...),
+    UPDATING: (..., "view", "explain"),
+    MATRICES: (...,),
+    TRUST: (...,),
     "Results": ("report", "paraview"),
     "Unattended": ("deploy", "serve", "worker", "server"),
-    "This installation": ("demo", "doctor", "twin", "schema", "store"),
-}  # fmt: skip
-#: The extra of `modetune[...]` that brings a package; a cluster's tell themselves.
+    HERE: ("demo", "doctor", ..., "schema", "store"),
+}
+#: The extra of `modetune[...]` that brings a package; a cluster's packages report themselves.
 EXTRAS = {
     **dict.fromkeys(("polars", "pypardiso"), "calculix"),
     **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
@@ -53,8 +62,8 @@ EXTRAS = {
 }
 
 
-def _tell_version(asked: bool) -> None:
-    if asked:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         typer.echo(f"modetune {__version__}")
         raise typer.Exit
 
@@ -62,33 +71,41 @@ def _tell_version(asked: bool) -> None:
 def _modetune(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell the version."),
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Tell the version."),
     ] = False,
 ) -> None:
     """Finite element models that agree with vibration tests."""
 
 
-def command_line(asked: str = "") -> typer.Typer:
-    """The command line; of the one command that is asked for, where there is such a one: the
-    modules of all of them take a moment to import."""
+def command_line(only: str = "") -> typer.Typer:
+    """Return the command line, with one command where `only` is the name of one.
+
+    The modules of all commands take a moment to import.
+    """
     app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
     app.callback()(_modetune)
-    alone = any(asked in names for names in COMMANDS.values())
-    for heading, names in COMMANDS.items():
-        for name in (asked,) * (asked in names) if alone else names:
-            command = _command(name)
-            if isinstance(command, typer.Typer):
-                app.add_typer(command, name=name, rich_help_panel=heading)
-                continue
-            paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
-            # Typer keeps line ends: a paragraph is broken anew at the terminal's width.
-            told = "\n\n".join(" ".join(part.split()) for part in paragraphs)
-            app.command(rich_help_panel=heading, help=told)(command)
+    commands = [(name, heading) for heading in HEADINGS for name in _names(heading)]
+    for name, heading in [item for item in commands if item[0] == only] or commands:
+        command = _command(name)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name, rich_help_panel=heading)
+            continue
+        paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
+        # Typer keeps line ends; a paragraph in one line is wrapped at the terminal's width.
+        text = "\n\n".join(" ".join(part.split()) for part in paragraphs)
+        app.command(rich_help_panel=heading, help=text)(command)
     return app
 
 
+def _names(heading: str) -> list[str]:
+    """Return the commands under a heading, with its studies at their place."""
+    studies = [name for name, (_, of) in STUDIES.items() if of == heading]
+    found = [[item] if isinstance(item, str) else studies for item in HEADINGS[heading]]
+    return [name for names in found for name in names]
+
+
 def _command(name: str) -> Callable[..., None] | typer.Typer:
-    """A command, or the group of commands of this name."""
+    """Return the command, or the group of commands, of this name."""
     if name in STUDIES:
         from modetune.flows.cli.command import command_of
         from modetune.flows.cli.update import show_dry_run
@@ -108,7 +125,7 @@ def __getattr__(name: str) -> typer.Typer:
 
 
 def _quiet() -> None:
-    """Our own warnings go to standard error a line each; libraries keep theirs to themselves."""
+    """Print our own warnings on standard error, a line each, and none of the libraries'."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("modetune: %(message)s"))
     ours = logging.getLogger("modetune")
@@ -124,8 +141,8 @@ def _quiet() -> None:
 def main() -> None:
     """Run the command line and end the process with its exit code."""
     _quiet()
-    gc.set_threshold(10_000, 10, 10)  # imports make objects that stay: looked at less often
-    atexit.register(gc.freeze)  # ... and not at all when the process ends
+    gc.set_threshold(10_000, 10, 10)  # imported objects stay, so collect less often
+    atexit.register(gc.freeze)  # ... and never when the process ends
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
     try:
         command_line(*sys.argv[1:2])(standalone_mode=True)
@@ -134,7 +151,7 @@ def main() -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(0) from None
-    except Exception as error:  # the last resort: a bug of ours, kept for a report
+    except Exception as error:  # a fault of ours, saved for a report
         missing = error.name if isinstance(error, ModuleNotFoundError) and error.name else ""
         if extra := EXTRAS.get(missing.partition(".")[0]):
             _fail(

@@ -60,14 +60,14 @@ def paraview(
         with stoppable():
             written = write_paraview(source.campaign, states, place)
             fields = write_field_file(source, place)
-    series = [told_series(item) for item in written]
+    series = [series_json(item) for item in written]
     lines = [f"{x.state:8}  {x.file}  {x.n_modes} modes{_cost(x)}" for x in written]
     lines += [f"fields    {fields}"] if fields is not None else []
     lines += ["the campaign has not been run, so there is no updated model yet"] if unrun else []
     print_result(json_object(status="good", series=series, fields=fields), lines, as_json)
 
 
-def told_series(item: Series) -> dict[str, Json]:
+def series_json(item: Series) -> dict[str, Json]:
     """A series of files for machines."""
     converter = "ccx2paraview" if item.converted else "modetune"
     return json_object(

@@ -35,7 +35,7 @@ def report(
         page = write_page(known, out or folder / "report.html")
         pictures: list[Path] = []
         if figures is not None:
-            from modetune.flows.report.charts import campaign_charts
+            from modetune.flows.report.campaign_charts import campaign_charts
             from modetune.flows.report.matplotlib_charts import save_all
 
             pictures = save_all(dict(campaign_charts(known)), figures, form)

@@ -49,7 +49,7 @@ def sensors(
         save_sensor_picture(picture, mapping, campaign.case.solver.deck.mesh())
     drawn = [f"picture: {picture}"] if picture is not None else []
     parts: list[Table | str] = [sensor_table(mapping), *sensor_lines(mapping), *drawn]
-    print_result(told_sensors(mapping, picture), parts, as_json)
+    print_result(sensors_json(mapping, picture), parts, as_json)
 
 
 def sensor_table(mapping: Mapping) -> Table:
@@ -108,7 +108,7 @@ def alignment_line(mapping: Mapping) -> str:
     )
 
 
-def told_sensors(mapping: Mapping, picture: Path | None = None) -> dict[str, Json]:
+def sensors_json(mapping: Mapping, picture: Path | None = None) -> dict[str, Json]:
     """The `--json` object of `modetune sensors`."""
     found = mapping.alignment
     fitted = found is not None and bool(found.residuals.size)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.explain import SHORT, nearest_line, told_job
+from modetune.flows.cli.explain import SHORT, job_json, nearest_line
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.catalogue import find_study
 
@@ -25,7 +25,7 @@ def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
     with find_study("update").opened(parameters, Unwatched()) as on:
         found = dry_run(on.campaign, on.folder)
     if as_json:
-        typer.echo(json.dumps(_told_dry_run(found)))
+        typer.echo(json.dumps(_dry_run_json(found)))
         return
     if found.answered:
         typer.echo(
@@ -55,7 +55,7 @@ def _planned_line(item: PlannedJob) -> str:
     return f"{word}   {item.key[:SHORT]}   {item.iteration} / {item.name}"
 
 
-def _told_dry_run(found: DryRun) -> dict[str, Json]:
+def _dry_run_json(found: DryRun) -> dict[str, Json]:
     return json_object(
         found,
         "answered",
@@ -63,7 +63,7 @@ def _told_dry_run(found: DryRun) -> dict[str, Json]:
         reason=found.ended.reason if found.ended else "",
         runs=len(found.runs),
         jobs=[
-            json_object(item, "key iteration name stored nearest", job=told_job(item.asked))
+            json_object(item, "key iteration name stored nearest", job=job_json(item.asked))
             for item in found.jobs
         ],
     )

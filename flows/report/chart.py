@@ -163,22 +163,22 @@ class Chart:
         return replace(self, panels=(replace(self.panels[place], title=""),), across=1)
 
 
-def told_chart(value: Any) -> Json:
+def chart_json(value: Any) -> Json:
     """A chart as `charts.js` reads it: objects of the fields with their kind, six digits a number.
 
     What no axis can show (NaN) is null.
     """
     if is_dataclass(value):
-        found = {item.name: told_chart(getattr(value, item.name)) for item in fields(value)}
+        found = {item.name: chart_json(getattr(value, item.name)) for item in fields(value)}
         if isinstance(value, HeatMap):
             found["numbered"] = value.is_numbered
         return {"kind": type(value).__name__, **found}
     if isinstance(value, np.ndarray):
-        return told_chart(value.tolist())
+        return chart_json(value.tolist())
     if isinstance(value, float):
         return number_or_null(float(f"{value:.6g}"))
     if isinstance(value, tuple | list):
-        return [told_chart(item) for item in value]
+        return [chart_json(item) for item in value]
     return str(value) if value is not None and not isinstance(value, bool | int) else value
 
 

@@ -87,7 +87,7 @@ def _shown_columns(record: CampaignRecord) -> list[int]:
     return [n for n in range(len(record.parameters)) if n not in zones or n in kept]
 
 
-def told_fields(record: CampaignRecord) -> list[Json]:
+def fields_json(record: CampaignRecord) -> list[Json]:
     """The key `fields` of `modetune update --json`: each zone with its elements, value and error,
     and what the test says of it alone."""
     return [_told(record, item) for item in record.fields]

@@ -107,10 +107,10 @@ def record_verdict(record: CampaignRecord) -> FormVerdict | None:
 def verdict_summary(record: CampaignRecord) -> Json:
     """The key `model_form` of `modetune update --json`; null where nothing can be said."""
     found = record_verdict(record)
-    return None if found is None else told_form(found.form, found.labels, found.sentence)
+    return None if found is None else form_json(found.form, found.labels, found.sentence)
 
 
-def told_form(form: ModelForm, labels: tuple[str, ...], sentence: str) -> Json:
+def form_json(form: ModelForm, labels: tuple[str, ...], sentence: str) -> Json:
     """The same of any state."""
     return json_object(
         form,

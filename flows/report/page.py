@@ -15,7 +15,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -27,8 +27,8 @@ from modetune.core.storage.keys import Json
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.updating.judgement import trust_sentences
 from modetune.core.updating.responses.frf import Frf
-from modetune.flows.report.chart import Chart, told_chart
-from modetune.flows.report.charts import campaign_charts
+from modetune.flows.report.campaign_charts import campaign_charts
+from modetune.flows.report.chart import Chart, chart_json
 from modetune.flows.report.comparison import remarks, sensor_agreement
 from modetune.flows.report.field_tables import brief_record
 from modetune.flows.report.form_verdict import record_verdict
@@ -42,7 +42,7 @@ from modetune.flows.report.parameter_tables import (
     trust_table,
 )
 from modetune.flows.report.response_tables import response_table
-from modetune.flows.report.scene import Scene, scene, told_scene
+from modetune.flows.report.scene import Scene, scene, scene_json
 from modetune.flows.report.tables import Table, signed
 
 HERE = Path(__file__).resolve().parent
@@ -74,7 +74,7 @@ def written_page(
 ) -> Path:
     """Write a page of charts and what its template shows beside. Raises StorageUnavailable."""
     scripts = tuple(_asset(name) for name in ("space.js", "charts.js", "page.js"))
-    data = {"charts": {name: told_chart(chart) for name, chart in charts.items()}}
+    data = {"charts": {name: chart_json(chart) for name, chart in charts.items()}}
     made = _templates().get_template(template)
     text = made.render(charts=charts, data=data, **shown, **_frame(title, scripts))
     with writing(path, "name another place for it") as part:
@@ -123,8 +123,8 @@ def page(record: CampaignRecord) -> str:
             ),
             comac=comac,
             data={
-                "charts": {name: told_chart(chart) for name, chart in charts.items()},
-                "scene": told_scene(shown) if shown else None,
+                "charts": {name: chart_json(chart) for name, chart in charts.items()},
+                "scene": scene_json(shown) if shown else None,
                 "comac": comac,
             },
             **_frame(f"{record.name} - modetune report", scripts),
@@ -267,17 +267,6 @@ def _asset(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
 
 
-class ToldStudy(Protocol):
-    """What a study came to."""
-
-    @property
-    def lines(self) -> Sequence[str]: ...
-    @property
-    def doubts(self) -> Sequence[str]: ...
-    @property
-    def tables(self) -> Sequence[Table]: ...
-
-
 def check_page(path: Path | None) -> None:
     """Refuse a page of another kind of file before the work is done. Raises CampaignError."""
     if path is not None and (path.suffix.lower() not in (".html", ".htm") or path.is_dir()):
@@ -285,9 +274,17 @@ def check_page(path: Path | None) -> None:
 
 
 def write_study(
-    path: Path, title: tuple[str, str], found: ToldStudy, charts: Mapping[str, object]
+    path: Path,
+    title: tuple[str, str],
+    tables: Sequence[Table],
+    lines: Sequence[str],
+    doubts: Sequence[str],
+    charts: Mapping[str, object],
 ) -> Path:
-    """Write a study's page, of its charts those that are no pictures. Raises StorageUnavailable."""
+    """Write a study's page, of its charts those that are no pictures. Raises StorageUnavailable.
+
+    title: the study's name and the campaign's; doubts: those of the lines that come first.
+    """
     kind, name = title
     return written_page(
         path,
@@ -296,6 +293,7 @@ def write_study(
         {name: chart for name, chart in charts.items() if isinstance(chart, Chart)},
         kind=kind,
         name=name,
-        study=found,
-        lines=[line for line in found.lines if line not in found.doubts],
+        tables=tables,
+        doubts=doubts,
+        lines=[line for line in lines if line not in doubts],
     )

@@ -261,7 +261,7 @@ def _field(field: ModeSet, surface: Surface, pair: int) -> Floats:
     return found
 
 
-def told_scene(shown: Scene) -> dict[str, Json]:
+def scene_json(shown: Scene) -> dict[str, Json]:
     """What `shapes.js` draws: arrays as base64 of little-endian numbers, row after row."""
     return {
         "length": shown.length,
@@ -271,11 +271,11 @@ def told_scene(shown: Scene) -> dict[str, Json]:
         "nodes": shown.nodes.tolist(),
         "points": packed(shown.points, "<f4"),
         "lines": packed(shown.lines, "<u4"),
-        "tests": [_told_mode(mode) for mode in shown.tests],
+        "tests": [_mode_json(mode) for mode in shown.tests],
         "states": [
             {
                 "name": name,
-                "models": [_told_mode(mode) for mode in state.modes],
+                "models": [_mode_json(mode) for mode in state.modes],
                 "pairs": state.pairs.tolist(),
                 "mac": [[number_or_null(value) for value in row] for row in state.mac.tolist()],
             }
@@ -284,7 +284,7 @@ def told_scene(shown: Scene) -> dict[str, Json]:
     }
 
 
-def _told_mode(mode: ShownMode) -> dict[str, Json]:
+def _mode_json(mode: ShownMode) -> dict[str, Json]:
     return {
         "label": mode.label,
         "hz": mode.frequency_hz,

@@ -20,10 +20,10 @@ import numpy as np
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.report.comparison import mac_table
-from modetune.flows.report.drawing import PAGE
 from modetune.flows.report.iteration_tables import iteration_table
 from modetune.flows.report.mode_tables import mode_labels, mode_table
 from modetune.flows.report.parameter_tables import parameter_table
+from modetune.flows.report.report_file import PAGE
 from modetune.flows.report.tables import Table, artifact_rows
 
 #: A picture travels inside its sheet; larger ones are drawn again at less resolution.
@@ -112,7 +112,7 @@ def _links(files: Sequence[Path]) -> str:
 def mac_picture(record: CampaignRecord) -> bytes:
     """MAC of computed with measured modes before and after, as PNG that fits into a sheet."""
     # Drawing is imported where something is drawn.
-    from modetune.flows.report.charts import mac_towers
+    from modetune.flows.report.campaign_charts import mac_towers
     from modetune.flows.report.matplotlib_charts import matplotlib_figure
 
     first, last = record.iterations[0], record.best

@@ -24,7 +24,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
-from modetune.flows.studies.requests import is_file
+from modetune.flows.studies.study import is_file
 
 Dofs = list[tuple[int, int]]
 #: NODE, NODE.z or NODE.xyz, and NODE.123 as Nastran has it; a range of nodes in place of NODE.

@@ -70,7 +70,7 @@ class StudyResult:
         if page is not None:
             from modetune.flows.report.page import write_study
 
-            files.append(write_study(page, title, self, charts))
+            files.append(write_study(page, title, self.tables, self.lines, self.doubts, charts))
         return replace(self, written=[*(self.written or ()), *files]) if files else self
 
 

@@ -42,7 +42,6 @@ from typer.models import ArgumentInfo, OptionInfo
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
-from modetune.flows.studies.requests import FILE_OR_WORDS, is_file
 from modetune.flows.studies.result import StudyResult, near
 
 if TYPE_CHECKING:
@@ -51,6 +50,18 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 REQUIRED = inspect.Parameter.empty
+#: Which model of a record.
+ModelState = Literal["updated", "initial"]
+#: Marks an option whose text is either words or the name of a file.
+FILE_OR_WORDS = "file or words"
+
+
+def is_file(text: str) -> bool:
+    """Return whether a text names a file; a list of words may be too long for a name."""
+    try:
+        return Path(text).is_file()
+    except OSError:
+        return False
 
 
 def split_files(text: str) -> tuple[Path, ...]:

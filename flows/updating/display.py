@@ -17,7 +17,6 @@ from modetune.core.correlation.held_out import HeldOut
 from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.updating.judgement import trust_sentences
 from modetune.flows.jobs.progress import JobProgress
-from modetune.flows.report.drawing import PAGE
 from modetune.flows.report.field_tables import brief_record
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row
 from modetune.flows.report.mode_tables import (
@@ -28,6 +27,7 @@ from modetune.flows.report.mode_tables import (
     unmatched_sentence,
 )
 from modetune.flows.report.parameter_tables import BRIEF_PARAMETERS, parameter_table
+from modetune.flows.report.report_file import PAGE
 from modetune.flows.report.response_tables import response_table
 from modetune.flows.report.tables import OUTSIDE, Table, columns_of, show
 from modetune.flows.updating.forecast import Forecast, cost_text, forecast_text

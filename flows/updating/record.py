@@ -34,8 +34,7 @@ from modetune.core.updating.estimation import parameter_covariance
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.report.comparison import mac_table
-from modetune.flows.report.drawing import PAGE
-from modetune.flows.report.field_tables import told_fields
+from modetune.flows.report.field_tables import fields_json
 from modetune.flows.report.form_verdict import verdict_summary
 from modetune.flows.report.mode_tables import (
     ModeRow,
@@ -45,6 +44,7 @@ from modetune.flows.report.mode_tables import (
     unmatched_modes,
 )
 from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows
+from modetune.flows.report.report_file import PAGE
 from modetune.flows.report.response_tables import response_rows
 from modetune.flows.report.tables import frame, json_object
 from modetune.flows.updating.diagnosis import campaign_trust, field_answers, trust_summary
@@ -181,7 +181,7 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
         mean_error_updated=np.abs(record.best.frequency_errors).mean(),
         responses=response_rows(record),
         held_out=held_out_rows(record.held_out),
-        fields=told_fields(record),
+        fields=fields_json(record),
         splits=record.splits,
         sensitivity_skipped=sum(item.sensitivity_skipped for item in record.iterations),
         wall_s=round(record.wall_s, 3),
@@ -367,7 +367,7 @@ class CampaignRun:
         ]
 
     def _figure(self, name: str) -> Figure:
-        from modetune.flows.report.charts import campaign_charts
+        from modetune.flows.report.campaign_charts import campaign_charts
         from modetune.flows.report.matplotlib_charts import matplotlib_figure
 
         for known, chart in campaign_charts(self.record):

@@ -54,8 +54,8 @@ from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine, solving_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
-from modetune.flows.report.drawing import draw_report
 from modetune.flows.report.iteration_tables import iteration_row
+from modetune.flows.report.report_file import draw_report
 from modetune.flows.updating.diagnosis import checked
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator

@@ -7,8 +7,8 @@
     run.parameters, run.modes, run.mac      # pandas frames
     run.plot_mac()                          # a matplotlib figure
 
-The verbs are those of the command line. What stands in `__all__` is promised, nothing else.
-Nothing heavy is imported before it is used.
+The verbs are those of the command line. Only the names in `__all__` are promised. Nothing heavy is
+imported before it is used.
 """
 
 from __future__ import annotations
@@ -84,4 +84,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, "__version__"])

@@ -24,7 +24,7 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict
-from modetune.flows.studies.requests import ScreeningRequest
+from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.forecast import Unwatched

@@ -286,7 +286,7 @@ def unmeasured(
         for place, frequency in enumerate(elastic.frequencies_hz.tolist())
         if place + 1 not in paired and low <= frequency <= high
     ]
-    told_apart = [] if left_out else _told_apart(test, elastic, free, len(modes), paired)
+    told_apart = [] if left_out else _separable(test, elastic, free, len(modes), paired)
     if told_apart:
         yield MODES.doubtful(
             f"the test has no mode for the model's {_at(elastic, told_apart)} within its band",
@@ -304,7 +304,7 @@ def _at(elastic: ModeSet, places: list[int]) -> str:
     return listed(f"{place + 1} ({elastic.frequencies_hz[place]:.4g} Hz)" for place in places)
 
 
-def _told_apart(
+def _separable(
     test: MeasuredModes, elastic: ModeSet, free: list[int], n_paired: int, paired: set[int]
 ) -> list[int]:
     """Which of these computed modes the sensors see, and as no other computed one of the band."""

@@ -26,10 +26,10 @@ from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.studies.check.findings import MODEL, PAIRING, TEST, Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
-from modetune.flows.studies.check.memory import memory_findings
 from modetune.flows.studies.check.model import (
     ModelFacts,
     mass_findings,
+    memory_findings,
     model_facts,
     rigid_findings,
     size_findings,

@@ -12,10 +12,10 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
-from modetune.flows.studies.requests import ModelState
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import (
     ModelPath,
+    ModelState,
     Opened,
     SolverChoice,
     StudyOptions,
@@ -151,13 +151,13 @@ def check_summary(campaign: Campaign, report: PreCheckReport) -> dict[str, Json]
         test_modes=campaign.test.numbers,
         sensors=campaign.test.modes.n_dof,
         store=campaign.store.folder,
-        facts=_told_facts(report.facts) if report.facts else None,
+        facts=_facts_json(report.facts) if report.facts else None,
         energy_shares={item.parameter: item.shares for item in report.shares},
         solver_runs=report.runs,
     )
 
 
-def _told_facts(facts: ModelFacts) -> dict[str, Json]:
+def _facts_json(facts: ModelFacts) -> dict[str, Json]:
     body = facts.body
     return json_object(
         facts,

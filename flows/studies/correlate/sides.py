@@ -38,8 +38,8 @@ from modetune.flows.studies.correlate.correlation import (
     correlate,
     orthogonality,
 )
+from modetune.flows.studies.correlate.request import MassReduction
 from modetune.flows.studies.full_model import by_sensors, dof_arrays, full_model
-from modetune.flows.studies.requests import MassReduction
 from modetune.flows.updating.baseline import State
 from modetune.flows.updating.mode_source import campaign_analysis, parse_values
 

@@ -14,7 +14,7 @@ from modetune.core.near_names import listed
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, frame, json_object, table_of
-from modetune.flows.studies.requests import MassReduction, ModelState
+from modetune.flows.studies.correlate.request import CorrelationRequest
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import (
     Figures,
@@ -36,11 +36,6 @@ if TYPE_CHECKING:
 #: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
 WORST, SHOWN = 10, 14
 
-OfRecord = Annotated[ModelState, typer.Option(help="Which model of a record: updated, or initial.")]
-Reduced = Annotated[
-    MassReduction | None,
-    typer.Option(help="Cross-orthogonality, by a mass matrix that guyan or serep reduces."),
-]
 Out = Annotated[Path | None, typer.Option(help="CSV of the pairs; NAME_sensors.csv beside it.")]
 
 
@@ -98,8 +93,7 @@ class CorrelateOptions(StudyOptions):
 def correlate(
     on: Opened,
     options: CorrelateOptions,
-    state: OfRecord = "updated",
-    orthogonality: Reduced = None,
+    request: CorrelationRequest,
     out: Out = None,
 ) -> StudyResult:
     """Compare modes: pairs, frequencies, MAC, COMAC, scale factors, and the worst sensors.
@@ -112,7 +106,9 @@ def correlate(
 
     first, *second = options.sources
     settings = with_model(options.settings, options.solver, options.units)
-    found = correlate_sources(first, second[0] if second else None, state, settings, orthogonality)
+    found = correlate_sources(
+        first, second[0] if second else None, request.state, settings, request.orthogonality
+    )
     return StudyResult(
         found,
         "; ".join(_lines(found)),
@@ -152,7 +148,7 @@ def correlation_summary(found: Correlation) -> dict[str, Json]:
         pairs=_pairs(found),
         sensors=_sensors(found),
         worst=[dof_name(dof) for dof, _, _ in found.worst(WORST)],
-        orthogonality=_told_orthogonality(found.orthogonality),
+        orthogonality=_orthogonality_json(found.orthogonality),
     )
 
 
@@ -201,7 +197,7 @@ def _sensors(found: Correlation) -> list[ComparedSensor]:
     return [ComparedSensor(dof_name(dof), comac, ecomac) for dof, comac, ecomac in values]
 
 
-def _told_orthogonality(found: Orthogonality | None) -> dict[str, Json] | None:
+def _orthogonality_json(found: Orthogonality | None) -> dict[str, Json] | None:
     from modetune.core.modes import dof_name
 
     return (

@@ -9,7 +9,7 @@ import typer
 
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import json_object, table_of
-from modetune.flows.studies.requests import DirectMethod, Filling
+from modetune.flows.studies.direct.request import DirectRequest
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import ModelOptions, Opened, study
 
@@ -20,24 +20,7 @@ if TYPE_CHECKING:
 @study(ModelOptions)
 def direct(
     on: Opened,
-    method: Annotated[
-        DirectMethod,
-        typer.Option(
-            help="berman (mass and stiffness), baruch (stiffness alone) or error_matrix "
-            "(first order)."
-        ),
-    ] = "berman",
-    filling: Annotated[
-        Filling,
-        typer.Option(help="How unmeasured unknowns are filled: kidder, static, serep or model."),
-    ] = "kidder",
-    mass_normalised: Annotated[
-        bool,
-        typer.Option(
-            "--mass-normalised",
-            help="The test's shapes are of unit modal mass in the model's own unit.",
-        ),
-    ] = False,
+    request: DirectRequest,
     out: Annotated[
         Path | None, typer.Option(help="Corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml.")
     ] = None,
@@ -48,7 +31,9 @@ def direct(
 
     if out is not None:
         check_form(out)
-    found = correct_directly(on.campaign, on.values, method, filling, mass_normalised)
+    found = correct_directly(
+        on.campaign, on.values, request.method, request.filling, request.mass_normalised
+    )
     written = write_matrices(out, found.matrices) if out is not None else ()
     lines = [*found.notes, found.sentence]
     tables = [table_of("Modes of the corrected model", found.modes, CorrectedMode)]

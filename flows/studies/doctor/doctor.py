@@ -23,8 +23,7 @@ from modetune.flows.campaign.schema import ModelFile, NastranDialect
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.campaign.solvers import SOLVERS, note_passed, registered
 from modetune.flows.report.tables import json_object
-from modetune.flows.studies.doctor.installation import look_around
-from modetune.flows.studies.doctor.lines import DoctorLine, Tell, without_names
+from modetune.flows.studies.doctor.installation import DoctorLine, Tell, look_around, without_names
 from modetune.flows.studies.doctor.solver_tests import FREE, SolverTests
 from modetune.flows.studies.doctor.ten_elements import MODELS, TenElements
 

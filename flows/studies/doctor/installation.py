@@ -1,17 +1,19 @@
-"""What is installed here and within reach: a line each.
-
-Nothing is started and nothing is written but a lock file in the store, which goes again.
-"""
+"""What is installed here and within reach: a line each with its state and the remedy."""
 
 from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
+import socket
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from getpass import getuser
 from importlib import metadata
 from pathlib import Path
+from typing import Annotated, Literal, get_args
 
 from packaging.requirements import Requirement
 
@@ -28,7 +30,50 @@ from modetune.flows.jobs.prefect_server import (
     running_address,
     server_home,
 )
-from modetune.flows.studies.doctor.lines import DoctorLine, State, Tell
+from modetune.flows.report.tables import Column
+
+State = Literal["passed", "failed", "not available"]
+STATES: tuple[State, ...] = get_args(State)
+
+
+@dataclass(frozen=True, slots=True)
+class DoctorLine:
+    """One thing that was looked at.
+
+    topic: what it is of, the machine or a solver; said: what was found, or the reason; remedy:
+    what to do, empty where nothing is to be done; seconds: what it took.
+    """
+
+    topic: Annotated[str, Column("of")]
+    item: Annotated[str, Column("what")]
+    state: Annotated[State, Column("state")]
+    said: Annotated[str, Column("found")]
+    remedy: Annotated[str, Column("what to do")] = ""
+    seconds: Annotated[float, Column("time", "s", ".1f")] = 0.0
+
+    @property
+    def text(self) -> str:
+        """The line for people."""
+        more = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.state:<13} {self.topic}: {self.item}: {self.said}{more}"
+
+
+#: Is told each line as it comes.
+Tell = Callable[[DoctorLine], None]
+
+
+def without_names(line: DoctorLine) -> DoctorLine:
+    """The line without home folder, user and host, so that the report can be sent."""
+    return replace(line, said=_anonymous(line.said), remedy=_anonymous(line.remedy))
+
+
+def _anonymous(text: str) -> str:
+    text = text.replace(str(Path.home()), "~")
+    for name, shown in ((getuser(), "USER"), (socket.gethostname(), "HOST")):
+        if len(name) > 1:
+            text = re.sub(rf"(?<![\w.-]){re.escape(name)}(?![\w-])", shown, text)
+    return text
+
 
 HERE = "machine"
 #: Extras that users install; `all` is their sum, `dev` is for work on modetune itself.

@@ -8,18 +8,24 @@ refuse, and one that finds no licence. It works on any campaign's solver; models
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from modetune.adapters.solver import (
     Analysis,
+    Capabilities,
+    Command,
+    Edited,
     MatrixAnalysis,
     ModalAnalysis,
     Program,
+    Rendered,
     SensitivityAnalysis,
 )
 from modetune.core.algebra.eigen import solve_modes
@@ -36,10 +42,66 @@ from modetune.core.updating.results import MatrixResult, ModalResult, ModeDeriva
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job
-from modetune.flows.studies.doctor.altered import Altered
-from modetune.flows.studies.doctor.lines import DoctorLine, State, Tell
+from modetune.flows.studies.doctor.installation import DoctorLine, State, Tell
 from modetune.flows.studies.doctor.ten_elements import TenElements
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, EIGENVALUE_TOLERANCE
+
+
+@dataclass(frozen=True)
+class Altered:
+    """A program of which some jobs are spoilt.
+
+    broken: a part of the input files and what stands in its place; where it is empty the largest
+    file is cut in half. refusal: what is said in place of the program, as if it had no licence.
+    """
+
+    program: Program
+    broken: tuple[str, str] | None = None
+    refusal: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.program.name
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return self.program.capabilities
+
+    def version(self) -> str:
+        return self.program.version()
+
+    def render(self, deck: Edited, analysis: Analysis) -> Rendered:
+        """The program's job under another key, spoilt as it is written."""
+        job = self.program.render(deck, analysis)
+
+        def write(folder: Path) -> None:
+            job.write(folder)
+            if self.broken is not None:
+                _spoil(folder, self.broken)
+
+        spoilt = [list(self.broken or ()), self.refusal]
+        return Rendered({"spoilt": spoilt, "job": job.content}, write, job.size)
+
+    def command(self, threads: int) -> Command:
+        if not self.refusal:
+            return self.program.command(threads)
+        says = "import sys; print(sys.argv[1]); sys.exit(1)"
+        return Command((sys.executable, "-I", "-S", "-c", says, self.refusal))
+
+    def read(self, deck: Edited, analysis: Analysis, folder: Path, return_code: int) -> Result:
+        return self.program.read(deck, analysis, folder, return_code)
+
+
+def _spoil(folder: Path, broken: tuple[str, str]) -> None:
+    old, new = (part.encode() for part in broken)
+    files = sorted(folder.iterdir(), key=lambda path: path.stat().st_size)
+    if not old:
+        data = files[-1].read_bytes()
+        files[-1].write_bytes(data[: len(data) // 2])
+        return
+    for path in files:
+        path.write_bytes(path.read_bytes().replace(old, new))
+
 
 R = TypeVar("R", bound=Result)
 

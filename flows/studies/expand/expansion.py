@@ -15,12 +15,14 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis
+from modetune.adapters.test_files.measurements import check_out, write_modes
 from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
 from modetune.core.condensation.expansion import (
@@ -33,17 +35,22 @@ from modetune.core.condensation.measured_unknowns import MeasuredModel
 from modetune.core.condensation.reduction import Reduction, dynamic, irs
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import CampaignError, ModelError, ModesError
+from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.measurement.sensors import global_directions
 from modetune.core.mesh import Mesh
-from modetune.core.modes import Floats, Integers, ModeSet, dof_name, mode_set
+from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, dof_name, mode_set
 from modetune.core.near_names import named
 from modetune.core.parameters import Values
+from modetune.core.storage.files import check_writable
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
+from modetune.flows.campaign.units import METRES
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.jobs.job import Job
+from modetune.flows.report.chart import PARAMETER_COLOURS, Axis, Bars, Chart, Panel, names_of
+from modetune.flows.studies.expand.request import ExpansionMethod
 from modetune.flows.studies.full_model import (
     FullModel,
     by_sensors,
@@ -51,7 +58,6 @@ from modetune.flows.studies.full_model import (
     relative,
     sensor_names,
 )
-from modetune.flows.studies.requests import ExpansionMethod
 
 #: Parts that the test points are held out in.
 PARTS = 10
@@ -344,3 +350,64 @@ FILLERS: Mapping[str, Callable[[_Test], ExpandedShapes]] = {
     "irs": _irs,
     "spline": _spline,
 }
+
+
+#: The series in its folder.
+SERIES = "expanded"
+
+
+def check_files(campaign: Campaign, out: Path | None, paraview: Path | None) -> None:
+    """Refuse what cannot be written before the work is done. Raises CampaignError."""
+    if out is not None:
+        check_out(out)
+    if paraview is not None:
+        from modetune.adapters.paraview import check_series
+
+        if not campaign.case.solver.deck.mesh().cells:
+            raise CampaignError(
+                f"{campaign.file}: a model of the solver {campaign.solver_name} has no elements, "
+                "so there is nothing to show in ParaView; leave --paraview out"
+            )
+        check_writable(paraview, "name another place with --paraview")
+        check_series(paraview, SERIES)
+
+
+def write_files(
+    campaign: Campaign, found: Expansions, out: Path | None, paraview: Path | None
+) -> list[Path]:
+    """Write what was asked for of the chosen method. Raises StorageUnavailable."""
+    written: list[Path] = []
+    modes, mesh = found.chosen.modes, found.chosen.mesh
+    assert modes is not None
+    assert mesh is not None
+    if out is not None:
+        nodes = np.flatnonzero(np.isin(mesh.nodes, modes.nodes))
+        points = TestGeometry(
+            nodes=mesh.nodes[nodes],
+            coordinates=mesh.coordinates[nodes],
+            frames=np.array(
+                [mesh.frames.get(node, np.eye(3)) for node in mesh.nodes[nodes].tolist()]
+            ).reshape(-1, 3, 3),
+            metres=METRES[campaign.case.units],
+        )
+        said = (f"modetune expand: {found.sentence}",)
+        write_modes(out, MeasuredModes(found.numbers, modes), points if nodes.size else None, said)
+        written.append(out)
+    if paraview is not None:
+        from modetune.adapters.paraview import mode_grids, write_series
+
+        grids = mode_grids(mesh, modes)
+        written.append(write_series(paraview, SERIES, grids, modes.frequencies_hz))
+    return written
+
+
+def error_chart(found: Expansions) -> Chart:
+    """The error at held-out sensors of each mode by each method."""
+    shown: list[ExpandedShapes] = [item for item in found.methods if not item.unavailable]
+    bars = tuple(
+        Bars(item.method, 100.0 * item.held_out, colour)
+        for item, colour in zip(shown, PARAMETER_COLOURS, strict=False)
+    )
+    panel = Panel(bars, Axis("mode of the test", names_of(found.numbers)), Axis("error, %"))
+    title = f"{found.name}: error of expanded shapes at held-out sensors"
+    return Chart(title, title, (panel,))

@@ -10,7 +10,7 @@ import typer
 
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
-from modetune.flows.studies.requests import ExpansionMethod
+from modetune.flows.studies.expand.request import ExpansionRequest
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Figures, ModelOptions, Opened, study
 
@@ -28,16 +28,7 @@ class ExpandOptions(ModelOptions):
 @study(ExpandOptions)
 def expand(
     on: Opened,
-    method: Annotated[
-        ExpansionMethod | None,
-        typer.Option(
-            help="serep, kidder, static, irs or spline; default: all, and the one of the least "
-            "error at held-out sensors is written."
-        ),
-    ] = None,
-    modes: Annotated[
-        int | None, typer.Option(min=1, help="Elastic modes of SEREP's basis; chosen unless named.")
-    ] = None,
+    request: ExpansionRequest,
     out: Annotated[
         Path | None, typer.Option(help="Shapes at all nodes as a test file: .csv, .h5 or .unv.")
     ] = None,
@@ -46,15 +37,15 @@ def expand(
     ] = None,
 ) -> StudyResult:
     """Fill measured shapes out to the whole mesh, with the error at sensors that were held out."""
-    from modetune.flows.studies.expand.expansion import expand_shapes
-    from modetune.flows.studies.expand.files import (
+    from modetune.flows.studies.expand.expansion import (
         check_files,
         error_chart,
+        expand_shapes,
         write_files,
     )
 
     check_files(on.campaign, out, paraview)
-    found = expand_shapes(on.campaign, on.values, method, modes)
+    found = expand_shapes(on.campaign, on.values, request.method, request.modes)
     written = write_files(on.campaign, found, out, paraview)
     lines = [f"{item.method}: {item.unavailable}" for item in found.methods if item.unavailable]
     if found.left_out:

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from modetune.core.measurement.stabilisation import OrderPoles, Stability
+from modetune.flows.report.campaign_charts import responses
 from modetune.flows.report.chart import AFTER, TEST, Axis, Chart, Curve, HeatMap, Panel, Rule
-from modetune.flows.report.charts import responses
 from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.report.page import write_chart
-from modetune.flows.report.responses import ResponseCurve
+from modetune.flows.report.response_functions import ResponseCurve
 from modetune.flows.studies.identify.identification import Identification
 
 #: Mark, colour, size and name of a pole, by what it agrees in with the order before.

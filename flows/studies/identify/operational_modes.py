@@ -7,6 +7,7 @@ split poles of close modes. Shapes have no scale that forces would give: their l
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,32 +68,50 @@ class OperationalModes:
     __repr__ = brief
 
 
-def identified(
-    test: Measurement, outputs: TimeHistories | None, settings: IdentificationSettings
-) -> Identification | OperationalModes:
-    """Modes of a test's response functions, or of outputs where the forces are unknown.
+def identify_test(
+    test: Measurement,
+    outputs: TimeHistories | None,
+    settings: IdentificationSettings,
+    files: Sequence[Path] = (),
+    out: Path | None = None,
+    figures: Path | None = None,
+) -> tuple[Identification | OperationalModes, tuple[Path, ...]]:
+    """Identify the modes of a test's response functions, or of outputs of unknown forces.
 
-    Raises CampaignError where there are neither, or they do not allow it.
+    files: of the test; out: a test file for the modes; figures: a folder. Returns the modes, and
+    the figures as files. Raises CampaignError where there are neither functions nor outputs or
+    these do not determine modes; StorageUnavailable.
     """
+    if out is not None:
+        measurements.check_out(out)
+    if outputs is not None and figures is not None:
+        raise CampaignError("--figures shows response functions, and none were measured")
+    found: Identification | OperationalModes
+    drawn: tuple[Path, ...] = ()
     if outputs is not None:
-        return operational_modes(outputs, settings)
-    if test.frfs is None:
+        found = operational_modes(outputs, settings)
+    elif test.frfs is None:
         raise CampaignError("the test has no frequency response functions to identify modes from")
-    return identify(test.frfs, settings)
+    else:
+        found = identify(test.frfs, settings)
+        if figures is not None:
+            from modetune.flows.studies.identify.figures import write_figures
+
+            drawn = write_figures(figures, ", ".join(path.name for path in files), found)
+    if out is not None:
+        _write(out, found, test, ", ".join(map(str, files)))
+    return found, drawn
 
 
-def write_identified(
+def _write(
     path: Path, found: Identification | OperationalModes, test: Measurement, source: str
 ) -> None:
-    """Write identified modes as a test file. Raises StorageUnavailable, CampaignError.
-
-    test: that they are of; source: its files.
-    """
+    """Write identified modes as a test file."""
     if isinstance(found, Identification):
         write_modes(path, found, test.geometry, source)
     else:
-        said = f"identified by modetune from {' '.join(source.split())}", *test.notes, *found.notes
-        measurements.write_modes(path, found.modes, test.geometry, said)
+        text = f"identified by modetune from {' '.join(source.split())}", *test.notes, *found.notes
+        measurements.write_modes(path, found.modes, test.geometry, text)
 
 
 def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> OperationalModes:

@@ -1,21 +1,32 @@
-"""A campaign that is drafted for a deck: its model, its test, where the sensors sit, parameters.
+"""A campaign drafted for a deck: its model, test, sensors and parameters, as values and as text.
 
-The test is tried on the model as it lies, then with a fit, then without the sensors that find no
-node; what is written is the first of these that can be read as a campaign.
+The text has a comment for each key, and candidates by quantity.
 """
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import yaml
 
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
+from modetune.core.storage.files import writing
+from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.mapping import Mapping
-from modetune.flows.campaign.sketch import DeckSketch, sketch_deck, sketched_campaign
+from modetune.flows.campaign.schema import CampaignFile, OpenFile
+from modetune.flows.campaign.sketch import DeckSketch, campaign_name, sketch_deck, sketched_campaign
+from modetune.flows.campaign.units import METRES, Units
 from modetune.flows.studies.identify.identification import (
     IdentificationSettings,
     identify,
@@ -137,3 +148,209 @@ def _test(sketch: DeckSketch, tests: Sequence[Path], folder: Path, force: bool) 
             about = "sensors are the model's nodes of the same numbers"
         return TestDraft(files, measurement, identified, sensors, about, mapping)
     raise CampaignError([f"the test cannot be laid over {sketch.deck}:", *problems])
+
+
+#: Columns of the text.
+WIDTH = 100
+
+
+def campaign_text(draft: Draft) -> str:
+    """The campaign file, which reads well and can be run as it is."""
+    parts = (_head(draft), _model(draft), _test_lines(draft), _parameters(draft), _rest(draft))
+    return "\n".join(line for part in parts for line in part) + "\n"
+
+
+def _said(text: str, indent: str = "") -> list[str]:
+    """A comment, broken to the width."""
+    return textwrap.wrap(
+        " ".join(text.split()),
+        WIDTH,
+        initial_indent=f"{indent}# ",
+        subsequent_indent=f"{indent}# ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _head(draft: Draft) -> Iterator[str]:
+    yield from _said(
+        f"A campaign for {draft.sketch.deck.name}, drafted by `modetune init`. Everything behind a "
+        "# is for people. What each key means: `keys` in the documentation; `modetune check` tells "
+        "what does not fit."
+    )
+    yield f"name: {_word(campaign_name(draft.sketch.deck))}  # names the folder runs/NAME"
+    yield ""
+
+
+def _model(draft: Draft) -> Iterator[str]:
+    sketch = draft.sketch
+    yield "model:"
+    yield f"  deck: {_word(_beside(draft, sketch.deck))}"
+    if sketch.by_solver:
+        yield from _said(f"{sketch.name} {sketch.by_solver.partition(';')[0]}; others that may: "
+                         "calculix (by translation), nastran, mystran", "  ")  # fmt: skip
+    yield f"  solver: {sketch.name}"
+    others = ", ".join(unit for unit in get_args(Units) if unit != sketch.units)
+    if sketch.units is None:
+        yield from _said(
+            f"PLEASE CHECK: nothing tells the units ({sketch.by_units}); m-kg-s stands here until "
+            f"somebody knows better: {others}", "  "
+        )  # fmt: skip
+    elif sketch.by_units:
+        yield from _said(
+            f"PLEASE CHECK, a guess: {sketch.by_units}; others: {others}. Frequencies do not "
+            "depend on it, masses in kg and the places of sensors do.", "  "
+        )  # fmt: skip
+    yield f"  units: {sketch.units or 'm-kg-s'}"
+    yield ""
+
+
+def _test_lines(draft: Draft) -> Iterator[str]:
+    test = draft.test
+    if test is None:
+        yield from _said(
+            "No test yet. When there is one, take the # away from these lines: modes as CSV, "
+            "universal file or HDF5 (`modetune identify` makes them from response functions)."
+        )
+        yield "# test:"
+        yield "#   modes: measured.unv"
+        yield "#   sensors: {align: none}  # or fit: finds how the test's points lie in the model"
+        yield ""
+        return
+    modes = test.measurement.modes
+    assert modes is not None
+    yield "test:"
+    if test.identified is not None:
+        yield from _said(
+            f"modes identified from the response functions over their whole band; look at them "
+            f"with `modetune identify {test.files[-1].name} --figures figures`, and name those "
+            "that are real under `use`", "  "
+        )  # fmt: skip
+    hz = modes.modes.frequencies_hz
+    yield from _said(
+        f"{len(modes.numbers)} modes from {hz.min():.4g} to {hz.max():.4g} Hz at "
+        f"{modes.modes.n_dof} sensors", "  "
+    )  # fmt: skip
+    names = ", ".join(_word(_beside(draft, path)) for path in test.files)
+    yield f"  modes: {names}" if len(test.files) == 1 else f"  modes: [{names}]"
+    yield from _said("numbers of the modes that are used; take out those you do not believe", "  ")
+    yield from textwrap.wrap(
+        f"use: [{', '.join(map(str, modes.numbers))}]",
+        WIDTH,
+        initial_indent="  ",
+        subsequent_indent="    ",
+    )
+    yield from _sensors(draft, test)
+    yield ""
+
+
+def _sensors(draft: Draft, test: TestDraft) -> Iterator[str]:
+    mapping, geometry = test.mapping, test.measurement.geometry
+    distances = [row.distance for row in mapping.table if np.isfinite(row.distance)]
+    far = f"; at most {max(distances):.3g} {mapping.unit} from their nodes" if distances else ""
+    left = len(mapping.left_out)
+    yield from _said(f"{test.about}{far}{f'; {left} left out' if left else ''}", "  ")
+    settings = dict(test.sensors)
+    if geometry is not None and mapping.alignment is not None:
+        settings = {"align": "none", **settings}
+        if not np.isfinite(geometry.metres):
+            scale = mapping.alignment.scale * METRES[draft.sketch.units or "m-kg-s"]
+            yield from _said(
+                "PLEASE CHECK: the test's files do not tell their unit of length; here one is "
+                f"{scale:.4g} m. `length: mm` (m, cm, in, ft) beside `modes` names it.", "  "
+            )  # fmt: skip
+    if settings:
+        yield f"  sensors: {{{', '.join(f'{key}: {value}' for key, value in settings.items())}}}"
+
+
+def _parameters(draft: Draft) -> Iterator[str]:
+    free, all_ = len(draft.free), len(draft.candidates)
+    yield from _said(
+        "What may change, relative to the deck's value: bounds are how far it may go, deviation is "
+        "how uncertain it is beforehand (a standard deviation). "
+        f"Free {'is' if free == 1 else 'are'} {free} of {all_} candidates; take a # away to free "
+        "others, put one to fix them. "
+        "A number without a parameter stays what the deck says."
+    )
+    yield "parameters:"
+    for quantity, group in groupby(draft.candidates, lambda item: item.expected.quantity):
+        members = list(group)
+        yield from _said(f"{quantity}: {members[0].expected.why}", "  ")
+        for item in members:
+            yield from _parameter(item)
+    yield ""
+
+
+def _parameter(item: Candidate) -> Iterator[str]:
+    own = item.parameter
+    targets = [_target(name) for name in own.targets]
+    target = targets[0] if len(targets) == 1 else f"[{', '.join(targets)}]"
+    keys = f"name: {_word(own.name)}, quantity: {own.quantity}, {own.by}: {target}"
+    if own.item:
+        keys += f", item: {own.item}"
+    numbers = f"bounds: [{own.lower:g}, {own.upper:g}], deviation: {own.standard_deviation:g}"
+    mark = "  - " if item.free else "  # - "
+    yield from _said(item.said, "  ") if item.free else ()
+    yield f"{mark}{{{keys}, {numbers}}}" + ("" if item.free else f"  # {item.said}")
+
+
+def _rest(draft: Draft) -> Iterator[str]:
+    if draft.test is None:
+        return
+    yield from _said(
+        "What is compared. Deviations are how exactly the test was made: 0.2 % of a frequency and "
+        "5 % of a shape are those of a good modal test; better ones than yours make doubts look "
+        "like findings."
+    )
+    shapes = draft.test.has_shapes
+    yield "residuals:"
+    yield "  frequency_weight: 1.0"
+    yield f"  shape_weight: {'0.3' if shapes else '0.0  # the test has no shapes'}"
+    yield "  frequency_deviation: 0.002"
+    if shapes:
+        yield "  shape_deviation: 0.05"
+    yield ""
+    yield "update:"
+    yield "  # agreement that ends it: the largest frequency error and the least MAC"
+    yield "  e1: {frequency: 0.01, mac: 0.9}"
+
+
+def _beside(draft: Draft, path: Path) -> str:
+    """A path as the campaign file names it."""
+    return os.path.relpath(path.resolve(), draft.path.resolve().parent)
+
+
+def _word(text: str) -> str:
+    """A text as one word of YAML."""
+    plain = re.fullmatch(r"[A-Za-z_./][\w./-]*", text) and yaml.safe_load(text) == text
+    return text if plain else json.dumps(text)
+
+
+def _target(name: str) -> str:
+    """A target: numbers as Nastran decks have them, else a word."""
+    return name if name.isdecimal() and str(int(name)) == name else _word(name)
+
+
+def init_campaign(
+    deck: Path,
+    tests: Sequence[Path] = (),
+    settings: Sequence[str] = (),
+    out: Path | None = None,
+    force: bool = False,
+) -> Draft:
+    """Write a campaign for a deck, beside it unless named, and read it as `check` will.
+
+    settings: `model.solver=NAME`, `model.units=NAME`. Files that are there stay unless force.
+    Raises CampaignError, ModelError for why there can be none.
+    """
+    path = out or deck.with_name("campaign.yaml")
+    keep(path, force)
+    draft = draft_campaign(deck, tests, settings, path, force)
+    with writing(path) as part:
+        part.write_text(campaign_text(draft), encoding="utf-8")
+    try:
+        load_campaign(path, [], CampaignFile if draft.test else OpenFile)
+    except CampaignError as error:
+        path.unlink()
+        raise CampaignError([f"a campaign for {deck} is refused:", *error.problems]) from error
+    return draft

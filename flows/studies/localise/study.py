@@ -74,7 +74,7 @@ def localise(
 
 def summary(found: Localisation) -> dict[str, Json]:
     """Return the JSON object of a localisation."""
-    from modetune.flows.report.form_verdict import told_form
+    from modetune.flows.report.form_verdict import form_json
 
     values = zip(found.parameters, found.theta.tolist(), strict=True)
     return json_object(
@@ -82,10 +82,10 @@ def summary(found: Localisation) -> dict[str, Json]:
         "modes why_no_maps",
         status="done",
         parameters=[{"name": name, "value": value} for name, value in values],
-        model_form=told_form(found.form, found.labels, found.sentence),
+        model_form=form_json(found.form, found.labels, found.sentence),
         singles=_removals(found, found.singles),
         pairs=_removals(found, found.pairs),
-        maps=None if found.maps is None else _told_maps(found.maps),
+        maps=None if found.maps is None else _maps_json(found.maps),
         solver_runs=found.runs,
     )
 
@@ -144,7 +144,7 @@ def _groups(maps: ErrorMaps) -> list[GroupRow]:
     ]
 
 
-def _told_maps(maps: ErrorMaps) -> dict[str, Json]:
+def _maps_json(maps: ErrorMaps) -> dict[str, Json]:
     errors = maps.errors
     pair = {
         "groups": [maps.groups[place] for place in errors.pair],

@@ -14,7 +14,7 @@ from modetune.core.mesh import Mesh, global_shapes
 from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
 from modetune.core.planning.spacing import Bools, Spacing
 from modetune.core.surface import display_surface
-from modetune.flows.studies.requests import Directions
+from modetune.flows.studies.pretest.request import Directions
 
 #: Candidates on the surface at most; a finer mesh is thinned evenly.
 SURFACE_NODES = 4000

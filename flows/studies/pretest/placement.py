@@ -26,7 +26,7 @@ from modetune.core.planning.spacing import Spacing
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.pretest.candidate_sensors import CandidateSensors
 from modetune.flows.studies.pretest.information import Information
-from modetune.flows.studies.requests import PlacementMethod, PretestSettings
+from modetune.flows.studies.pretest.request import PlacementMethod, PretestSettings
 
 
 def check_settings(settings: PretestSettings) -> None:

@@ -13,7 +13,7 @@ import typer
 
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
-from modetune.flows.studies.requests import PretestSettings
+from modetune.flows.studies.pretest.request import PretestSettings
 from modetune.flows.studies.result import StudyResult, near
 from modetune.flows.studies.study import CampaignOptions, Opened, study
 
@@ -47,8 +47,7 @@ def pretest(
     picture: Annotated[Path | None, typer.Option(help="Write a PNG of all places.")] = None,
 ) -> StudyResult:
     """Choose places for sensors and exciters from the model alone, before there is a test."""
-    from modetune.flows.studies.pretest.plan import run_pretest
-    from modetune.flows.studies.pretest.sensor_file import check_out, write_sensor_file
+    from modetune.flows.studies.pretest.plan import check_out, run_pretest, write_sensor_file
 
     mesh = on.campaign.case.solver.deck.mesh()
     if out is not None:
@@ -78,7 +77,7 @@ def pretest_summary(
     found: Pretest, out: Path | None = None, picture: Path | None = None
 ) -> dict[str, Json]:
     """Return the JSON object of a pretest."""
-    from modetune.flows.studies.pretest.sensor_file import sensor_dofs
+    from modetune.flows.studies.pretest.plan import sensor_dofs
 
     return json_object(
         found,
@@ -98,8 +97,8 @@ def pretest_summary(
             )
             for item in found.sensors
         ],
-        quality=_told_quality(found.quality, found.mode_numbers),
-        all_candidates=_told_quality(found.whole, found.mode_numbers),
+        quality=_quality_json(found.quality, found.mode_numbers),
+        all_candidates=_quality_json(found.whole, found.mode_numbers),
         exciters=[
             json_object(
                 item, "node place shares rigid_kg", direction=item.label, vector=item.direction
@@ -113,7 +112,7 @@ def pretest_summary(
     )
 
 
-def _told_quality(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]:
+def _quality_json(quality: Quality, numbers: tuple[int, ...]) -> dict[str, Json]:
     return json_object(
         quality,
         "auto_mac condition determinant efficiency",

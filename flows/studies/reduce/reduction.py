@@ -34,7 +34,7 @@ from modetune.flows.studies.full_model import (
     masters_of,
     sensor_names,
 )
-from modetune.flows.studies.requests import ReductionMethod, ReductionRequest
+from modetune.flows.studies.reduce.request import ReductionMethod, ReductionRequest
 
 #: Modes that are compared, rigid ones counted, where nobody says how many.
 COMPARED = 16

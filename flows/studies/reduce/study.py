@@ -10,7 +10,7 @@ import typer
 
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, json_object, table_of
-from modetune.flows.studies.requests import ReductionRequest
+from modetune.flows.studies.reduce.request import ReductionRequest
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import ModelOptions, Opened, study
 

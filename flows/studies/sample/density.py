@@ -29,7 +29,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.updating.estimation import parameter_covariance
-from modetune.flows.studies.sample.limits import ResponseLimits
+from modetune.flows.studies.sample.surrogate import ResponseLimits
 
 #: Ends are peaks of their own where the log density sinks by as much between them.
 SINK = 1.0

@@ -18,11 +18,11 @@ from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
-from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample.chains import LONGER, LONGEST, Chains, check_walkers, sample
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.refinement import Checks, Learned, check, learn
+from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import MANY, Demand

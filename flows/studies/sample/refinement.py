@@ -25,13 +25,13 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.flows.studies.sample.chains import Chains, walk
 from modetune.flows.studies.sample.density import Peaks, Posterior, find_peaks
-from modetune.flows.studies.sample.limits import limits_of
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.surrogate import (
     Surrogate,
     Training,
     density_error,
     fit_surrogate,
+    limits_of,
 )
 from modetune.flows.updating.mode_source import MANY
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.study import Opened, RunOptions, study
 
 Record = Annotated[
@@ -28,7 +28,7 @@ def sample(on: Opened, request: SamplingRequest, record: Record = None) -> Study
     from modetune.flows.studies.sample.figures import posterior_figures
     from modetune.flows.studies.sample.posterior import sample_campaign
     from modetune.flows.studies.sample.record import POSTERIOR
-    from modetune.flows.studies.sample.summary import findings, posterior_table, summary, told
+    from modetune.flows.studies.sample.summary import findings, lines, posterior_table, summary
 
     earlier = read_record(record) if record is not None else None
     found = sample_campaign(on.campaign, request, on.working, earlier)
@@ -38,9 +38,9 @@ def sample(on: Opened, request: SamplingRequest, record: Record = None) -> Study
     return StudyResult(
         found,
         found.points_by or "sampled",
-        told(found),
+        summary(found),
         [posterior_table(found)],
-        [*summary(found), *(finding.text for finding in judged)],
+        [*lines(found), *(finding.text for finding in judged)],
         [on.folder / POSTERIOR.file],
         posterior_figures(found) if on.charted else {},
         doubts,

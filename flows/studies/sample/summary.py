@@ -248,7 +248,7 @@ def posterior_table(record: PosteriorRecord) -> Table:
     return table_of("Posterior, relative to the deck", posterior_rows(record), PosteriorRow)
 
 
-def summary(record: PosteriorRecord) -> list[str]:
+def lines(record: PosteriorRecord) -> list[str]:
     """What was done, in sentences."""
     by_model = record.by_reduced_model
     called = "reduced model" if by_model else "surrogate"
@@ -266,8 +266,8 @@ def summary(record: PosteriorRecord) -> list[str]:
     ]
 
 
-def told(record: PosteriorRecord) -> dict[str, Json]:
-    """The `--json` object of `modetune sample`."""
+def summary(record: PosteriorRecord) -> dict[str, Json]:
+    """Return the JSON object of the record."""
     said = findings(record)
     errors = zip(record.training.names, record.left_out, record.check_errors, strict=True)
     peaks = zip(record.shares, record.peaks, strict=True)

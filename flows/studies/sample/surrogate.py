@@ -16,20 +16,27 @@ with B the first block of the inverse of [A P; P^T 0]. Leaving out point i misse
 
 and the order taken is the one that misses least of the points of largest density. Entries span few
 directions V (singular value decomposition over the points); w V is enough, as |w V| = |w|.
+
+Rows of the residual that have limits, as of a mass, end a posterior inside its range. They are
+learned in the same way. Mass properties are polynomials of moduli and densities of a low order, so
+this is as good as exact; rows with limits alone take no part in the density itself.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations_with_replacement
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
+from modetune.flows.updating.evaluation import Evaluation
 
 #: Orders of splines, and points that each term of their polynomials takes.
 ORDERS, POINTS_EACH = (1, 2, 3), 1.5
@@ -180,3 +187,49 @@ def density_error(values: Floats, missed: Floats) -> float:
     """
     off = 0.5 * ((values - missed) ** 2 - values**2).sum(axis=1)
     return float(np.quantile(np.abs(off - np.median(off)), 0.95)) if off.size else np.inf
+
+
+#: Rows are learned in so small a part of what they span over the sets: all digits of them count.
+UNIT = 1e-6
+#: Sets that are learned from at most.
+MOST = 400
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseLimits:
+    """rows: the residual's rows that have limits, in UNIT of what they span; ends: (n_rows, 2), in
+    the same; names: of the rows, for people."""
+
+    rows: Surrogate
+    ends: Floats
+    names: tuple[str, ...]
+
+    def breach(self, points: Floats, inside: float = 0.0) -> Floats:
+        """How far rows are beyond their limits, or what is so far inside of them, (n, n_rows), at
+        points (n, n_parameters): shares of what they span over the sets."""
+        values = self.rows.residuals(points)
+        low, high = UNIT * (self.ends[:, 0] - values), UNIT * (values - self.ends[:, 1])
+        return np.asarray(np.maximum(0.0, np.maximum(low, high) + inside))
+
+    def hold(self, points: Floats) -> NDArray[np.bool_]:
+        """Whether points keep all of them, (n,)."""
+        return np.asarray(~self.breach(points).any(axis=1))
+
+
+def limits_of(known: Sequence[Evaluation], lower: Floats, upper: Floats) -> ResponseLimits | None:
+    """The limits of a campaign from sets that were solved; None where it has none.
+
+    lower, upper: (n_parameters,), of the range.
+    """
+    ends = known[0].residual.limits
+    held = np.isfinite(ends).any(axis=1)
+    if not held.any():
+        return None
+    names = [name for name, has in zip(known[0].residual.labels, held.tolist(), strict=True) if has]
+    sets = known[:MOST]
+    values = [item.residual.values[np.isfinite(item.residual.limits).any(axis=1)] for item in sets]
+    spans = np.ptp(values, axis=0)
+    units = UNIT * np.where(spans > 0.0, spans, 1.0)
+    points, numbers = np.array([item.theta for item in sets]), np.arange(units.size)
+    rows = fit_surrogate(Training(points, values / units, numbers, tuple(names)), lower, upper)
+    return ResponseLimits(rows, ends[held] / units[:, None], tuple(names))

@@ -35,8 +35,8 @@ from modetune.core.updating.parameter_scatter import (
 )
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.requests import SamplingRequest, ScatterRequest
 from modetune.flows.studies.sample.posterior import Known, learned_posterior
+from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.sample.surrogate import fit_surrogate
 from modetune.flows.studies.scatter.measured_values import (
     MeasuredValues,
@@ -46,6 +46,7 @@ from modetune.flows.studies.scatter.measured_values import (
     values_of,
 )
 from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
+from modetune.flows.studies.scatter.request import ScatterRequest
 from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from modetune.flows.studies.requests import ScatterRequest
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.sample.study import Record
+from modetune.flows.studies.scatter.request import ScatterRequest
 from modetune.flows.studies.study import Opened, RunOptions, study
 
 
@@ -19,7 +19,7 @@ def scatter(on: Opened, request: ScatterRequest, record: Record = None) -> Study
     from modetune.flows.studies.scatter.estimate import scatter_campaign
     from modetune.flows.studies.scatter.figures import scatter_charts
     from modetune.flows.studies.scatter.record import SCATTER
-    from modetune.flows.studies.scatter.summary import findings, scatter_tables, summary, told
+    from modetune.flows.studies.scatter.summary import findings, lines, scatter_tables, summary
 
     earlier = read_record(record) if record is not None else None
     found = scatter_campaign(on.campaign, request, on.working, earlier)
@@ -31,9 +31,9 @@ def scatter(on: Opened, request: ScatterRequest, record: Record = None) -> Study
     return StudyResult(
         found,
         "scatter found",
-        told(found),
+        summary(found),
         scatter_tables(found),
-        [*summary(found), *model, runs, *(finding.text for finding in judged)],
+        [*lines(found), *model, runs, *(finding.text for finding in judged)],
         [on.folder / SCATTER.file],
         scatter_charts(found),
         doubts,

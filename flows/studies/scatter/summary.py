@@ -74,7 +74,7 @@ def is_frequency(name: str) -> bool:
     return name.startswith("frequency of ")
 
 
-def summary(record: ScatterRecord) -> list[str]:
+def lines(record: ScatterRecord) -> list[str]:
     """What was done, in sentences."""
     n_modes, n_tests = sum(map(is_frequency, record.measured)), len(record.tests)
     more = len(record.measured) - n_modes
@@ -139,8 +139,8 @@ def _of_answer(answer: ScatterAnswer) -> Said:
         )
 
 
-def told(record: ScatterRecord) -> dict[str, Json]:
-    """The `--json` object of `modetune scatter`."""
+def summary(record: ScatterRecord) -> dict[str, Json]:
+    """Return the JSON object of the record."""
     said = findings(record)
     return json_object(
         record,

@@ -15,7 +15,7 @@ import numpy as np
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
-from modetune.flows.studies.requests import ScreeningMethod
+from modetune.flows.studies.screen.request import ScreeningMethod
 
 #: Without a number of points: trajectories, base samples, and points a parameter.
 TRAJECTORIES, BASE_SAMPLES, POINTS_EACH = 10, 64, 10

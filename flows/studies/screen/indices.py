@@ -28,8 +28,8 @@ import scipy
 
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
-from modetune.flows.studies.requests import ScreeningMethod
 from modetune.flows.studies.screen.design import Design
+from modetune.flows.studies.screen.request import ScreeningMethod
 
 #: Range of a uniform spread over its standard deviation.
 UNIFORM_RANGE = float(np.sqrt(12.0))

@@ -20,26 +20,7 @@ from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.studies.screen.choice import ChosenParameters
 from modetune.flows.studies.screen.design import Design
 from modetune.flows.studies.screen.indices import Indices
-
-
-@dataclass(frozen=True, slots=True)
-class LocalSensitivity:
-    """Sensitivities at the deck's values.
-
-    frequencies: (n_modes, n_parameters), (df/f) / (dp/p). mac: likewise dMAC / (dp/p), without
-    rows where shapes are not compared. others: (n_others, n_parameters), of what is compared
-    beside, in standard deviations of the test, for a change by the deck's value. weighted,
-    weighted_residual: as `core/updating/subset` requires them. methods: how each column was
-    computed; missing: why a column was unavailable, or empty.
-    """
-
-    frequencies: Floats
-    mac: Floats
-    others: Floats
-    weighted: Floats
-    weighted_residual: Floats
-    methods: tuple[str, ...]
-    missing: tuple[str, ...]
+from modetune.flows.studies.screen.sensitivity import LocalSensitivity
 
 
 @dataclass(frozen=True, slots=True)

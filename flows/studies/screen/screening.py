@@ -20,13 +20,18 @@ from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
-from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
 from modetune.flows.studies.screen.design import Design, make_design
-from modetune.flows.studies.screen.importance import importance, loudest
 from modetune.flows.studies.screen.indices import Indices, design_indices
-from modetune.flows.studies.screen.local import local_sensitivity, other_rows
-from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening, mode_names
+from modetune.flows.studies.screen.record import Responses, Screening, mode_names
+from modetune.flows.studies.screen.request import ScreeningRequest
+from modetune.flows.studies.screen.sensitivity import (
+    LocalSensitivity,
+    importance,
+    local_sensitivity,
+    loudest,
+    other_rows,
+)
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.mode_source import Demand

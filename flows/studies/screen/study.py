@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.study import Opened, RunOptions, study
 
 Out = Annotated[
@@ -27,7 +27,7 @@ def screen(on: Opened, request: ScreeningRequest, out: Out = None) -> StudyResul
     from modetune.flows.studies.screen.proposal import check_out, write_proposal
     from modetune.flows.studies.screen.record import SCREENING
     from modetune.flows.studies.screen.screening import screen_campaign
-    from modetune.flows.studies.screen.summary import lines, proposed, tables, told
+    from modetune.flows.studies.screen.summary import lines, proposed, summary, tables
 
     if out is not None:
         check_out(on.campaign.file, out)
@@ -39,7 +39,7 @@ def screen(on: Opened, request: ScreeningRequest, out: Out = None) -> StudyResul
     return StudyResult(
         found,
         proposed(found),
-        told(found),
+        summary(found),
         tables(found),
         lines(found),
         written,

@@ -47,7 +47,7 @@ class LiveRecord:
         return f"{mark[0]} {mark[1]}", self._known[1]
 
 
-def told_live(record: LiveRecord, store: Store) -> dict[str, Json]:
+def live_json(record: LiveRecord, store: Store) -> dict[str, Json]:
     """What the page asks for every second."""
     mark, known = record.newest()
     running = campaigns_running(store)
@@ -63,12 +63,12 @@ def told_live(record: LiveRecord, store: Store) -> dict[str, Json]:
     }
     if known is not None:
         tables = iteration_table(known.iterations), parameter_table(known, BRIEF_PARAMETERS)
-        told["tables"] = [told_table(table) for table in tables]
+        told["tables"] = [_table_json(table) for table in tables]
         told["iteration"] = known.iterations[-1].number
     return told
 
 
-def told_table(table: Table) -> dict[str, Json]:
+def _table_json(table: Table) -> dict[str, Json]:
     """A table for the page: its heads, whether a column holds words, and its texts."""
     return {
         "title": table.title,

@@ -20,7 +20,7 @@ from modetune.flows.updating.mode_source import campaign_analysis
 REACH = 2.0
 
 
-def told_pairs(
+def pairs_json(
     campaign: Campaign, solve: bool, cancelled: threading.Event, configuration: str = ""
 ) -> dict[str, Json]:
     """The table of pairs; solve: by the solver where the store has not the model's modes.

@@ -12,7 +12,7 @@ from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.storage.keys import Json
-from modetune.flows.report.chart import told_chart
+from modetune.flows.report.chart import chart_json
 from modetune.flows.studies.identify.figures import stabilisation_chart
 from modetune.flows.studies.identify.identification import (
     Identification,
@@ -25,7 +25,7 @@ from modetune.flows.studies.view.changes import Change, Part
 Band = tuple[float, float] | None
 
 
-def told_poles(part: Part, band: Band, order: int) -> dict[str, Json]:
+def poles_json(part: Part, band: Band, order: int) -> dict[str, Json]:
     """The diagram and the columns of it that may be picked; those of the modes that the campaign
     has are, or where it has none those that the choice without a user takes.
 
@@ -50,7 +50,7 @@ def told_poles(part: Part, band: Band, order: int) -> dict[str, Json]:
     return {
         "band": [float(lines[0]), float(lines[-1])],
         "order": order,
-        "chart": told_chart(stabilisation_chart("", found)),
+        "chart": chart_json(stabilisation_chart("", found)),
         "tracks": [
             {"hz": float(track.frequency_hz), "damping": float(track.damping_ratio),
              "stable": track.n_stable, "picked": place in picked}

@@ -33,7 +33,7 @@ ENOUGH = 3
 Mark = int | tuple[float, float, float]
 
 
-def told_sensors(part: Part) -> dict[str, Json]:
+def sensors_json(part: Part) -> dict[str, Json]:
     """Surface, test points, how they lie over the model, and the landmarks there are.
 
     Where nothing says how they lie they are drawn beside the model's middle, to be moved by hand.

@@ -32,15 +32,15 @@ from modetune.flows.campaign.campaign import load_campaign, store_of
 from modetune.flows.campaign.schema import Triple
 from modetune.flows.report.page import page
 from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
-from modetune.flows.studies.view.live_record import LiveRecord, told_live
-from modetune.flows.studies.view.pairs import pairs_change, told_pairs
-from modetune.flows.studies.view.poles import Band, poles_change, told_poles
+from modetune.flows.studies.view.live_record import LiveRecord, live_json
+from modetune.flows.studies.view.pairs import pairs_change, pairs_json
+from modetune.flows.studies.view.poles import Band, poles_change, poles_json
 from modetune.flows.studies.view.sensors import (
     Mark,
     fitted_pose,
     landmarks_change,
     pose_change,
-    told_sensors,
+    sensors_json,
 )
 
 LOOPBACK = "127.0.0.1"
@@ -198,7 +198,7 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
     @app.get("/live")
     def live() -> Response:
         told = {"name": campaign.name, "configurations": configuration_names(first)}
-        return JSONResponse({**told, **told_live(record, store)})
+        return JSONResponse({**told, **live_json(record, store)})
 
     @app.get("/report")
     def report() -> Response:
@@ -208,18 +208,18 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
 
     @app.get("/pairs")
     def pairs(solve: bool = False, configuration: str = "") -> Response:
-        return JSONResponse(told_pairs(load_campaign(campaign), solve, ending, configuration))
+        return JSONResponse(pairs_json(load_campaign(campaign), solve, ending, configuration))
 
     @app.get("/poles")
     def poles(
         low: Edge = None, high: Edge = None, order: Order = 60, configuration: str = ""
     ) -> Response:
         band: Band = None if low is None or high is None else (low, high)
-        return JSONResponse(told_poles(part(configuration), band, order))
+        return JSONResponse(poles_json(part(configuration), band, order))
 
     @app.get("/sensors")
     def sensors(configuration: str = "") -> Response:
-        return JSONResponse(told_sensors(part(configuration)))
+        return JSONResponse(sensors_json(part(configuration)))
 
     @app.post("/fit")
     def fit(asked: Pose, configuration: str = "") -> Response:

@@ -18,7 +18,7 @@ from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.flows.campaign.mapping import Mapping, map_sensors
 from modetune.flows.campaign.schema import SensorSection
-from modetune.flows.cli.sensors import sensor_lines, sensor_table, told_sensors
+from modetune.flows.cli.sensors import sensor_lines, sensor_table, sensors_json
 from modetune.flows.report import mesh_picture
 from modetune.flows.report.mesh_picture import save_sensor_picture
 
@@ -412,7 +412,7 @@ def test_poses_that_cannot_be_told_apart_are_shown_and_asked_about() -> None:
     assert "rotation: [0, 0, -160], translation: [800, 400, 0]" in what
     assert "beside `align: fit`" in remedy
     assert "not certain: 4 poses" in sensor_lines(found)[-1]
-    assert told_sensors(found)["status"] == "doubtful"
+    assert sensors_json(found)["status"] == "doubtful"
 
 
 @pytest.mark.parametrize(
@@ -459,7 +459,7 @@ def test_of_very_many_sensors_those_in_doubt_are_shown_and_few_are_named() -> No
     table = sensor_table(found)
     assert len(table.rows) == 500
     assert "shown are 500 sensors" in sensor_lines(found)[0]
-    told = told_sensors(found)["sensors"]
+    told = sensors_json(found)["sensors"]
     assert isinstance(told, list)
     assert len(told) == 3000
     with pytest.raises(CampaignError, match=r"3000 sensors are not seen .*; and 2980 more\."):
@@ -532,7 +532,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
     assert second[4:] == ["left out", "the next node, 3, is 60 mm away"]
     assert lines[0].startswith("8 sensors: 7 good, 0 doubtful, 1 left out; tolerance ")
     assert lines[1] == "alignment: scale 1, turned 0 degrees, moved 0, 0, 0 (given)"
-    told = json.loads(json.dumps(told_sensors(found)))
+    told = json.loads(json.dumps(sensors_json(found)))
     assert told["status"] == "doubtful"
     assert told["sensors"][1] == {
         "test_node": 202, "component": "z", "model_node": None, "distance": 60.0,

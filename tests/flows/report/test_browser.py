@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -260,21 +260,12 @@ def test_it_fits_any_width_by_day_and_by_night(
     assert opened.complaints == []
 
 
-@dataclass(frozen=True)
-class Study:
-    """What a study came to, as a page wants it."""
-
-    tables: tuple[Table, ...]
-    lines: tuple[str, ...] = ("all is told",)
-    doubts: tuple[str, ...] = ()
-
-
 def test_wide_tables_of_a_studys_page_stand_row_below_row_on_a_phone(
     browser: Any, tmp_path: Path
 ) -> None:
     heads = [Column("parameter", words=True), *(Column(f"of mode {n}", "%") for n in range(8))]
     table = Table("Shares", tuple(heads), (("E of the wing", *[0.5] * 8), ("rho", *[0.25] * 8)))
-    file = write_study(tmp_path / "study.html", ("screen", "wing"), Study((table,)), {})
+    file = write_study(tmp_path / "study.html", ("screen", "wing"), [table], ["a line"], [], {})
     where = "document.querySelector('.table')"
     cells = f"[...{where}.querySelectorAll('tbody td')].map((one) => one.getBoundingClientRect().x)"
     for width in (390, 1200):

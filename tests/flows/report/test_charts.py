@@ -11,8 +11,8 @@ import pytest
 from matplotlib.patches import Rectangle
 
 from modetune.core.storage.record import CampaignRecord
-from modetune.flows.report.chart import Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, told_chart
-from modetune.flows.report.charts import campaign_charts
+from modetune.flows.report.campaign_charts import campaign_charts
+from modetune.flows.report.chart import Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, chart_json
 from modetune.flows.report.matplotlib_charts import matplotlib_figure
 
 STRANGE = "$x_$ <b>"
@@ -35,7 +35,7 @@ def two_panels() -> Chart:
 
 def told(chart: Chart) -> Any:
     """What a page's script reads."""
-    return json.loads(json.dumps(told_chart(chart), allow_nan=False))
+    return json.loads(json.dumps(chart_json(chart), allow_nan=False))
 
 
 def test_print_and_page_have_every_panel_and_its_axes() -> None:

@@ -19,8 +19,8 @@ from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import read_record, write_record
 from modetune.flows import report
 from modetune.flows.report.chart import AFTER, BEFORE
-from modetune.flows.report.drawing import draw_report
 from modetune.flows.report.page import page, write_page
+from modetune.flows.report.report_file import draw_report
 
 Make = Callable[[int], CampaignRecord]
 EVIL = "</script><img src=x onerror=alert(1)><b>&\"'"

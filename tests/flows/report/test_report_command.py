@@ -13,7 +13,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.storage.record import CampaignRecord
 from modetune.core.storage.record_file import write_record
 from modetune.flows.cli.main import app
-from modetune.flows.report.charts import campaign_charts
+from modetune.flows.report.campaign_charts import campaign_charts
 from modetune.flows.report.matplotlib_charts import save_all
 
 FIGURES = ["comac", "convergence", "estimates", "frequencies", "mac", "mac_map", "parameters",

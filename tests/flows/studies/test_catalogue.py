@@ -17,15 +17,15 @@ import modetune
 from modetune.core.errors import CampaignError
 from modetune.core.updating.direct import Filling as CoreFilling
 from modetune.flows.cli.command import command_of
+from modetune.flows.cli.identify import identify
+from modetune.flows.cli.init import init
 from modetune.flows.studies.catalogue import STUDIES, find_study
-from modetune.flows.studies.requests import Filling
+from modetune.flows.studies.direct.request import Filling
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Study
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.forecast import Unwatched
 
-#: Parameters of the comparison with a baseline, which only the command offers.
-BASELINE = {"against", "record", "state", "frequency_band", "mac_band"}
 #: Where studies are defined.
 FOLDER = Path(inspect.getfile(Study)).parent
 #: A value of each type of JSON.
@@ -74,8 +74,8 @@ def test_each_study_is_defined_once_below_its_name() -> None:
         for path in FOLDER.rglob("*.py")
         if "\n@study(" in path.read_text()
     }
-    assert defined == set(STUDIES.values())
-    assert all(place in (name, f"{name}.study") for name, place in STUDIES.items())
+    assert defined == {place for place, _ in STUDIES.values()}
+    assert all(place in (name, f"{name}.study") for name, (place, _) in STUDIES.items())
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -90,8 +90,7 @@ def test_command_verb_and_flow_have_the_same_parameters_and_defaults(
     verb = getattr(modetune, name)
     keywords = set(inspect.signature(verb).parameters) - {"progress", "prefect"}
     if name == "check":
-        assert flow & BASELINE == BASELINE
-        keywords = keywords - {"run"} | {"no_run"} | BASELINE
+        keywords = keywords - {"run"} | {"no_run"}
     assert {first if item == "campaign" else item for item in keywords} == flow
 
     assert typed(name, "chain.yaml") == 0
@@ -99,6 +98,17 @@ def test_command_verb_and_flow_have_the_same_parameters_and_defaults(
     by_command, by_verb = (study.checked(call["parameters"]) for call in calls)
     assert by_command == by_verb
     assert by_command == study.checked({first: by_command[first]})
+
+
+@pytest.mark.parametrize(
+    ("command", "verb", "files"),
+    [(init, modetune.init, "test"), (identify, modetune.identify, "frfs")],
+)
+def test_a_verb_without_a_study_has_the_options_of_its_command(
+    command: Any, verb: Any, files: str
+) -> None:
+    options, keywords = (set(inspect.signature(one).parameters) for one in (command, verb))
+    assert keywords - {"settings", "test"} == options - {"as_json", files}
 
 
 @pytest.mark.parametrize("name", STUDIES)

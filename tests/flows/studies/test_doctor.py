@@ -24,7 +24,7 @@ from modetune.flows.campaign.schema import STORE_VARIABLE
 from modetune.flows.campaign.site import HOME_VARIABLE, SITE_VARIABLE
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.studies.doctor.doctor import DoctorReport, run_doctor
-from modetune.flows.studies.doctor.lines import DoctorLine, without_names
+from modetune.flows.studies.doctor.installation import DoctorLine, without_names
 from modetune.flows.studies.doctor.ten_elements import MODELS
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.mode_source import by_solver

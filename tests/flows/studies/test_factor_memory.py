@@ -9,7 +9,7 @@ import pytest
 
 import modetune
 from modetune.core.algebra import eigen, factor_room, pardiso
-from modetune.flows.studies.check import memory
+from modetune.flows.studies.check import model
 from modetune.flows.studies.check.findings import Finding
 from tests.adapters.mystran_decks import frame
 from tests.adapters.solved import needs_ccx, needs_mystran
@@ -39,7 +39,7 @@ DECKS: dict[str, Any] = {
 def part(request: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A campaign's file; modes by factors, however few unknowns there are."""
     monkeypatch.chdir(tmp_path)
-    for module in (eigen, memory):
+    for module in (eigen, model):
         monkeypatch.setattr(module, "DENSE", 40)
     text, nodes, target = DECKS[request.param]
     Path(request.param).write_text(text)
@@ -76,6 +76,6 @@ def test_check_tells_where_the_factors_go_and_at_what_price(
     else:
         assert "with factors on disk too" in tight.what
     assert told(part, 1e-6).level == "wrong"
-    monkeypatch.setattr(memory, "is_available", lambda: False)
+    monkeypatch.setattr(model, "is_available", lambda: False)
     assert "PARDISO is not installed" in told(part, 0.5).what
     assert not [item for item in modetune.check(part).findings if "factors" in item.what]

@@ -17,8 +17,7 @@ from modetune.core.modes import mode_set
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import OpenFile
 from modetune.flows.campaign.sketch import is_deck, looked_at, sketch_deck
-from modetune.flows.studies.init.draft import Draft
-from modetune.flows.studies.init.text import init_campaign
+from modetune.flows.studies.init.draft import Draft, init_campaign
 from tests.adapters.solved import needs_mystran
 from tests.command_line import run_command
 

@@ -15,7 +15,7 @@ from modetune.core.storage.record import RunCounts
 from modetune.flows.campaign.campaign import Campaign, load_campaign, load_model
 from modetune.flows.studies.check.pre_check import PreCheckReport, check_campaign
 from modetune.flows.studies.pretest.plan import Pretest, run_pretest
-from modetune.flows.studies.requests import PretestSettings
+from modetune.flows.studies.pretest.request import PretestSettings
 from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.flows.updating.test_stored_matrices import NAMED, OWN, STORED, Case, written

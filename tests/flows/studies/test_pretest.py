@@ -27,8 +27,8 @@ from modetune.flows.cli.command import command_of
 from modetune.flows.report.mesh_picture import can_draw
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.pretest.plan import run_pretest
+from modetune.flows.studies.pretest.request import PretestSettings, parse_modes
 from modetune.flows.studies.pretest.study import pretest_summary
-from modetune.flows.studies.requests import PretestSettings, parse_modes
 from tests.adapters.solved import needs_ccx
 
 TRUTH = {"k1": 1.2, "k3": 0.8}

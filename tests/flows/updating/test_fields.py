@@ -27,8 +27,8 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.report.charts import campaign_charts
-from modetune.flows.report.field_tables import SHOWN, brief_record, told_fields
+from modetune.flows.report.campaign_charts import campaign_charts
+from modetune.flows.report.field_tables import SHOWN, brief_record, fields_json
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.page import page
 from modetune.flows.studies.paraview import SeriesSource, write_field_file
@@ -131,7 +131,7 @@ def test_the_weak_brick_of_a_cantilever_is_found_by_two_matrix_jobs(tmp_path: Pa
     charts = dict(campaign_charts(record))
     assert {"field_0", "l_curve"} <= charts.keys()
     assert "The field E" in page(record)
-    (told,) = told_fields(record)
+    (told,) = fields_json(record)
     zones = json.loads(json.dumps(told))["zones"]
     assert zones[weak - 1]["elements"] == [weak]
     out = write_field_file(SeriesSource(campaign, record, tmp_path), tmp_path / "paraview")

@@ -20,7 +20,7 @@ from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.storage.record_file import read_record
 from modetune.core.updating.results import ModalResult
-from modetune.flows.report.responses import response_pairs
+from modetune.flows.report.response_functions import response_pairs
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command
 from tests.flows.updating.test_static import TRUTH as BAR_TRUTH

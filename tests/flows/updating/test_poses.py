@@ -14,8 +14,9 @@ from modetune.core.measurement.alignment import Alignment
 from modetune.core.modes import MeasuredModes, mode_set
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.requests import SamplingRequest, ScreeningRequest
 from modetune.flows.studies.sample.posterior import sample_campaign
+from modetune.flows.studies.sample.request import SamplingRequest
+from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.validate.validation import leave_one_out
 from modetune.flows.updating.forecast import Unwatched

@@ -16,15 +16,12 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.studies.localise.localisation import Localisation, localise
 from modetune.flows.studies.pretest.plan import Pretest, run_pretest
-from modetune.flows.studies.requests import (
-    PlacementMethod,
-    PretestSettings,
-    SamplingRequest,
-    ScreeningRequest,
-)
+from modetune.flows.studies.pretest.request import PlacementMethod, PretestSettings
 from modetune.flows.studies.sample import chains, density
 from modetune.flows.studies.sample.posterior import sample_campaign
+from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.screen.record import Screening
+from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.validate.validation import Validation, leave_one_out
 from modetune.flows.updating import reduced_model

@@ -16,8 +16,8 @@ from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.studies.requests import ScreeningRequest
 from modetune.flows.studies.screen.record import Screening
+from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating import solutions
 from modetune.flows.updating.evaluation import Evaluation

@@ -17,7 +17,7 @@ from modetune.flows.jobs.execution import EACH_A_TASK
 from modetune.flows.jobs.tasks import StudyRun, Tasks, running_with
 from modetune.flows.jobs.watching import Ended, doing
 from modetune.flows.jobs.work import Computation, Piece, PoolRunner, Task, TaskEnd, task_end
-from modetune.flows.studies.requests import ScreeningRequest
+from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.update import update_from_starts

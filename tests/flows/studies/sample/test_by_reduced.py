@@ -9,10 +9,10 @@ import pytest
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample import posterior, refinement
 from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.record import PosteriorRecord
+from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.sample.summary import ITSELF, findings
 from modetune.flows.updating.forecast import Unwatched
 from tests.adapters.solved import needs_ccx

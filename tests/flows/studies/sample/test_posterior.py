@@ -13,12 +13,12 @@ from modetune.core.errors import CampaignError, SolverRejected
 from modetune.core.modes import Floats
 from modetune.core.updating.weighting import Weighting, even_weighting
 from modetune.flows.report.matplotlib_charts import save_all
-from modetune.flows.studies.requests import SamplingRequest
 from modetune.flows.studies.sample import posterior
 from modetune.flows.studies.sample.figures import posterior_figures
 from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
-from modetune.flows.studies.sample.summary import findings, told
+from modetune.flows.studies.sample.request import SamplingRequest
+from modetune.flows.studies.sample.summary import findings, summary
 from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_seal import refused_when_damaged
 
@@ -152,7 +152,7 @@ def test_checks_that_the_surrogate_fails_are_red(record: PosteriorRecord) -> Non
     spoiled = replace(record, check_errors=np.array([0.1, 2.5, 0.2]))
     (text,) = red(spoiled)
     assert "frequency of mode 2 by 2.5 standard deviations of the test" in text
-    assert told(spoiled)["status"] == "doubtful"
+    assert summary(spoiled)["status"] == "doubtful"
 
 
 def test_chains_that_are_too_short_are_red(record: PosteriorRecord) -> None:
@@ -226,7 +226,7 @@ def test_the_record_reads_as_it_was_written_and_is_drawn(
 ) -> None:
     POSTERIOR.write(tmp_path / "posterior.h5", record)
     read = POSTERIOR.read(tmp_path / "posterior.h5")
-    assert told(read) == told(record)
+    assert summary(read) == summary(record)
     for name in ("samples", "log_densities", "near", "check_points", "peaks"):
         np.testing.assert_array_equal(getattr(read, name), getattr(record, name))
     assert read.training.names == record.training.names

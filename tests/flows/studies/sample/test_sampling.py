@@ -13,7 +13,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.flows.studies.sample.chains import Chains, check_walkers, sample, split_r_hat
 from modetune.flows.studies.sample.density import Posterior, find_peaks
-from modetune.flows.studies.sample.limits import UNIT, ResponseLimits
+from modetune.flows.studies.sample.surrogate import UNIT, ResponseLimits
 
 
 def chains_of(posterior: Posterior, steps: int = 3000, walkers: int = 32, seed: int = 3) -> Chains:

@@ -18,9 +18,9 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.main import app
-from modetune.flows.studies.requests import ScatterRequest
 from modetune.flows.studies.scatter.estimate import scatter_campaign
 from modetune.flows.studies.scatter.record import SCATTER, ScatterRecord
+from modetune.flows.studies.scatter.request import ScatterRequest
 from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run
 from tests.flows.studies.sample.test_by_reduced import TRUTH, frequencies, row_of_masses

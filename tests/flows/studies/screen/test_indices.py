@@ -12,9 +12,9 @@ import pytest
 
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.modes import Floats
-from modetune.flows.studies.requests import ScreeningMethod
 from modetune.flows.studies.screen.design import Design, make_design
 from modetune.flows.studies.screen.indices import Indices, design_indices, varies
+from modetune.flows.studies.screen.request import ScreeningMethod
 
 SLOPES = np.array([3.0, -1.0, 0.25])
 LOWER, UPPER = np.array([0.5, 0.8, 0.0]), np.array([1.5, 1.2, 2.0])

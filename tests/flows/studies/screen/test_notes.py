@@ -13,12 +13,11 @@ from modetune.adapters.solver import Analysis, ModalAnalysis, Solver
 from modetune.core.errors import ModesError
 from modetune.core.parameters import Values
 from modetune.core.updating.results import ModalResult, Result
-from modetune.flows.studies.requests import ScreeningRequest
-from modetune.flows.studies.screen import summary
-from modetune.flows.studies.screen.notes import notes
+from modetune.flows.studies.screen import summary as screen_summary
 from modetune.flows.studies.screen.record import Screening
+from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
-from modetune.flows.studies.screen.summary import lines, tables, told
+from modetune.flows.studies.screen.summary import lines, notes, summary, tables
 from modetune.flows.updating.forecast import Unwatched
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, recased
 
@@ -46,7 +45,7 @@ def test_what_a_plane_does_not_explain_is_told(bench: Bench) -> None:
         "mode 2: a plane explains 15 % of its variance, so the choice, which is linear, may not "
         "hold over the bounds"
     ]
-    assert told(bent)["notes"] == notes(bent)
+    assert summary(bent)["notes"] == notes(bent)
     assert f"note: {notes(bent)[0]}" in lines(bent)
 
 
@@ -125,7 +124,7 @@ def test_tables_that_have_not_all_modes_say_so(
     found = screened(bench, ScreeningRequest("morris", points=12, seed=2))
     n = len(found.modes)
     assert not any("the first" in table.title for table in tables(found))
-    monkeypatch.setattr(summary, "SHOWN", n - 1)
+    monkeypatch.setattr(screen_summary, "SHOWN", n - 1)
     titles = [table.title for table in tables(found) if "the first" in table.title]
     assert len(titles) >= 2
     assert all(title.endswith(f"the first {n - 1} of {n} test modes") for title in titles)

@@ -16,7 +16,8 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.screen.choice import ChosenParameters, ParameterVerdict
 from modetune.flows.studies.screen.design import Design
 from modetune.flows.studies.screen.proposal import proposed_name, write_proposal
-from modetune.flows.studies.screen.record import LocalSensitivity, Responses, Screening
+from modetune.flows.studies.screen.record import Responses, Screening
+from modetune.flows.studies.screen.sensitivity import LocalSensitivity
 
 SIX_MASS = Path(__file__).resolve().parents[4] / "configs" / "six_mass"
 

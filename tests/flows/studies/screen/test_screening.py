@@ -22,11 +22,11 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import Piece, PoolRunner, Task
 from modetune.flows.report.matplotlib_charts import save_all
-from modetune.flows.studies.requests import ScreeningMethod, ScreeningRequest
 from modetune.flows.studies.screen.figures import screening_charts
 from modetune.flows.studies.screen.record import SCREENING, Screening
+from modetune.flows.studies.screen.request import ScreeningMethod, ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
-from modetune.flows.studies.screen.summary import lines, tables, told
+from modetune.flows.studies.screen.summary import lines, summary, tables
 from modetune.flows.updating.forecast import Unwatched
 from tests.core.storage.test_seal import refused_when_damaged
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, chain_modes, recased
@@ -283,7 +283,7 @@ def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
     path = tmp_path / "screening.h5"
     SCREENING.write(path, found)
     again = SCREENING.read(path)
-    assert told(again) == told(found)
+    assert summary(again) == summary(found)
     assert again.response_names == found.response_names
     for name in ("points", "blocks", "lower", "upper"):
         np.testing.assert_array_equal(getattr(again.design, name), getattr(found.design, name))

@@ -21,13 +21,13 @@ from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
-from modetune.flows.studies.view.pairs import pairs_change, told_pairs
-from modetune.flows.studies.view.poles import poles_change, told_poles
+from modetune.flows.studies.view.pairs import pairs_change, pairs_json
+from modetune.flows.studies.view.poles import poles_change, poles_json
 from modetune.flows.studies.view.sensors import (
     fitted_pose,
     landmarks_change,
     pose_change,
-    told_sensors,
+    sensors_json,
 )
 from tests.flows.studies.test_identify import FREQUENCIES, measured
 
@@ -61,7 +61,7 @@ def of_functions(folder: Path, modes: str) -> Part:
 
 def test_functions_alone_get_modes_of_poles_that_are_picked(tmp_path: Path) -> None:
     source = of_functions(tmp_path, "frfs.h5")
-    told: Any = told_poles(source, BAND, 40)
+    told: Any = poles_json(source, BAND, 40)
     chosen = sorted(track["hz"] for track in told["tracks"] if track["picked"])
     # Two of them 1 % apart; noise of 0.5 % moves a frequency by far less than its half-width.
     assert chosen == pytest.approx(FREQUENCIES, rel=2e-4)
@@ -78,7 +78,7 @@ def test_functions_alone_get_modes_of_poles_that_are_picked(tmp_path: Path) -> N
     # A second choice takes the place of the first, in the same file.
     again = written(poles_change(after, BAND, 40, pick[:3]))
     assert again.source.text == after.source.text
-    told = told_poles(again, BAND, 40)
+    told = poles_json(again, BAND, 40)
     assert sum(track["picked"] for track in told["tracks"]) == 3
 
 
@@ -113,7 +113,7 @@ def test_modes_and_functions_in_one_file_cannot_be_replaced(tmp_path: Path) -> N
 def test_a_test_without_functions_has_no_diagram(tmp_path: Path) -> None:
     (tmp_path / "hz.csv").write_text("mode,1\nfrequency_hz,3.5\n")
     with pytest.raises(CampaignError, match=r"hz\.csv: no frequency response functions"):
-        told_poles(of_functions(tmp_path, "hz.csv"), BAND, 40)
+        poles_json(of_functions(tmp_path, "hz.csv"), BAND, 40)
 
 
 def test_frequencies_alone_are_paired_by_hand_and_the_solver_is_asked_first(
@@ -134,8 +134,8 @@ def test_frequencies_alone_are_paired_by_hand_and_the_solver_is_asked_first(
         "parameters: [{name: k, quantity: spring_stiffness, elset: k1, bounds: [0.5, 2]}]\n",
     )
     loaded = load_campaign(source.source.path)
-    assert told_pairs(loaded, False, threading.Event()) == {"unsolved": True}
-    told: Any = told_pairs(loaded, True, threading.Event())
+    assert pairs_json(loaded, False, threading.Event()) == {"unsolved": True}
+    told: Any = pairs_json(loaded, True, threading.Event())
     assert told["mac"] is None
     # By LAPACK on the matrices that the file says.
     k = np.array([[1400.0, -500.0, 0.0], [-500.0, 800.0, -300.0], [0.0, -300.0, 300.0]])
@@ -144,7 +144,7 @@ def test_frequencies_alone_are_paired_by_hand_and_the_solver_is_asked_first(
     assert told["elastic_hz"] == pytest.approx(wanted, rel=1e-9)
     after = written(pairs_change(source, {1: 1, 2: 3}))
     assert "test: {modes: hz.csv, pairs: {1: 1, 2: 3}}\n" in after.source.text
-    told = told_pairs(load_campaign(source.source.path), False, threading.Event())
+    told = pairs_json(load_campaign(source.source.path), False, threading.Event())
     assert told["by_hand"] == {"1": 1, "2": 3}
     assert told["paired"] == {"1": 1, "2": 3}
 
@@ -197,7 +197,7 @@ def test_landmarks_lie_where_they_were_put_on_shells_and_on_beams(
         "  sensors:   # Bo's sketch\n    align: none\n    tolerance: 0.3   # wide\n"
         "parameters: [{name: E, quantity: youngs_modulus, material: M, bounds: [0.5, 2]}]\n",
     )
-    told: Any = told_sensors(source)
+    told: Any = sensors_json(source)
     assert told["points"] == [11, 12, 13, 14]
     assert set(told["nodes"]) == set(range(1, len(places) + 1))
     change = landmarks_change(source, {11: 1, 12: 4, 13: len(places)})
@@ -208,7 +208,7 @@ def test_landmarks_lie_where_they_were_put_on_shells_and_on_beams(
     }  # fmt: skip
     assert "# Bo's sketch" in after.source.text
     assert "# wide" in after.source.text
-    told = told_sensors(after)
+    told = sensors_json(after)
     # The fourth point was no landmark; the file of points has 16 digits of lengths up to 5000.
     assert laid(told["pose"], points) == pytest.approx(places[rows], abs=1e-9)
 
@@ -222,7 +222,7 @@ def test_what_is_no_place_is_told(tmp_path: Path) -> None:
         "parameters: [{name: E, quantity: youngs_modulus, material: M, bounds: [0.5, 2]}]\n",
     )
     with pytest.raises(CampaignError, match="has no coordinates"):
-        told_sensors(source)
+        sensors_json(source)
     fit = campaign(tmp_path, source.source.text.replace("csv}", "csv, sensors: {align: fit}}"))
     with pytest.raises(CampaignError, match="has no coordinates"):
         landmarks_change(fit, {11: 1})
@@ -275,7 +275,7 @@ def test_each_configuration_has_pairs_and_a_place_of_its_own(
     assert configuration_names(source.source) == ["empty", "full"]
     loaded = load_campaign(source.source.path)
     hz: dict[str, Any] = {
-        name: told_pairs(loaded, True, threading.Event(), name)["elastic_hz"]
+        name: pairs_json(loaded, True, threading.Event(), name)["elastic_hz"]
         for name in ("empty", "full")
     }
     assert hz["full"][0] < hz["empty"][0]  # four times the mass on top
@@ -316,6 +316,6 @@ def test_a_pose_by_hand_takes_the_place_of_landmarks(tmp_path: Path) -> None:
     after = written(change)
     assert set(after.at("test", "sensors")) == {"rotation", "translation"}  # type: ignore[call-overload]
     assert "# by eye" in after.source.text
-    again: Any = told_sensors(after)["pose"]
+    again: Any = sensors_json(after)["pose"]
     # Degrees to 5 decimals and 8 digits of shifts, at 10 m at most.
     assert laid(again, points) == pytest.approx(places[rows], abs=5e-6)

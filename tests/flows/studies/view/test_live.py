@@ -15,7 +15,7 @@ from modetune.core.storage.store import Store
 from modetune.flows.jobs.job import NOTE_FILE, JobNote
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.jobs.store_files import in_use
-from modetune.flows.studies.view.live_record import LiveRecord, told_live
+from modetune.flows.studies.view.live_record import LiveRecord, live_json
 from modetune.flows.updating.update import update_campaign
 
 
@@ -25,10 +25,10 @@ def test_jobs_under_way_are_told_while_a_campaign_runs(tmp_path: Path) -> None:
     job.mkdir(parents=True)
     note = JobNote("ccx", "2.20", "pipe", "d", "modal", (), 4, 0, "d", (), 1)
     (job / NOTE_FILE).write_text(json.dumps(dataclasses.asdict(note)))
-    told: Any = told_live(record, store)
+    told: Any = live_json(record, store)
     assert (told["status"], told["jobs"], told["tables"]) == ("not run yet", [], [])
     with in_use(store):
-        told = told_live(record, store)
+        told = live_json(record, store)
         assert told["status"] == "running"
         assert re.fullmatch(r"modal of pipe by ccx, abababababab, \d+ s", told["jobs"][0])
 
@@ -38,14 +38,14 @@ def test_jobs_done_of_those_asked_are_told_by_the_run_that_counts_them(tmp_path:
     folder.mkdir(parents=True)
     record, jobs = LiveRecord(folder), JobProgress(Console(quiet=True))
     with in_use(store), jobs.shown():
-        told: Any = told_live(record, store)
+        told: Any = live_json(record, store)
         assert told["progress"] is None  # a run that keeps no file
         jobs.keep(folder)
         jobs.asked(3)
-        told = told_live(record, store)
+        told = live_json(record, store)
         assert told["progress"] == {"text": "starting; 0 of 3 jobs done", "done": 0, "asked": 3}
     assert not list(folder.iterdir())
-    assert told_live(record, store)["progress"] is None
+    assert live_json(record, store)["progress"] is None
 
 
 def test_a_record_is_told_with_each_iteration_and_a_run_that_was_broken_off(
@@ -61,20 +61,20 @@ def test_a_record_is_told_with_each_iteration_and_a_run_that_was_broken_off(
     class Watching(type(watcher)):  # type: ignore[misc]
         def iteration(self, item: Any) -> None:
             super().iteration(item)
-            told: Any = told_live(record, store)
+            told: Any = live_json(record, store)
             marks.append((told["mark"], told["status"], told["iteration"]))
 
     run = update_campaign(bench.campaign({"k1": 1.2, "k2": 0.8}), folder, Watching())
     assert {status for _, status, _ in marks} == {"running"}
     assert len({mark for mark, _, _ in marks}) == len(marks) > 1
-    told: Any = told_live(record, store)
+    told: Any = live_json(record, store)
     assert told["status"] == run.record.status
     assert len(told["tables"][0]["rows"]) == len(run.record.iterations)
     assert told["tables"][1]["heads"][0] == "parameter"
     assert any("iteration 0" in line for line in told["log"])
     (folder / "campaign.h5").rename(folder / "campaign.unfinished.h5")
-    told = told_live(record, store)
+    told = live_json(record, store)
     assert told["status"] == "broken off"
     (folder / "campaign.unfinished.h5").write_bytes(b"cut short")
-    told = told_live(record, store)
+    told = live_json(record, store)
     assert (told["status"], told["tables"]) == ("broken off", [])

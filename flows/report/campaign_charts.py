@@ -40,7 +40,7 @@ from modetune.flows.report.comparison import (
 )
 from modetune.flows.report.field_tables import FieldMap, brief_record, field_map
 from modetune.flows.report.mode_tables import mode_labels, mode_rows
-from modetune.flows.report.responses import UNITS, ResponseCurve, response_pairs
+from modetune.flows.report.response_functions import UNITS, ResponseCurve, response_pairs
 
 #: Of a field's map from low to high (viridis in seven steps), and its size in inches.
 FIELD_COLOURS = ("#440154", "#443a83", "#31688e", "#21908c", "#35b779", "#8fd744", "#fde725")

@@ -11,7 +11,7 @@ from modetune.core.measurement.frf import NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.storage.record import CampaignRecord
 from modetune.flows.report.page import page
-from modetune.flows.report.responses import response_pairs
+from modetune.flows.report.response_functions import response_pairs
 
 
 @pytest.fixture

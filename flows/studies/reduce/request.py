@@ -1,0 +1,33 @@
+"""The request of a reduction; imports nothing heavy, because the command line reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from typer import Option
+
+from modetune.flows.studies.study import FILE_OR_WORDS
+
+ReductionMethod = Literal["guyan", "irs", "iterated_irs", "serep", "craig_bampton"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionRequest:
+    """The method and the masters of a reduction; modes: as many as fit where None."""
+
+    method: Annotated[
+        ReductionMethod, Option(help="guyan, irs, iterated_irs, serep or craig_bampton.")
+    ] = "guyan"
+    masters: Annotated[
+        str,
+        Option(
+            help="Unknowns that are kept: 12.z,13,20-25.xyz, or a file with them; default: the "
+            "test's sensors."
+        ),
+        FILE_OR_WORDS,
+    ] = ""
+    modes: Annotated[
+        int | None,
+        Option(min=1, help="Modes that are compared, and that SEREP keeps or Craig-Bampton adds."),
+    ] = None

@@ -1,0 +1,76 @@
+"""A study can be removed: its folder or file, and its line in the table of studies."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from modetune.flows.studies.catalogue import STUDIES
+from tests.test_structure import PARTS, ROOT, copy_of_sources
+
+#: Studies that no other study builds on, and that an update does without.
+REMOVED = ("screen", "localise", "direct")
+
+
+@pytest.fixture(scope="module")
+def rest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the sources without these studies."""
+    folder = tmp_path_factory.mktemp("rest")
+    copy_of_sources(folder)
+    studies = folder / "flows" / "studies"
+    table = (studies / "catalogue.py").read_text(encoding="utf-8").splitlines(keepends=True)
+    for name in REMOVED:
+        shutil.rmtree(studies / name)
+        (line,) = [line for line in table if line.startswith(f'    "{name}": (')]
+        table.remove(line)
+    (studies / "catalogue.py").write_text("".join(table), encoding="utf-8")
+    return folder
+
+
+def succeeds(rest: Path, *arguments: str) -> str:
+    """The standard output of Python with the modules of the copy."""
+    ended = subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=rest,
+        env={**os.environ, "PYTHONPATH": str(rest / "src"), "COLUMNS": "100"},
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout
+
+
+def test_help_shows_the_other_commands(rest: Path) -> None:
+    text = succeeds(rest, "-m", "modetune", "--help")
+    shown = {words[1] for line in text.splitlines() if len(words := line.split()) > 2}
+    assert set(STUDIES) - set(REMOVED) <= shown
+    assert not set(REMOVED) & shown
+
+
+def test_an_update_runs(rest: Path) -> None:
+    campaign = rest / "configs" / "six_mass" / "campaign.yaml"
+    command = ("update", str(campaign), "--runs", str(rest / "runs"), "--no-prefect", "--json")
+    store = f"store={rest / 'store'}"
+    ended = json.loads(succeeds(rest, "-m", "modetune", *command, "--set", store))
+    assert ended["status"] == "converged"
+
+
+@pytest.mark.timeout(900)  # every module is parsed several times
+def test_the_structure_holds(rest: Path) -> None:
+    tests = rest / "tests"
+    tests.mkdir()
+    for name in ("__init__.py", "test_structure.py"):
+        shutil.copy(ROOT / "tests" / name, tests / name)
+    text = succeeds(rest, "-m", "pytest", "-q", "-n0", "-k", "not wheel", str(tests))
+    assert " passed" in text
+    # The modules that it read are those of the copy.
+    where = "from tests.test_structure import MODULES; print(len(MODULES))"
+    n_modules = sum(1 for part in PARTS for _ in (rest / part).rglob("*.py"))
+    assert int(succeeds(rest, "-c", where)) == n_modules
