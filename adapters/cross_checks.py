@@ -1,4 +1,4 @@
-"""What two places of a result must say alike, and the mark by which a result names its job.
+"""Checks that a result agrees with itself, and the mark by which it names its job.
 
 The eigenvalue of a mass-normalised mode is twice its strain energy. Solvers may leave energy out
 (hourglass modes, springs, matrices from elsewhere), so less proves nothing; more does, where no
@@ -17,7 +17,7 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.core.updating.results import ModalResult
 
-#: Twice the energy may be so many times the eigenvalue: element energies come from stresses, with
+#: Largest ratio of twice the energy to the eigenvalue: element energies come from stresses, with
 #: their own rounding and sampling.
 MORE_ENERGY = 2.0
 #: Of the largest eigenvalue: below it rounding of the eigensolution may hide a mode's energy.
@@ -32,7 +32,7 @@ MARK = re.compile(r"_JOB([0-9A-F]{16})")
 def check_energies(eigenvalues: Floats, total_strain_energy: Floats) -> None:
     """Raise ValueError where a mode has far more strain energy than its eigenvalue says.
 
-    eigenvalues, total_strain_energy: (n_modes,), energies NaN where not told.
+    eigenvalues, total_strain_energy: (n_modes,), energies NaN where unknown.
     """
     most = MORE_ENERGY * np.abs(eigenvalues) + ROUNDING * np.abs(eigenvalues).max(initial=0.0)
     wrong = np.flatnonzero(2.0 * total_strain_energy > most)

@@ -17,13 +17,12 @@ from modetune.adapters.regular_file import largest, read_errors, read_regular
 from modetune.core.errors import ModelError
 from modetune.core.storage.files import writing
 
-#: Where an updated deck keeps the includes whose own place the solver would not find from beside
-#: it.
+#: Folder of an updated deck for includes that the solver would not find at their own place.
 INCLUDES = "includes"
 
 
 class Line(NamedTuple):
-    """One line of a deck without its line end, and where it stands.
+    """One line of a deck without its line end, and its file and number.
 
     added: the file does not have it; it goes behind the file's line of that number.
     """
@@ -75,7 +74,7 @@ def read_text(path: Path) -> str:
 def check_include(
     include: Include, above: Sequence[Path], lines: Sequence[Line], includes: Sequence[Include]
 ) -> None:
-    """Raise ModelError where another include would go on without end.
+    """Raise ModelError where another include would be one of an endless series.
 
     above: the files, resolved, that lead to the include; lines, includes: read so far.
     """

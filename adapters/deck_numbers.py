@@ -14,7 +14,7 @@ from modetune.core.parameters import Parameter, reached
 class Number:
     """A number of a deck that a parameter moves.
 
-    place: tells it from all others of the deck; where: says so in a message. along: whether it only
+    place: identifies it in the deck; where: names the place in messages. along: whether it only
     keeps its ratio to the number before it.
     """
 

@@ -1,4 +1,4 @@
-"""Arrays of a foreign HDF5 file, read by a program of its own.
+"""Arrays of a foreign HDF5 file, read by a separate program.
 
 HDF5 crashes, hangs or takes all memory on some files with a wrong byte, so that it is this program
 that ends (`read_hdf5` bounds its time and memory), and not the campaign. It leaves the arrays of
@@ -44,7 +44,7 @@ def read_hdf5(path: Path, names: Sequence[str]) -> dict[str, dict[str, Floats] |
     """The arrays of each name: `dense`, or data, indices, indptr of a CSR matrix.
 
     The name ALL gives what the file holds, by path: arrays in MATLAB's order of indices, texts and
-    lists of texts as arrays of text. An error stands in place of what cannot be read.
+    lists of texts as arrays of text. An error replaces an array that cannot be read.
     """
     with tempfile.TemporaryDirectory(prefix="modetune-") as place:
         folder = Path(place)

@@ -52,7 +52,7 @@ def licence_denied(text: str, messages: Sequence[str] = ()) -> str:
 
 
 def licence_refusal(folder: Path, messages: Sequence[str] = ()) -> str:
-    """What the first file of a job that tells of a refused licence says, empty if none does."""
+    """Return the line of a job's files that reports a refused licence, empty if none does."""
     files = dict.fromkeys(path for name in (LOG, *SPOKEN) for path in sorted(folder.glob(name)))
     for path in files:
         try:

@@ -40,7 +40,7 @@ MODE, FREQUENCY, TIME = "mode", "frequency_hz", "TimeValue"
 
 
 def unstructured_grid(mesh: Mesh) -> pyvista.UnstructuredGrid:
-    """The mesh as VTK has it; points are its nodes, cells stand block by block."""
+    """Return the mesh for VTK; points are its nodes, cells follow block by block."""
     import pyvista
 
     none = np.zeros(0, dtype=np.int64)

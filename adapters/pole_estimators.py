@@ -86,11 +86,11 @@ def ssi_poles(
             f"{n_times} samples of {n_channels} channels are too few for --order {order}: record "
             "longer, or lower it"
         )
-    quiet = contextlib.redirect_stderr(io.StringIO())  # a bar of its own
+    quiet = contextlib.redirect_stderr(io.StringIO())  # its progress bar
     with np.errstate(), quiet, contextlib.redirect_stdout(io.StringIO()):
         from pyoma2.functions import ssi
 
-        logging.getLogger("pyoma2").setLevel(logging.WARNING)  # its steps are not ours to tell
+        logging.getLogger("pyoma2").setLevel(logging.WARNING)  # it logs each step
         scaled = ((values - values.mean(axis=0)) / values.std(axis=0)).T
         hankel, _ = ssi.build_hank(scaled, scaled, block_rows, "cov")
         _, states, outputs, _ = ssi.SSI_fast(hankel, block_rows, 2 * order, step=2)

@@ -43,8 +43,8 @@ LOG = "solver.log"
 POLL_MS = 100
 #: Below this a disk counts as full when a job has failed on it, bytes.
 FULL_DISK = 1 << 20
-#: Disk that a job may take where nobody says, bytes: models of a million equations and more spool
-#: some ten GB of matrices and factors.
+#: Default limit of the disk that a job may take, bytes: models of a million equations spool about
+#: ten GB of matrices and factors.
 JOB_DISK = 100 * 10**9
 #: Files above this are removed from the folder of a job that took too much disk, bytes.
 KEPT_FILE = 32 << 20
@@ -138,7 +138,7 @@ def read_log(folder: Path) -> str:
 
 
 def as_block(text: str) -> str:
-    """What a program said as one block, for messages."""
+    """Return a program's output as one block, for messages."""
     return textwrap.indent(text.strip("\n"), "  | ")
 
 
@@ -160,7 +160,7 @@ class _Supervisors:
         self._requests: socket.socket | None = None
 
     def start(self, what: bytes) -> _Supervisor:
-        """A supervisor of what is told in JSON. Raises OSError."""
+        """Start a supervisor of a program described in JSON. Raises OSError."""
         wanted, stdin = os.pipe()
         stdout, said = os.pipe()
         made = _Supervisor(os.fdopen(stdin, "wb", 0), os.fdopen(stdout, "rb"))
@@ -173,7 +173,7 @@ class _Supervisors:
         finally:
             os.close(wanted)
             os.close(said)
-        with contextlib.suppress(BrokenPipeError):  # it was killed: its output tells
+        with contextlib.suppress(BrokenPipeError):  # it was killed, as its output shows
             rest = memoryview(len(what).to_bytes(8, "big") + what)
             while rest:
                 rest = rest[made.stdin.write(rest) :]
@@ -275,14 +275,14 @@ def _remove_large(folder: Path) -> None:
 
 
 def _number(line: bytes) -> int:
-    """The group that the supervisor tells; 0 where it tells none."""
+    """Return the process group that the supervisor printed; 0 if it printed none."""
     return int(line) if line.strip().isdigit() and len(line) < 12 else 0
 
 
 def disk_full(folder: Path) -> bool:
     """Whether the disk below a folder has no room left, the likely cause of what failed there.
 
-    Of a folder that was removed meanwhile nothing is known.
+    False for a folder that is no longer there.
     """
     try:
         status = os.statvfs(folder)

@@ -33,7 +33,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 @contextmanager
 def read_errors(path: Path | str, kind: Callable[[str], Exception]) -> Iterator[None]:
-    """Tell as an error of this kind that a file cannot be read; path: what people call it."""
+    """Raise an error of this kind where a file cannot be read; path: its name in messages."""
     try:
         yield
     except OSError as error:
@@ -41,7 +41,7 @@ def read_errors(path: Path | str, kind: Callable[[str], Exception]) -> Iterator[
 
 
 def read_regular(path: Path, most: int | None = None) -> bytes:
-    """A whole regular file of so many bytes at most, by default a share of the memory.
+    """Read a whole regular file of at most `most` bytes, by default a share of the memory.
 
     Raises OSError.
     """

@@ -3,7 +3,7 @@
 A script of the standard library only: `supervisor.py LOG DISK PROGRAM ARGUMENT...`. Standard input
 is a pipe: when it closes, by intent or by the death of its holder, the
 program is killed. The first line on standard output is the program's process group (0 where nothing
-was started), the second a JSON object that tells how the program ended. If this supervisor itself
+was started), the second a JSON object with the program's end. If this supervisor itself
 is killed, the kernel kills the program (PR_SET_PDEATHSIG), and who started it knows the group.
 
 Processes whose parent has ended become children of this one (PR_SET_CHILD_SUBREAPER), whatever
@@ -13,7 +13,7 @@ bytes that its folder and its output may take together.
 
 Without arguments it makes supervisors (`process.py` starts it so, once): it forks for each request
 on standard input, a socket on which two ends of pipes come, the supervisor's standard input and
-output. What to run stands first in that input (JSON, behind its length in eight bytes).
+output. That input begins with what to run (its length in eight bytes, then JSON).
 A fork takes 1 ms; to start this script, which is done once, some 20.
 """
 
@@ -37,12 +37,12 @@ ENOENT, EINVAL = 2, 22
 IGNORED_BY_PYTHON = (13, 25)
 #: Bytes of output that the log has from its beginning, and from its end.
 HEAD = TAIL = 8 << 20
-#: How often the disk is looked at, and how long killed processes may take to end, seconds.
+#: How often the disk is measured, and how long killed processes may take to end, seconds.
 LOOK_S, END_S = 1.0, 10.0
 
 
 class Output:
-    """What a program prints: the head written to the log as it comes, the tail at the end."""
+    """What a program prints: the head written to the log at once, the tail at the end."""
 
     def __init__(self, log: str) -> None:
         self.size = 0
@@ -51,7 +51,7 @@ class Output:
         self._done = _thread.allocate_lock()
 
     def follow(self, source: int) -> None:
-        """Take in, in a thread of its own, what comes out of a pipe."""
+        """Read from a pipe in a separate thread."""
         self._done.acquire()
         _thread.start_new_thread(self._take, (source,))
 
@@ -79,7 +79,7 @@ class Output:
         try:
             while data:
                 data = data[os.write(self._log, data) :]
-        except OSError:  # no room: the program is told by its own files
+        except OSError:  # no room: the program notices at its own files
             pass
 
 
@@ -99,7 +99,7 @@ def _start(output: int, arguments: list[str], environment: dict[str, str]) -> tu
         try:
             os.setsid()
             LIBC.prctl(PR_SET_PDEATHSIG, SIGKILL)
-            if os.getppid() != parent:  # it died before the kernel was told
+            if os.getppid() != parent:  # it died before that call
                 os._exit(1)
             for number in IGNORED_BY_PYTHON:
                 LIBC.signal(number, None)

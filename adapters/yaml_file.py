@@ -19,7 +19,7 @@ import yaml
 from modetune.adapters.regular_file import read_regular
 from modetune.core.errors import CampaignError
 
-#: Where a value stands: the keys and list positions that lead to it.
+#: The place of a value: the keys and list positions that lead to it.
 Place = tuple[str | int, ...]
 #: Repetitions (`*name`) of repetitions can make a short file endless.
 MOST_VALUES = 200_000
@@ -162,12 +162,10 @@ def _locate(
 
 
 def edited(source: YamlFile, changes: Mapping[Place, object]) -> str:
-    """The text of a file with values of mappings set, or removed where they are None.
+    """Return the text of a file with values of mappings set, or removed where they are None.
 
-    Lists may lead to the mappings.
-
-    A mapping takes the place of what stands there entry by entry, so comments beside entries that
-    stay are kept. Raises CampaignError where the text cannot be changed so.
+    Lists may lead to the mappings. A mapping replaces the present one entry by entry, so entries
+    that stay keep their comments. Raises CampaignError where the text cannot be changed so.
     """
     text, wanted, found = source.text, source.data, None
     with suppress(yaml.YAMLError, AttributeError):  # what leads there may not be a mapping

@@ -28,7 +28,7 @@ from modetune.core.storage.files import writing
 
 logger = logging.getLogger(__name__)
 
-#: Where an updated template leaves the deck that a program runs, beside itself.
+#: Folder next to an updated template for the deck that a program runs.
 FILLED = "filled"
 
 

@@ -1,6 +1,6 @@
 """A user's own reader of results: a function of Python, named by a file or a module.
 
-    reader: read_modes.py:modes         a file beside the deck
+    reader: read_modes.py:modes         a file next to the deck
     reader: laboratory.opensees:modes   a module that Python finds
 
 It gets the job's folder (`pathlib.Path`) and gives frequencies_hz (n_modes,), mode_shapes
@@ -33,7 +33,7 @@ KEY = "`reader` under `model.command`"
 
 @dataclass(frozen=True, slots=True)
 class UserReader:
-    """A function of the user's and the digest of the file it stands in."""
+    """A function of the user, and the digest of its file."""
 
     name: str
     file: Path

@@ -1,4 +1,4 @@
-"""What is to be known of a program that modetune has no adapter for; the campaign says it."""
+"""The campaign's description of a program that has no adapter."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from modetune.core.modes import Normalisation
 
-#: What stands for something of the job in a program's arguments.
+#: Placeholders for properties of the job in a program's arguments.
 ARGUMENTS = ("deck", "job", "cores", "folder", "python")
 
 
 @dataclass(frozen=True, slots=True)
 class NumberRule:
-    """Where a number of a deck stands that has no placeholder.
+    """The place of a number that has no placeholder in the deck.
 
     parameter: what it is called. file: which of the deck's files, by name; None: the deck itself.
     line: counted from 1, with the field (words between commas, or blanks where there is no comma)
@@ -37,9 +37,9 @@ class CommandSettings:
     results: the file of a job's folder that holds the modes; reader: a function that reads them
     from the folder instead, `file.py:function` or `package.module:function`. nodes: file of the
     nodes that results have; components: 1..6, which of their motions. inputs: more files of the
-    deck, by their names beside it. delimiters: around placeholders. most_modes: how many modes the
-    deck gives at most. success, fatal: regular expressions, looked for in the lines of `logs`
-    (patterns of file names). metres: of the deck's unit of length, NaN where not known.
+    deck, by their names in its folder. delimiters: around placeholders. most_modes: the largest
+    number of modes that the deck gives. success, fatal: regular expressions for lines of `logs`
+    (patterns of file names). metres: of the deck's unit of length, NaN where unknown.
     """
 
     name: str

@@ -75,7 +75,7 @@ class CommandProgram:
             finished = run_process(command, Path(name), VERSION_S, threading.Event())
             said = read_log(Path(name)).strip()
         found = VERSION.search(said)
-        # Some end with a code of failure after telling their version, ccx for one.
+        # Some programs print their version and end with a code of failure, for example ccx.
         if not found and (finished.return_code not in self.settings.exit_codes or not said):
             raise SolverMissing(
                 f"`{' '.join(command.arguments)}` ended with code {finished.return_code} and told "

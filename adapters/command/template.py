@@ -1,15 +1,15 @@
-"""A deck as a template: files with numbers that parameters scale, and where each stands.
+"""A deck as a template: files with numbers that parameters scale, and the place of each.
 
-A number stands in a placeholder, with the deck's value and how it is written,
+A number is in a placeholder, with the deck's value and its format,
 
-    {E_wing=7.1E+10:12.5E}      {E_wing:12.5E}   (the value stands in another one of this name)
+    {E_wing=7.1E+10:12.5E}      {E_wing:12.5E}   (the value is in another one of this name)
 
 or where a rule says (`NumberRule`): a field or columns of a line, or what a pattern finds. Either
 way it is a stretch of a file's text that other text replaces; everything else stays byte by byte.
 Formats are Python's for numbers, and D for an E that some programs write so. A number that is
 longer than its width is refused: the columns behind it would move.
 
-`{n_modes}` stands for the number of modes that is asked for.
+`{n_modes}` is the number of requested modes.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from modetune.adapters.command.settings import CommandSettings, NumberRule
 from modetune.adapters.regular_file import read_errors, read_regular
 from modetune.core.errors import ModelError
 
-#: The placeholder that is no parameter's, and what it is in a deck that nobody asks anything of.
+#: The placeholder that is no parameter, and its value in a deck that is only shown.
 N_MODES, SHOWN_MODES = "n_modes", 10
 FORMAT = re.compile(r"([<>^]?[+\- ]?0?)(\d*)(\.\d+)?([eEfFgGdD]?)")
-#: Beyond these digits a double has nothing more to tell.
+#: Decimal digits that identify a double.
 DIGITS = 17
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """A number in the text of a file: what it is called, where it stands, how it is written.
+    """A number in the text of a file: what it is called, its place, its format.
 
     start, end: in the text. number: the deck's value; NaN for n_modes. form: of Python, empty for
     all digits; width: characters it must fit, 0 for any. head, tail: of a placeholder the text
-    around its value, where a new one may be written; empty where the number stands for itself.
+    around its value, where a new one may be written; empty for a bare number.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Spot:
 
 @dataclass(frozen=True)
 class TemplateFile:
-    """One file of a deck: its name beside the deck's main file, its text and what stands in it."""
+    """One file of a deck: its name in the folder of the main file, its text and its numbers."""
 
     path: Path
     name: str
@@ -93,7 +93,7 @@ class TemplateFile:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the text as it stands."""
+        """SHA-256 of the unedited text."""
         return hashlib.sha256(_bytes(self.text)).hexdigest()
 
 

@@ -65,7 +65,7 @@ class EditedMatrices:
 class MatrixDeck(Deck):
     """A model's file, what it says, and the parameters that scale its parts. It has no mesh.
 
-    values: where each part's number stands in a spring-mass system; empty for matrix files.
+    values: the place of each part's number in a spring-mass system; empty for matrix files.
     """
 
     file: YamlFile
@@ -303,7 +303,7 @@ def _below(file: YamlFile, places: list[Place], words: dict[Place, str]) -> dict
 
 
 GROUND = "ground"
-#: Sections of what stands between masses, and of each the key of its number with its quantity.
+#: Sections of what connects masses, each with the key of its number and the quantity.
 LINKS: dict[str, dict[str, Quantity]] = {
     "springs": {"stiffness": "spring_stiffness"},
     "dampers": {"viscous": "viscous_damping", "structural": "structural_damping"},
@@ -312,7 +312,7 @@ NOTHING: dict[str, None] = dict.fromkeys(MATRIX_KINDS)
 
 
 def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
-    """The model of a spring-mass file, and where each element's number stands in it.
+    """Return the model of a spring-mass file, and the place of each element's number.
 
     Raises ModelError with every problem, each with file and line.
     """

@@ -1,12 +1,12 @@
-"""A condensed or corrected model's matrices for other programs, by the name of the file.
+"""The matrices of a condensed or corrected model, in files for other programs.
 
     FILE.npz     stiffness, mass, nodes, components, and what else there is (NumPy)
     FILE.op4     KAAX and MAAX as OUTPUT4 text; their rows in FILE_dofs.txt
     FILE.bdf     the same as DMIG bulk data for K2GG and M2GG (also .dat, .nas, .dmig)
     FILE.yaml    a model of matrices that modetune itself takes, with FILE.h5 and FILE_dofs.txt
 
-Unknowns that are no motion of a node (amplitudes of fixed-interface modes) stand behind the others
-and are called by scalar points above the deck's own numbers.
+Unknowns that are no motion of a node (amplitudes of fixed-interface modes) follow the others, as
+scalar points with numbers above those of the deck.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ import shutil
 import sys
 import tempfile
 import threading
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TextIO
@@ -60,29 +59,20 @@ NEGATIVE = 1e-6
 _HEADERS = threading.Lock()
 
 
-@dataclass(frozen=True, slots=True)
-class MatrixJob:
-    """What a job's folder asks for; n_modes 0 asks for the matrices themselves."""
-
-    n_modes: int
-    rows: tuple[int, ...]
-    n_groups: int
-
-
 def write_job(model: MatrixModel, factors: Factors, analysis: Analysis, folder: Path) -> None:
-    """Write a job's input files into an empty folder."""
+    """Write a job's input files into an empty folder; 0 modes request the matrices themselves."""
     scaled = model.assembled(factors)
     sparse.save_npz(folder / "stiffness.npz", scaled.stiffness, compressed=False)
     sparse.save_npz(folder / "mass.npz", scaled.mass, compressed=False)
-    job = MatrixJob(0, (), 0)
+    n_modes, rows, n_groups = 0, list[int](), 0
     if isinstance(analysis, ModalAnalysis):
-        rows = np.flatnonzero(np.isin(model.nodes, analysis.nodes))
-        job = MatrixJob(analysis.n_modes, tuple(rows.tolist()), len(analysis.groups))
+        rows = np.flatnonzero(np.isin(model.nodes, analysis.nodes)).tolist()
+        n_modes, n_groups = analysis.n_modes, len(analysis.groups)
         for number, (_, names) in enumerate(analysis.groups):
             group = model.group_stiffness(names, factors)
             sparse.save_npz(folder / f"group{number}.npz", group, compressed=False)
-    told = {"n_modes": job.n_modes, "rows": job.rows, "n_groups": job.n_groups}
-    (folder / JOB).write_text(json.dumps(told))
+    job = {"n_modes": n_modes, "rows": rows, "n_groups": n_groups}
+    (folder / JOB).write_text(json.dumps(job))
 
 
 def read_result(
@@ -113,7 +103,7 @@ def read_result(
 
 
 def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Floats]:
-    """All arrays whole; an entry's checksum stands in the file."""
+    """Read all arrays; the file has a checksum of each entry."""
     try:
         with open_regular(path) as stream:
             check_archive(path)
@@ -157,19 +147,20 @@ def _matrices(model: MatrixModel, arrays: dict[str, Floats]) -> MatrixResult:
 
 def run_job(folder: Path, log: TextIO) -> int:
     """Solve the job in a folder: the embedded solver's program. Returns its exit code."""
-    told = json.loads((folder / JOB).read_text())
-    job = MatrixJob(int(told["n_modes"]), tuple(told["rows"]), int(told["n_groups"]))
+    job = json.loads((folder / JOB).read_text())
     stiffness = _load(folder, "stiffness")
     mass = _load(folder, "mass")
     _say(log, f"{stiffness.shape[0]} unknowns, {stiffness.nnz} entries of stiffness")
     try:
-        if job.n_modes:
+        if job["n_modes"]:
             with factor_room(FactorRoom(machine_memory(), sys.maxsize, lambda: _files(folder))):
-                arrays = _solved(job, stiffness, mass, folder)
+                arrays = _solved(stiffness, mass, folder, **job)
             found = arrays["eigenvalues"]
             _say(log, f"{found.size} modes, eigenvalues {found[0]:.6e} to {found[-1]:.6e}")
         else:
-            arrays = _given(stiffness, mass)
+            given = {"stiffness": stiffness, "mass": mass}
+            names = [name.split("_") for name in MATRICES]
+            arrays = {f"{name}_{part}": getattr(given[name], part) for name, part in names}
     except (ModelError, SolverExhausted) as error:
         _say(log, f"{EXHAUSTED if isinstance(error, SolverExhausted) else FAULT} {error}")
         return 1
@@ -182,10 +173,15 @@ def run_job(folder: Path, log: TextIO) -> int:
 
 
 def _solved(
-    job: MatrixJob, stiffness: sparse.csr_array, mass: sparse.csr_array, folder: Path
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    folder: Path,
+    n_modes: int,
+    rows: list[int],
+    n_groups: int,
 ) -> dict[str, Floats]:
-    # A small system has no more modes than unknowns, and a campaign asks for some to spare.
-    n_modes = min(job.n_modes, stiffness.shape[0])
+    # A small system has no more modes than unknowns, and a campaign requests spare ones.
+    n_modes = min(n_modes, stiffness.shape[0])
     eigenvalues, shapes = solve_modes(stiffness, mass, n_modes)
     energies = matrix_energies(upper_triangle(stiffness), shapes, GIVEN)
     if (2.0 * energies < -NEGATIVE * np.abs(eigenvalues).max()).any():
@@ -193,21 +189,13 @@ def _solved(
             f"the stiffness matrix has a negative eigenvalue ({eigenvalues[0]:.3e}): no structure "
             "is like that; look at the parts' matrices and the parameters' bounds"
         )
-    groups = [_load(folder, f"group{number}") for number in range(job.n_groups)]
+    groups = [_load(folder, f"group{number}") for number in range(n_groups)]
     of_groups = [0.5 * np.sum(shapes * (group @ shapes), axis=0) for group in groups]
     return {
         "eigenvalues": eigenvalues,
-        "mode_shapes": shapes[list(job.rows)],
-        "strain_energies": np.array(of_groups).reshape(job.n_groups, n_modes),
+        "mode_shapes": shapes[rows],
+        "strain_energies": np.array(of_groups).reshape(n_groups, n_modes),
         "total_strain_energy": energies,
-    }
-
-
-def _given(stiffness: sparse.csr_array, mass: sparse.csr_array) -> dict[str, Floats]:
-    return {
-        f"{name}_{part}": getattr(matrix, part)
-        for name, matrix in (("stiffness", stiffness), ("mass", mass))
-        for part in ("data", "indices", "indptr")
     }
 
 

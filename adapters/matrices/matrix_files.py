@@ -136,18 +136,13 @@ def check_archive(path: Path) -> None:
         if sum(item.file_size for item in archive.infolist()) > largest(0.25):
             raise ValueError("its arrays are larger than can be read here")
         for item in archive.infolist():
+            form: Any = np.lib.format  # numpy gives its functions no types
             with archive.open(item) as stream:
-                shape, kind = _array_header(stream)
+                first = form.read_magic(stream) == (1, 0)
+                read = form.read_array_header_1_0 if first else form.read_array_header_2_0
+                shape, _, kind = read(stream)
             if kind.hasobject or int(np.prod(shape, dtype=object)) * kind.itemsize > item.file_size:
                 raise ValueError(f"{item.filename} declares the shape {shape} and does not hold it")
-
-
-def _array_header(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type of numbers that an array of an npz file declares."""
-    form: Any = np.lib.format  # numpy gives its functions no types
-    first = form.read_magic(stream) == (1, 0)
-    shape, _, kind = (form.read_array_header_1_0 if first else form.read_array_header_2_0)(stream)
-    return shape, kind
 
 
 def _sound(matrix: Any) -> Any:
@@ -186,9 +181,9 @@ def write_matrix(folder: Path, reference: str, matrix: sparse.csr_array) -> None
                 group.create_dataset(part, data=getattr(matrix, part))
 
 
-#: Beyond what is solved here; row pointers of so many take 160 MB.
+#: More than can be solved here; their row pointers take 160 MB.
 MOST_EQUATIONS = 20_000_000
-#: Numbers in a line by the field; of complex ones it is told that they are complex.
+#: Numbers on a line by the field; complex fields are refused as such.
 FIELDS = {"real": 3, "double": 3, "integer": 3, "pattern": 2}
 
 
@@ -252,7 +247,7 @@ def _banner(text: bytes) -> tuple[int, str, str, str]:
 
 
 def _table(body: bytes, count: int, width: int) -> Floats:
-    """So many lines of so many numbers."""
+    """Return `count` lines of `width` numbers."""
     if count * 2 * width > len(body) + 1:  # a digit and what parts it from the next
         raise ValueError(f"it declares {count} entries and has {len(body)} bytes of them")
     if not body.strip():

@@ -1,4 +1,4 @@
-"""Matrices behind the solver seam: SciPy's eigensolvers as a program of their own."""
+"""Matrices behind the solver seam: SciPy's eigensolvers as a separate program."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def _metres(row: TableRow, problems: list[str]) -> float:
 
 
 def _unit(where: str, units: list[str], metres: float, problems: list[str]) -> float:
-    """The length of the coordinates' unit, of the headings where they tell it."""
+    """Return the length of the coordinates' unit; headings with a unit determine it."""
     if len(set(units)) > 1:
         problems.append(f"{where}: the coordinates have different units: {', '.join(units)}")
     told = factor(where, "x", units[0], problems) if units[0] else metres

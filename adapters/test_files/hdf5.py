@@ -1,4 +1,4 @@
-"""A test as HDF5, modetune's own documented form, which loses nothing.
+"""A test as HDF5: modetune's own documented format, which keeps everything.
 
     attributes          format = "modetune test data", version = 1
     notes               what readers decided or left out, strings
@@ -16,8 +16,8 @@
                         (n_tests, n_modes); attribute worth
 
 Each group may be missing. `core/storage/codec` writes it. The first 512 bytes hold a SHA-256 of all
-that follows, which is looked at before HDF5 sees the file (`core/storage/seal`). Programs other
-than modetune write such files by `write_test_hdf5`.
+that follows, which is verified before HDF5 opens the file (`core/storage/seal`). Other programs
+write such files with `write_test_hdf5`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from modetune.core.storage.codec import read_value, write_value
 from modetune.core.storage.files import writing
 from modetune.core.storage.seal import content, holds, sealed, title_of
 
-__test__ = False  # tests are what it holds, not what it is
+__test__ = False  # it reads and writes tests, and is none
 
 VERSION = 1
 
@@ -63,7 +63,7 @@ class _Modes:
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """The file as it stands."""
+    """The content of the file."""
 
     format: str
     version: int

@@ -1,7 +1,7 @@
-"""A test in a file of MATLAB's: modes and points, known by the names and sizes of variables.
+"""A test in a MATLAB file: modes and points, recognised by the names and sizes of variables.
 
-Files of versions 4 to 7 are read by SciPy, those of 7.3, which are HDF5, by a process of their own
-(`adapters/hdf5_reader`). Nothing in them is run. Names are looked at in small letters, those within
+SciPy reads files of versions 4 to 7, a separate process those of 7.3, which are HDF5
+(`adapters/hdf5_reader`). Nothing in them is executed. Names are compared in lower case, those in
 structs by their last part:
 
     frequencies    fn, f, freq, frequencies, natural_frequencies, ... in Hz; wn, omega in rad/s
@@ -18,7 +18,6 @@ import io
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,14 +60,6 @@ _BROKEN = (
     *(MemoryError, NotImplementedError, OverflowError, struct.error, zlib.error),
 )
 Variables = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class _Choice:
-    """A variable that was taken, and its name in the file."""
-
-    name: str
-    values: NDArray[Any]
 
 
 def read_mat(path: Path, kind: FileKind) -> Measurement:
@@ -118,31 +109,31 @@ def _flat(name: str, value: object) -> Iterator[tuple[str, NDArray[Any]]]:
         yield name, np.atleast_1d(value)
 
 
-def _choices(found: Variables, names: tuple[str, ...]) -> Iterator[_Choice]:
-    """Variables of these names, in the order of the names."""
+def _choices(found: Variables, names: tuple[str, ...]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield variables of these names with their full names, in the order of the names."""
     for name in names:
         for full, values in found.items():
             if full.rpartition(".")[2].casefold() == name:
-                yield _Choice(full, values)
+                yield full, values
 
 
-def _vector(choice: _Choice) -> bool:
-    return choice.values.dtype.kind in "iuf" and choice.values.size == max(choice.values.shape)
+def _is_vector(values: NDArray[Any]) -> bool:
+    return values.dtype.kind in "iuf" and values.size == max(values.shape)
 
 
 def _modes(path: Path, found: Variables) -> tuple[MeasuredModes | None, list[str]]:
     """The modes, and a sentence a variable that was taken. Raises CampaignError."""
-    for choice, frequencies, damping in _frequencies(found):
-        for shapes in _choices(found, SHAPES):
-            if shapes.values.ndim != 2 or frequencies.size not in shapes.values.shape:
+    for source, frequencies, damping in _frequencies(found):
+        for name, shapes in _choices(found, SHAPES):
+            if shapes.ndim != 2 or frequencies.size not in shapes.shape:
                 continue
-            by_rows = shapes.values.shape[1] != frequencies.size or shapes.name.endswith("res")
-            matrix = np.asarray(shapes.values.T if by_rows else shapes.values)
+            by_rows = shapes.shape[1] != frequencies.size or name.endswith("res")
+            matrix = np.asarray(shapes.T if by_rows else shapes)
             taken = [
-                f"frequencies are {choice.name}",
-                f"shapes are {shapes.name}, a {'row' if by_rows else 'column'} a mode",
+                f"frequencies are {source}",
+                f"shapes are {name}, a {'row' if by_rows else 'column'} a mode",
             ]
-            nodes, components, signs, named = _dofs(path, found, shapes.name, matrix.shape[0])
+            nodes, components, signs, named = _dofs(path, found, name, matrix.shape[0])
             real = real_shapes(matrix) if np.iscomplexobj(matrix) else matrix.astype(np.float64)
             try:
                 modes = mode_set(frequencies, signs[:, None] * real, nodes, components, damping)
@@ -153,35 +144,34 @@ def _modes(path: Path, found: Variables) -> tuple[MeasuredModes | None, list[str
     return None, []
 
 
-def _frequencies(found: Variables) -> Iterator[tuple[_Choice, Floats, Floats]]:
-    """Vectors that may be the frequencies in Hz, with damping where there is as much of it."""
-    for pole in _choices(found, ("po",)):
-        if pole.values.ndim == 2 and pole.values.shape[1] == 2:
-            yield pole, pole.values[:, 0].astype(float), pole.values[:, 1].astype(float)
-    for choice in _choices(found, tuple(FREQUENCIES)):
-        if _vector(choice):
-            scale = FREQUENCIES[choice.name.rpartition(".")[2].casefold()]
-            values = scale * np.ravel(choice.values).astype(np.float64)
+def _frequencies(found: Variables) -> Iterator[tuple[str, Floats, Floats]]:
+    """Yield vectors that may be the frequencies in Hz, with damping of the same size if any."""
+    for name, poles in _choices(found, ("po",)):
+        if poles.ndim == 2 and poles.shape[1] == 2:
+            yield name, poles[:, 0].astype(float), poles[:, 1].astype(float)
+    for name, given in _choices(found, tuple(FREQUENCIES)):
+        if _is_vector(given):
+            scale = FREQUENCIES[name.rpartition(".")[2].casefold()]
+            values = scale * np.ravel(given).astype(np.float64)
             damping = next(
                 (
-                    np.ravel(other.values).astype(np.float64)
-                    for other in _choices(found, DAMPING)
-                    if _vector(other) and other.values.size == values.size
+                    np.ravel(ratios).astype(np.float64)
+                    for _, ratios in _choices(found, DAMPING)
+                    if _is_vector(ratios) and ratios.size == values.size
                 ),
                 np.zeros(0),
             )
             if np.isfinite(values).all() and (values > 0.0).all():
-                yield choice, values, damping
+                yield name, values, damping
 
 
 def _dofs(
     path: Path, found: Variables, shapes: str, count: int
 ) -> tuple[Integers, Integers, Floats, str]:
     """Nodes, components 1..6 and signs of the rows, and the variable. Raises CampaignError."""
-    for choice in _choices(found, DOFS):
-        values = choice.values
+    for name, values in _choices(found, DOFS):
         if values.dtype.kind == "U" and values.size == count:
-            sensors = [sensor_of(str(name)) for name in np.ravel(values)]
+            sensors = [sensor_of(str(label)) for label in np.ravel(values)]
             dofs = [item for item in sensors if item is not None]
             table = np.array([[*dof, sign] for dof, sign in dofs]).reshape(-1, 3)
         elif values.dtype.kind in "iuf" and values.size == count:
@@ -195,7 +185,7 @@ def _dofs(
             continue
         if len(table) == count and np.isin(table[:, 1], np.arange(1, 7)).all():
             ids, components = table[:, :2].astype(np.int64).T
-            return ids, components, table[:, 2], choice.name
+            return ids, components, table[:, 2], name
     raise CampaignError(
         f"{path}: {shapes} has {count} rows and no variable names their nodes and directions; add "
         "`dof` with node.0c a row (12.03: node 12, z), or with names such as 12:+Z; the file holds "
@@ -205,8 +195,7 @@ def _dofs(
 
 def _points(found: Variables) -> TestGeometry | None:
     """Points with rows [node x y z], or SDT's seven columns."""
-    for choice in _choices(found, POINTS):
-        values = choice.values
+    for _, values in _choices(found, POINTS):
         if values.dtype.kind not in "iuf" or values.ndim != 2 or values.shape[1] not in (4, 7):
             continue
         nodes = values[:, 0].astype(np.float64)

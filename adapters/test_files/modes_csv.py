@@ -10,8 +10,8 @@
     101.z,          ...
 
 One column a mode, numbered as the test numbers them; or one row a mode, where the first row has
-the names. Sensor rows are optional: without them only frequencies are compared. A shape may have
-any scaling of its own. Names may be words with a unit (`tables.heading`), and sensors as test
+the names. Sensor rows are optional: without them only frequencies are compared. Each shape
+may have any scaling. Names may be words with a unit (`tables.heading`), and sensors as test
 systems write them: 101:+Z, wing:101:-X, 12Z. A sensor that looks the other way changes its sign.
 """
 

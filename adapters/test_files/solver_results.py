@@ -1,8 +1,9 @@
-"""Modes that a solver left, read as a test: another model's result in place of a measurement.
+"""Modes from the result file of a solver, read as a test: another model in place of a measurement.
 
-The readers are the adapters'. What no sensor could tell is left out with a note: modes without a
-frequency, rotations (of another unit than translations, which no MAC may mix) and freedoms that
-never move. Shapes stand in the displacement system of each node, as the files have them.
+The adapters of the solvers read these files. What no sensor could measure is left out with a note:
+modes without a frequency, rotations (their unit differs from that of translations, and no MAC may
+mix them) and freedoms that never move. Shapes are in the displacement system of each node, as in
+the files.
 """
 
 from __future__ import annotations

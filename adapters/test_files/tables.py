@@ -22,7 +22,7 @@ SEPARATORS = (";", "\t", ",")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eEdD][+-]?[0-9]+)?")
 _HEADING = re.compile(r"(.*?)[\s:]*(?:[\[(]([^\])]*)[\])]|(?:/|\bin\b)\s*(\S+))?[\s:]*")
 
-#: Headings by what they mean, as `plain` makes them.
+#: Headings by their meaning.
 MEANINGS = {
     word: meaning
     for meaning, words in {
@@ -39,7 +39,7 @@ MEANINGS = {
     }.items()
     for word in words.split("|")
 }
-#: What a value is multiplied by, by its unit.
+#: Factors of values by their units.
 UNITS = {
     "frequency_hz": {"": 1.0, "hz": 1.0, "khz": 1e3, "rad/s": 0.5 / math.pi},
     **{
@@ -77,7 +77,7 @@ class FileTable:
 
 
 def read_tables(path: Path) -> list[FileTable]:
-    """The tables of a file: one of a text, one a sheet. Raises CampaignError."""
+    """Return the one table of a text, or the table of each sheet. Raises CampaignError."""
     with read_errors(f"test file {path}", CampaignError):
         with open_regular(path) as file:
             zipped = file.read(4) == b"PK\x03\x04"
@@ -88,7 +88,7 @@ def read_tables(path: Path) -> list[FileTable]:
 
 
 def heading(text: str) -> tuple[str, str]:
-    """What a heading means, or its plain words, and its unit in small letters."""
+    """Return the meaning of a heading, or its plain words, and its unit in lower case."""
     plain = text.strip().casefold()
     if plain in MEANINGS:
         return MEANINGS[plain], ""
@@ -99,7 +99,7 @@ def heading(text: str) -> tuple[str, str]:
 
 
 def factor(where: str, meaning: str, unit: str, problems: list[str]) -> float:
-    """What values under such a heading are multiplied by; a problem where it is not known."""
+    """Return the factor of values with such a heading; an unknown unit adds a problem."""
     known = UNITS[meaning]
     if unit not in known:
         there = ", ".join(name for name in known if name)
@@ -108,7 +108,7 @@ def factor(where: str, meaning: str, unit: str, problems: list[str]) -> float:
 
 
 def number(text: str) -> float:
-    """A number with a decimal point or comma; NaN where it is none, or is not finite."""
+    """Return a number with a decimal point or comma; NaN where it is none, or is not finite."""
     if _NUMBER.fullmatch(text) is None:
         return math.nan
     value = float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
@@ -116,7 +116,7 @@ def number(text: str) -> float:
 
 
 def row_values(row: TableRow, problems: list[str]) -> list[float]:
-    """The numbers of a row behind its name; a problem for each that is none."""
+    """Return the numbers of a row after its name; a field that is none adds a problem."""
     values = [number(field) for field in row.fields[1:]]
     for field, value in zip(row.fields[1:], values, strict=True):
         if math.isnan(value):
@@ -132,7 +132,7 @@ def _text_table(path: Path, data: bytes) -> FileTable:
             continue
         where = f"{path}, line {count}"
         if not rows and re.fullmatch(r"sep=.", line.strip(), re.IGNORECASE):
-            continue  # a line by which spreadsheets tell the separator, which shows anyway
+            continue  # spreadsheets name the separator here, which other lines show
         if not rows:
             separator = next((mark for mark in SEPARATORS if mark in line), " ")
             first = where
@@ -198,7 +198,7 @@ def _sheets(path: Path) -> list[FileTable]:
 
 def _sheet(name: str, sheet: object) -> FileTable:
     rows = []
-    sheet.reset_dimensions()  # type: ignore[attr-defined]  # what writers tell of it may be wrong
+    sheet.reset_dimensions()  # type: ignore[attr-defined]  # the declared size may be wrong
     for count, cells in enumerate(sheet.iter_rows(values_only=True), start=1):  # type: ignore[attr-defined]
         fields = [_cell(cell) for cell in cells]
         while fields and not fields[-1]:
@@ -216,7 +216,7 @@ def _cell(value: object) -> str:
 
 
 def _check_marks(table: FileTable) -> None:
-    """Decimal marks are points or commas; 1,234 beside 5.6 may be a thousand."""
+    """Refuse a table with decimal points and commas: 1,234 next to 5.6 may be a thousand."""
     found: dict[str, tuple[str, str]] = {}
     for row in table.rows[1:]:
         for field in row.fields[1:]:

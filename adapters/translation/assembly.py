@@ -229,7 +229,7 @@ def without(row: Form, freedom: Freedom, pivot: Form) -> Form:
 class Assembly:
     """What all cards are translated from and into.
 
-    bulk: a cross-referenced pyNastran BDF. single: elements with a set `E<eid>` of their own.
+    bulk: a cross-referenced pyNastran BDF. single: elements with a separate set `E<eid>`.
     wtmass: the factor on all masses. lumped: whether masses are at the grid points alone, and of
     which properties of solids and shells they can be.
     """
@@ -254,7 +254,7 @@ class Assembly:
         return (element for element in self.bulk.elements.values() if element.type in kinds)
 
     def sets_of(self, element: Any) -> Sequence[str]:
-        """Names of the sets that an element stands in."""
+        """Return the names of the sets that an element belongs to."""
         names = [f"P{element.pid}"] if getattr(element, "pid", None) else []
         return (*names, f"E{element.eid}") if element.eid in self.single else names
 

@@ -267,7 +267,7 @@ KINDS = (*BEAMS, *RODS)
 #: so little that carriers which do not move as their own shape would leave rigid modes rigid.
 NO_STIFFNESS = 1e-24
 #: Share of its radius of gyration with which a CBAR's mass resists twisting: Nastran gives it no
-#: torsional inertia (but for MDLPRM,BARMASS), and a free bar must have some to spin with.
+#: torsional inertia (except with MDLPRM,BARMASS), and a free bar must have some to spin with.
 BAR_TORSION = 0.01
 #: Corners of a C3D8 in its own order, in units of half its sides.
 CORNERS = np.array(
@@ -442,7 +442,7 @@ def _add_mass(model: Assembly, beam: Beam, carrier: Carrier, sets: Sequence[str]
 
 
 def _moved(station: Floats, centre: Floats, lever: Floats, turning: Floats) -> Floats:
-    """(3, n), displacement of a place beside the shear centre; centre, lever: (2,), y and z.
+    """(3, n), displacement of a place off the shear centre; centre, lever: (2,), y and z.
 
     The lever is a radius of gyration at the integration points, which turns by shares (3,) alone.
     """

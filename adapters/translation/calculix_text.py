@@ -1,8 +1,8 @@
 """The model part of a CalculiX deck as it grows: the one place that knows its syntax.
 
-Grid points keep their numbers, elements get numbers of their own. One element may stand in several
-named sets. The text comes in the order in which ccx needs what it refers to: nodes, elements,
-sets, materials, other cards, sections, equations, fixed degrees of freedom.
+Grid points keep their numbers, elements get new ones. One element may belong to several named sets.
+The order of the text is that of references in ccx: nodes, elements, sets, materials, other cards,
+sections, equations, fixed degrees of freedom.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class CalculixText:
             raise ValueError(f"material {name} is there already, with other values")
 
     def can_be_material(self, name: str, lines: Sequence[str]) -> bool:
-        """Whether the name is free, or stands for these very lines."""
+        """Return whether the name is free, or has exactly these lines."""
         return self._materials.get(name, tuple(lines)) == tuple(lines)
 
     def section(self, lines: Sequence[str]) -> None:
@@ -151,7 +151,7 @@ class CalculixText:
             lines.append(f"*ELEMENT, TYPE={kind}")
             for other, number, nodes in self.elements:
                 if other == kind:
-                    # A trailing comma says that the element's nodes go on on the next line.
+                    # A trailing comma continues the nodes of the element on the next line.
                     rows = list(_lines(map(str, (number, *nodes)), LINE_ENTRIES))
                     lines += [*(f"{row}," for row in rows[:-1]), rows[-1]]
         return lines
@@ -176,6 +176,6 @@ def number_list(values: Iterable[float]) -> str:
 
 
 def _lines(words: Iterable[str], count: int) -> Iterable[str]:
-    """Comma-separated words, so many a line."""
+    """Return comma-separated words, at most `count` on a line."""
     entries = list(words)
     return [", ".join(entries[i : i + count]) for i in range(0, len(entries), count)]

@@ -243,7 +243,7 @@ def _write_interpolation(
     forms: list[Form],
     problems: list[str],
 ) -> None:
-    """motion: (n, 6), weights: (n,), of the n independent components that forms stand for."""
+    """motion: (n, 6), weights: (n,), of the n independent components of the forms."""
     what = f"RBE3 {element.eid}"
     weighted = motion.T * weights
     normal = weighted @ motion

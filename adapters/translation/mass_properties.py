@@ -27,8 +27,8 @@ from modetune.core.element_geometry import SHAPES, Points, integration_points
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
-#: Both sides integrate alike; what is left is rounding of the deck's numbers and the small boxes
-#: that stand for point masses.
+#: Both sides integrate alike; the difference is rounding of the deck's numbers and the small boxes
+#: in place of point masses.
 TOLERANCE = 1e-3
 #: Radius of gyration, as a share of the model's size, below which the boxes' own inertia counts for
 #: nothing: one heavy body and little else. They are a thousandth of the size wide.

@@ -251,7 +251,7 @@ def _add_box(
 def _add_brick(
     model: Assembly, nodes: Sequence[int], name: str, density: float, sets: Sequence[str]
 ) -> None:
-    """A C3D8 that is never strained, in a set and of a material of its own."""
+    """Add a C3D8 that is never strained, with its own set and material."""
     if name not in model.builder.sets:
         model.builder.material(name, brick_lines(density))
         model.builder.section([f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"])

@@ -62,8 +62,8 @@ def panel_springs(card: Any, places: Floats) -> list[tuple[Floats, float]]:
     x = first / np.linalg.norm(first)
     axes = np.array([x, np.cross(normal / (2.0 * area), x)])
     flat = (places - places[0]) @ axes.T
-    corners = [np.cross(flat[b] - flat[a], flat[c] - flat[b]) for a, b, c in _turns()]
-    if not min(corners) > 0.0:
+    sides = np.roll(flat, -1, axis=0) - flat
+    if not min(np.cross(sides, np.roll(sides, -1, axis=0))) > 0.0:
         raise ValueError("its interior angles are not all below 180 degrees")
     forces = _corner_forces(flat) @ axes
     found = [(forces, 1.0 / (2.0 * _energy(card, flat)))]
@@ -82,21 +82,13 @@ def panel_springs(card: Any, places: Floats) -> list[tuple[Floats, float]]:
     return found
 
 
-def _turns() -> list[tuple[int, int, int]]:
-    return [(place, (place + 1) % 4, (place + 2) % 4) for place in range(4)]
-
-
-def _meeting_lines(flat: Floats) -> tuple[Floats, Floats, Floats]:
-    """P and Q (3,), homogeneous, where opposite sides meet, and the line through them."""
+def _energy(card: Any, flat: Floats) -> float:
+    """Z of a unit mean flow on side 1-2; flat: (4, 2), the corners in the panel's plane."""
+    # P and Q, where opposite sides meet, and the line through them, in homogeneous coordinates.
     whole = np.column_stack([flat, np.ones(4)])
     lines = [np.cross(whole[a], whole[b]) for a, b in SIDES]
     p, q = np.cross(lines[0], lines[2]), np.cross(lines[1], lines[3])
-    return p, q, np.cross(p, q)
-
-
-def _energy(card: Any, flat: Floats) -> float:
-    """Z of a unit mean flow on side 1-2; flat: (4, 2), the corners in the panel's plane."""
-    p, q, line = _meeting_lines(flat)
+    line = np.cross(p, q)
     distances = flat @ line[:2] + line[2]
     corners = np.column_stack([flat, np.zeros(4)])[None]
     points = integration_points(SHAPES["S4"], corners)

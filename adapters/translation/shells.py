@@ -34,7 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -102,7 +102,11 @@ def understand_shells(
         thickness = own_thickness(element, problems)
         key = (element.pid, thickness)
         if key not in laws:
-            laws[key] = _law(element.pid_ref, thickness, problems)
+            try:
+                laws[key] = law_of(element.pid_ref, thickness)
+            except ValueError as reason:
+                problems.append(f"{element.pid_ref.type} {element.pid}: {reason}")
+                laws[key] = None
         law = laws[key]
         if law is None or not nodes:
             continue
@@ -113,16 +117,8 @@ def understand_shells(
     return found, edges
 
 
-def _law(card: Any, thickness: float | None, problems: list[str]) -> ShellLaw | None:
-    try:
-        return law_of(card, thickness)
-    except ValueError as reason:
-        problems.append(f"{card.type} {card.pid}: {reason}")
-        return None
-
-
 def own_thickness(element: Any, problems: list[str]) -> float | None:
-    """The thickness that an element has of its own, None where it is its property's."""
+    """Return the thickness of an element, None where its property gives it."""
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
     given = [getattr(element, f"T{corner}", None) for corner in range(1, count + 1)]
     card = element.pid_ref
@@ -150,15 +146,12 @@ def _given_middles(shells: list[Any]) -> dict[Corners, int]:
     return edges
 
 
-def edge_of(first: int, second: int) -> Corners:
-    return (first, second) if first < second else (second, first)
-
-
 def edges_of(element: Any) -> list[Corners]:
     """The edges of a shell, as its nodes go round."""
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
     corners = element.node_ids[:count]
-    return [edge_of(corners[place], corners[(place + 1) % count]) for place in range(count)]
+    ends = zip(corners, (*corners[1:], corners[0]), strict=True)
+    return [(a, b) if a < b else (b, a) for a, b in ends]
 
 
 def _nodes(
@@ -211,11 +204,8 @@ def material_axes(element: Any, problems: list[str]) -> tuple[Floats, Floats]:
     if length < 1e-6 * float(np.linalg.norm(side)):
         problems.append(f"{element.type} {element.eid}: its material x axis is along its normal")
         first, length = corners[1] - corners[0], float(np.linalg.norm(corners[1] - corners[0]))
-    return _turned(first / length, normal, angle), normal
-
-
-def _turned(first: Floats, normal: Floats, angle: float) -> Floats:
-    return np.asarray(np.cos(angle) * first + np.sin(angle) * np.cross(normal, first))
+    first = first / length
+    return np.cos(angle) * first + np.sin(angle) * np.cross(normal, first), normal
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +254,7 @@ def material_lines(brick: Brick, wtmass: float) -> tuple[str, ...]:
 
 
 def law_key(element: Any) -> Hashable:
-    """What tells the laws of shells apart, as the source of a density too."""
+    """Return the key of a shell's law, which also identifies the source of its density."""
     return (element.pid, own_thickness(element, []), element.tflag, element.zoffset)
 
 
@@ -349,7 +339,7 @@ def shape_of(shell: Shell, bricks: Sequence[Brick]) -> tuple[object, ...]:
 #: Height of the bricks as a share of the usual edge: what the comparison of masses sees of it, in
 #: the inertia of a single element, is its square.
 HEIGHT = 0.01
-#: Digits that tell normals, levers and directions apart.
+#: Digits by which normals, levers and directions differ.
 DIGITS = 9
 
 
@@ -421,7 +411,8 @@ class BrickWriter:
         """Write all bricks, and the equations of their nodes."""
         by_corners = [[b for b in self._bricks if len(b[0].nodes) == 2 * n] for n in (4, 3)]
         there = [bricks for bricks in by_corners if bricks]
-        corners = _joined([self._corners(bricks) for bricks in there])
+        parts = [self._corners(bricks) for bricks in there]
+        corners = BrickPoints(*map(np.concatenate, zip(*parts, strict=True)))
         numbers = self._numbers(corners, freedoms)
         stop = 0
         for bricks in there:
@@ -457,7 +448,7 @@ class BrickWriter:
     def _numbers(self, corners: BrickPoints, freedoms: Freedoms) -> Integers:
         """Make and tie the bricks' nodes, one for all corners that are alike; returns theirs."""
         first, same = corners.alike()
-        corners = corners.taken(first)
+        corners = BrickPoints(*(column[first] for column in corners))
         coordinates = self._builder.coordinates
         places = np.array([coordinates[node] for node in corners.nodes.tolist()])
         away = corners.down + corners.heights + np.nan_to_num(corners.levers)
@@ -501,9 +492,8 @@ class BrickWriter:
         return [self._sections[key] for key in keys]
 
 
-@dataclass(frozen=True, slots=True)
-class BrickPoints:
-    """BrickPoints and edge points of bricks, (n,) each, normals (n, 3).
+class BrickPoints(NamedTuple):
+    """Corners and edge points of bricks, (n,) each, normals (n, 3).
 
     down: from the shell's node to the mean plane; heights: over it; levers: NaN of bending bricks.
     """
@@ -520,13 +510,6 @@ class BrickPoints:
         bends = np.isnan(self.levers)
         return np.where(bends, self.heights, np.round(self.down + self.levers, 12)) + 0.0
 
-    def columns(self) -> tuple[Integers, Floats, Floats, Floats, Floats]:
-        return self.nodes, self.normals, self.down, self.heights, self.levers
-
-    def taken(self, rows: Integers) -> BrickPoints:
-        own = (self.normals, self.down, self.heights, self.levers)
-        return BrickPoints(self.nodes[rows], *(column[rows] for column in own))
-
     def alike(self) -> tuple[Integers, Integers]:
         """The first rows of those that are alike, ascending, and the place there of each row."""
         bends = np.isnan(self.levers)
@@ -539,11 +522,6 @@ class BrickPoints:
         rank = np.empty_like(order)
         rank[order] = np.arange(len(order))
         return first[order], rank[same]
-
-
-def _joined(parts: Sequence[BrickPoints]) -> BrickPoints:
-    columns = zip(*(part.columns() for part in parts), strict=True)
-    return BrickPoints(*map(np.concatenate, columns))
 
 
 #: Shells whose normals are nearer than this (cosine, 5 degrees) hold no rotation about them.
@@ -578,7 +556,8 @@ def hold_rest(
         if least[node] > FLAT and any(shells[place].law.bends for place in places):
             axis = shells[places[0]].normal
             own = freedoms.along(freedoms.rotations(node), axis)
-            if _is_loose(freedoms, own) and not _is_held(freedoms, node, axis):
+            lever = np.abs(freedoms.holds(node) @ axis).max(initial=0.0)
+            if _is_loose(freedoms, own) and lever <= HELD * freedoms.builder.size:
                 axes[node] = axis
     mean = [node for node in axes if node in turned or least[node] <= SAME_PLANE]
     others = {node: {n for p in around[node] for n in shells[p].nodes} - {node} for node in mean}
@@ -597,7 +576,7 @@ def _hold_loose(
 ) -> None:
     """Hold the directions in which shells of one plane have no stiffness, as AUTOSPC does.
 
-    ends: the corners beside a midside node, which moves as their mean does there.
+    ends: the corners next to a midside node, which moves as their mean.
     """
     axes = []
     if not any(shell.law.stretches for shell in near):
@@ -615,11 +594,6 @@ def _hold_loose(
 def _is_loose(freedoms: Freedoms, form: Form) -> bool:
     """Whether some freedom of the form is neither fixed nor dependent."""
     return any(not freedoms.is_dependent(f) and not freedoms.builder.is_fixed(*f) for f in form)
-
-
-def _is_held(freedoms: Freedoms, node: int, axis: Floats) -> bool:
-    found = np.abs(freedoms.holds(node) @ axis)
-    return bool((found > HELD * freedoms.builder.size).any())
 
 
 def _mean_rotations(

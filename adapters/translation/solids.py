@@ -1,8 +1,8 @@
 """Nastran solids as CalculiX C3D elements.
 
 CHEXA with eight nodes becomes C3D8I, which bends as Nastran's does, and not C3D8, which locks.
-Both number the corners alike; the midside nodes of the upper face and of the uprights stand in
-another order.
+Both number the corners alike; the midside nodes of the upper face and of the uprights have another
+order.
 """
 
 from __future__ import annotations
@@ -14,37 +14,6 @@ from modetune.adapters.translation.calculix_text import CalculixText, number_lis
 
 #: A given shear modulus this close to E / 2 (1 + nu) is the isotropic one with rounded digits.
 SAME_SHEAR = 5e-3
-
-
-def solid_material(builder: CalculixText, card: Any, wtmass: float, problems: list[str]) -> str:
-    """Add the material of a solid (isotropic MAT1 only); its name."""
-    if card.type != "MAT1":
-        problems.append(f"{card.type} {card.mid}: solids are translated with MAT1 only")
-        return ""
-    if not card.e or not is_isotropic(card.e, card.g, card.nu):
-        problems.append(
-            f"MAT1 {card.mid}: E={card.e}, G={card.g} and NU={card.nu} are not an isotropic solid; "
-            "leave one of them blank"
-        )
-        return ""
-    elastic = ["*ELASTIC", number_list((card.e, card.nu))]
-    return _add(builder, card, elastic, card.rho * wtmass)
-
-
-def is_isotropic(e: float, g: float, nu: float) -> bool:
-    """Whether G is E / 2 (1 + nu), but for rounded digits."""
-    return bool(g) and abs(2.0 * g * (1.0 + nu) / e - 1.0) < SAME_SHEAR
-
-
-def _add(builder: CalculixText, card: Any, elastic: list[str], density: float) -> str:
-    """Add a material; one name for each density that a material is used with."""
-    lines = [*elastic, "*DENSITY", number_list((density,))] if density else elastic
-    base, name, count = f"M{card.mid}", f"M{card.mid}", 1
-    while not builder.can_be_material(name, lines):
-        count += 1
-        name = f"{base}_{count}"
-    builder.material(name, lines)
-    return name
 
 
 #: ccx kind by Nastran's kind and number of nodes.
@@ -93,10 +62,33 @@ def translate_solids(model: Assembly) -> None:
 
 
 def _material(card: Any, builder: CalculixText, problems: list[str], wtmass: float) -> str:
+    """Add the material of a PSOLID (isotropic MAT1 only), one for each density it is used with.
+
+    Returns its name, empty after a problem.
+    """
     if card.type != "PSOLID":
         problems.append(f"{card.type} {card.pid}: solids are translated with PSOLID only")
         return ""
     if card.fctn not in (None, "SMECH"):
         problems.append(f"PSOLID {card.pid}: FCTN={card.fctn} is not a structural solid")
         return ""
-    return solid_material(builder, card.mid_ref, wtmass, problems)
+    material = card.mid_ref
+    if material.type != "MAT1":
+        problems.append(f"{material.type} {material.mid}: solids are translated with MAT1 only")
+        return ""
+    e, g, nu, density = material.e, material.g, material.nu, material.rho * wtmass
+    if not e or not g or not abs(2.0 * g * (1.0 + nu) / e - 1.0) < SAME_SHEAR:
+        problems.append(
+            f"MAT1 {material.mid}: E={e}, G={g} and NU={nu} are not an isotropic solid; "
+            "leave one of them blank"
+        )
+        return ""
+    lines = ["*ELASTIC", number_list((e, nu))]
+    if density:
+        lines += ["*DENSITY", number_list((density,))]
+    name, count = f"M{material.mid}", 1
+    while not builder.can_be_material(name, lines):
+        count += 1
+        name = f"M{material.mid}_{count}"
+    builder.material(name, lines)
+    return name

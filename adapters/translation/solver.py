@@ -233,12 +233,12 @@ class TranslatedDeck(NastranModel):
 
     @cached_property
     def _bulk(self) -> Bulk:
-        """A model of the deck that is nobody else's, whose numbers are edited."""
+        """A private model of the deck, whose numbers are edited."""
         return read_bulk(self.deck)[0]
 
     @cached_property
     def _single(self) -> frozenset[int]:
-        """Elements that are sets of their own because a parameter's energy is theirs."""
+        """Elements with a separate set, because a parameter needs their energy."""
         names = [
             name
             for item in self.parameters

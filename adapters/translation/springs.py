@@ -1,16 +1,16 @@
 """Nastran springs (CELAS1 to CELAS4, CBUSH) in CalculiX.
 
 Each stiffness is one spring on the difference of two freedoms, rotations included, so that its
-strain energy is its own. A CBUSH acts at one point of the line between its
-grid points, which carry it as rigid bodies do, in axes of its own.
+strain energy is known separately. A CBUSH acts at one point of the line between its grid points,
+which carry it as rigid bodies, in its own axes.
 
-A spring on linear forms of degrees of freedom: a node of our own takes up to three deformations as
-its displacements (by *EQUATION, each a form of any translations and rotations). It is the free
+A spring on linear forms of degrees of freedom: an added node takes up to three deformations as its
+displacements (by *EQUATION, each a form of any translations and rotations). It is the free
 corner of a C3D4 whose other corners are fixed: a tetrahedron with edges h along x, y, z has strains
 u_1 / h, u_2 / h, u_3 / h (stretch, two shears) and, of an orthotropic material without Poisson's
 effect, the energy h (E_1 u_1^2 + G_12 u_2^2 + G_13 u_3^2) / 12: three springs h E_1 / 6, h G_12 /
 6, h G_13 / 6. ccx prints it as the elements' own. A SPRING1 would do, but ccx 2.20 refuses it
-beside composite shells; it is left for stiffnesses below zero.
+in a deck with composite shells; it is used only for stiffnesses below zero.
 """
 
 from __future__ import annotations
@@ -78,19 +78,14 @@ def scalar_form(element: Any, freedoms: Freedoms) -> Form:
             raise ValueError(f"point {node} is not there")
         if not component and node not in freedoms.points:
             raise ValueError(f"its component at point {node} is blank")
+        form = freedoms.form(node, component)
+        if not form:
+            raise ValueError(f"point {node} is of solids and has no rotation {component}")
         sign = -1.0 if place else 1.0
-        forms.append({key: sign * v for key, v in _freedom(freedoms, node, component).items()})
+        forms.append({freedom: sign * factor for freedom, factor in form.items()})
     if not forms:
         raise ValueError("both its ends are grounded")
     return total(forms)
-
-
-def _freedom(freedoms: Freedoms, node: int, component: int) -> Form:
-    """Raises ValueError where the grid point has no such rotation."""
-    form = freedoms.form(node, component)
-    if not form:
-        raise ValueError(f"point {node} is of solids and has no rotation {component}")
-    return form
 
 
 def _bush(element: Any, freedoms: Freedoms) -> Deformations:

@@ -140,8 +140,8 @@ class Translation:
     deck: *NODE to *BOUNDARY, no step. frames: grid point to (3, 3), basic-to-CD rotation, of those
     whose output frame is not the basic one. sets: names of all element sets of structural
     elements. grids: the bulk data's grid points, ascending. mass: mass properties that the cards
-    say, WTMASS in them; mass_check: a sentence on how the translated ones agree, empty where
-    nobody looked. shells: what becomes of their laws.
+    say, WTMASS in them; mass_check: a sentence on how the translated ones agree, empty
+    without that comparison. shells: the materials of their laws.
     """
 
     deck: KeywordDeck
@@ -171,7 +171,7 @@ def translate(
 ) -> Translation:
     """Translate a cross-referenced pyNastran BDF.
 
-    name: of the deck, for messages. single: elements that get a set `E<eid>` of their own. spc,
+    name: of the deck, for messages. single: elements that get a separate set `E<eid>`. spc,
     mpc: constraint sets, 0 for none. k2gg: the DMIG added to the stiffness, if any. wtmass:
     the factor on all masses, PARAM,WTMASS. weighed: whether the masses are held against the cards'.
     lumped: whether elements' masses are at their grid points alone, where they can be.

@@ -1,21 +1,19 @@
-"""The datasets of a universal file, cut out of its bytes.
+"""The datasets of a universal file: cut out of its bytes, and normalised for pyuff.
 
     ____-1          start mark, four blanks before it
-    ____58          the dataset's number; `58b` with binary values
+    ____58          the number of the dataset; `58b` with binary values
     ...
     ____-1          end mark
 
-pyuff looks for marks anywhere, also inside binary values and in a row that happens to end in -1,
-and takes a file that is cut short for a shorter one; so they are found here, with their lines.
+pyuff finds marks anywhere, even inside binary values and in a row that happens to end in -1, and
+reads a truncated file as a shorter one. So the marks are found here, with their lines.
 
-Datasets put so that pyuff reads them right. Nothing here changes a number.
-
-pyuff 2.5.8 splits headers at characters that are not line ends (non-ASCII ones of one byte); knows
-no exponent letter D in datasets 15, 18, 55 and 58; reads blanks at the end of a row as values (18,
-58 in double precision); takes one row for one record where the format continues it (nodes of large
-elements in 2412, more than six values a node in 55 and 2414); reads the end of line before the end
-mark as binary values; and takes all numbers of an uneven binary function for doubles, where
-abscissae have single precision.
+Normalisation changes no number. pyuff 2.5.8 splits headers at characters that are not line ends
+(non-ASCII ones of one byte); knows no exponent letter D in datasets 15, 18, 55 and 58; reads blanks
+at the end of a row as values (18, 58 in double precision); takes one row for one record where the
+format continues it (nodes of large elements in 2412, more than six values a node in 55 and 2414);
+reads the end of line before the end mark as binary values; and takes all numbers of an uneven
+binary function for doubles, where abscissae have single precision.
 """
 
 from __future__ import annotations
@@ -103,7 +101,7 @@ def read_file(path: Path) -> bytes:
 def _block(
     path: Path, data: bytes, start: int, line: int, kind: int, binary: bool
 ) -> tuple[int, DatasetBlock]:
-    """Where the file goes on after the dataset whose number stands at `start`, and the dataset."""
+    """Return the end of the dataset whose number is at `start`, and the dataset."""
     if not binary:
         mark = _MARK.search(data, start)
         if mark is None:
@@ -153,7 +151,7 @@ def _values_end(data: bytes, first: int, rows: list[bytes]) -> int | None:
 
 
 def whole_numbers(row: bytes, columns: tuple[int, ...]) -> tuple[int, ...]:
-    """The whole numbers between these columns; 0 where none stands."""
+    """Return the whole numbers between these columns; 0 where there is none."""
     fields = [row[start:end].strip() for start, end in pairwise(columns)]
     return tuple(int(field) if field.isdigit() else 0 for field in fields)
 
@@ -214,7 +212,7 @@ def tidy(block: DatasetBlock) -> bytes:
     if block.kind in (15, 2411):  # joined by pyuff without anything between them
         rows[1:] = [" " + row for row in rows[1:] if row]
     values = b"" if block.binary is None else _doubles(block)
-    if values:  # what is not told is IEEE 754
+    if values:  # an unnamed number format is IEEE 754
         rows[0] = f"{rows[0][:13]}{2:6d}{rows[0][19:]}"
     text = "\n".join(["    -1", *rows, ""]).encode("ascii")
     return text + values + b"    -1\n"
@@ -252,7 +250,7 @@ def data_kind(row: str) -> DataKind:
 
 
 def _in_columns(row: str) -> str:
-    """A row of whole numbers in columns of ten, where blanks or tabs stand between them instead."""
+    """A row of whole numbers in columns of ten, where blanks or tabs separate them instead."""
     if all(len(row[start : start + 10].split()) < 2 for start in range(0, len(row), 10)):
         return row
     return "".join(f"{field:>10}" for field in row.split())
@@ -324,7 +322,7 @@ def _doubles(block: DatasetBlock) -> bytes:
     row = block.rows[7]
     kind, count, even = (int(row[start : start + 10]) for start in (0, 10, 20))
     order, form = whole_numbers(block.rows[0].encode(), (7, 13, 19))
-    if form not in (0, 2):  # not told: what every machine has had since
+    if form not in (0, 2):  # unnamed: what every machine has had since
         raise ValueError("holds binary numbers that are not those of IEEE 754")
     if order not in (1, 2):
         raise ValueError(f"does not tell the order of its bytes (1 or 2, it has {order})")

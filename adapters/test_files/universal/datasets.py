@@ -1,11 +1,8 @@
-"""What the datasets of universal files say, as typed values with the place each comes from.
+"""The content of universal datasets as typed values, each with its place in the file.
 
-What pyuff returns for geometry, units and functions, as typed values.
-
-Each function takes a dataset's place, its rows and pyuff's answer, and raises ValueError, said of
-the dataset ("has ..."), where the answer does not fit what the dataset announces.
-
-Mode shapes of datasets 55 and 2414.
+The functions convert what pyuff returns for geometry, units, functions and mode shapes. Each takes
+the place of a dataset, its rows and the result of pyuff. It raises ValueError, with a predicate
+("has ..."), where the result does not fit what the dataset announces.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ from modetune.core.modes import Floats, Integers
 
 @dataclass(frozen=True, slots=True)
 class DatasetPlace:
-    """Where a dataset stands: file, the line of its number, that number."""
+    """The place of a dataset: file, the line of its number, that number."""
 
     path: Path
     line: int
@@ -246,12 +243,14 @@ def systems_2420(place: DatasetPlace, block: DatasetBlock, read: Any) -> Coordin
         axes = values[:3]
         if np.abs(axes @ axes.T - np.eye(3)).max() > 1e-3 or np.linalg.det(axes) < 0.0:
             raise ValueError(f"gives coordinate system {number} axes that are not right angles")
-        systems.append(CoordinateSystem(int(number), int(kind), 0, values[3], _orthonormal(axes)))
+        left, _, right = np.linalg.svd(axes)  # orthonormal beyond the printed digits
+        axes = np.asarray(left @ right)
+        systems.append(CoordinateSystem(int(number), int(kind), 0, values[3], axes))
     return CoordinateSystems(place, tuple(systems))
 
 
 def drawing_of_trace(place: DatasetPlace, block: DatasetBlock, read: Any) -> Drawing:
-    """Dataset 82: a line from node to node, which starts anew after a zero."""
+    """Dataset 82: a line from node to node; a zero starts another line."""
     nodes = _whole(np.asarray(read["nodes"], dtype=np.float64))[: max(int(read["n_nodes"]), 0)]
     pairs = np.column_stack([nodes[:-1], nodes[1:]])
     pairs = pairs[(pairs > 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])]
@@ -357,14 +356,8 @@ def _whole(values: Floats) -> Integers:
     return whole
 
 
-def _orthonormal(axes: Floats) -> Floats:
-    """The orthonormal axes nearest to these, which are so but for their printed digits."""
-    left, _, right = np.linalg.svd(axes)
-    return np.asarray(left @ right)
-
-
 NORMAL_MODE, COMPLEX_MODES = 2, (3, 7)
-#: Quantities that move: not told, general, displacement, velocity, acceleration. Forms that do not.
+#: Quantities that move: unknown, general, displacement, velocity, acceleration. Forms that do not.
 MOTIONS, TENSORS = (0, 1, 8, 11, 12), (4, 5)
 #: A frequency in an id line, and how near a pole is to one that was printed with few digits.
 _HERTZ = re.compile(r"(\d+(?:[.,]\d*)?(?:e[+-]?\d+)?)\s*hz\b", re.IGNORECASE)

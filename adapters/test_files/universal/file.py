@@ -53,7 +53,7 @@ from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.near_names import listed
 from modetune.core.storage.files import writing
 
-#: How what pyuff returns for each dataset becomes what modetune knows.
+#: Converters of what pyuff returns, by dataset.
 CONVERT: dict[int, Callable[[DatasetPlace, DatasetBlock, Any], Content | None]] = {
     15: node_table,
     18: systems_of_points,
@@ -66,13 +66,13 @@ CONVERT: dict[int, Callable[[DatasetPlace, DatasetBlock, Any], Content | None]] 
     2414: shape_2414,
     2420: systems_2420,
 }
-#: Datasets whose content is not needed otherwise: a header with names and dates; windows, averages
-#: and names beside each function (1858), none of which changes a ratio.
+#: Datasets without a converter: a header with names and dates; windows, averages and names of
+#: each function (1858), none of which changes a ratio.
 UNUSED = {151, 1858}
 #: Rows of a header, counted from its number on, with the program that wrote the file or its data.
 PROGRAMS = (6, 3)
 
-#: What was passed over, by the reason.
+#: Datasets that were passed over, by the reason.
 Passed = dict[str, list[tuple[DatasetPlace, DatasetBlock]]]
 
 

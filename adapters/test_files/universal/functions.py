@@ -47,7 +47,7 @@ KINDS = {
 QUANTITIES: dict[int, Response] = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _ACCELERATION = re.compile(r"m/s(\^|\*\*)?2|\bg\b|in/s(\^|\*\*)?2|ft/s(\^|\*\*)?2", re.IGNORECASE)
 
-#: Kinds of quantity that a force may have: not told, general, reaction force, excitation force.
+#: Kinds of quantity that a force may have: unknown, general, reaction force, excitation force.
 FORCES = (0, 1, 9, 13)
 #: What the others are called, for people.
 MOTIONS = {8: "a displacement", 11: "a velocity", 12: "an acceleration"}
@@ -62,7 +62,7 @@ Dof = tuple[int, int, int, int]
 
 
 def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | None:
-    """All response functions over the same frequencies in SI, or nothing where there are none."""
+    """Return all response functions over the same frequencies in SI, or None."""
     functions = [item for file in files for item in file.contents if isinstance(item, Function)]
     _note_others(functions, notes)
     usable: dict[tuple[Response, bytes], dict[Dof, Function]] = {}
@@ -110,7 +110,7 @@ def frfs(files: Sequence[UniversalFile], notes: list[str]) -> MeasuredFrfs | Non
 
 
 def _records(functions: Sequence[Function]) -> str:
-    """Where they stand, of the first few."""
+    """Return the lines of the first few."""
     lines = [str(function.place.line) for function in functions[:20]]
     return f": line{'s' * (len(lines) > 1)} {', '.join(lines)}{', ...' * (len(functions) > 20)}"
 
@@ -236,7 +236,7 @@ def in_si(
 
 
 def _factor(function: Function, kind: Response, units: Units | None) -> tuple[float, str]:
-    """What the values are multiplied by, and a note on it, empty where there is nothing to tell."""
+    """Return the factor of the values, and a note on it, empty where none is needed."""
     path = function.place.path
     by_file = None if units is None else _by_file(function, units)
     motion, force = _labels(function, kind)
@@ -303,7 +303,7 @@ def _labels(function: Function, kind: Response) -> tuple[float | None, float | N
 
 
 def _by_file(function: Function, units: Units) -> tuple[float, float] | None:
-    """SI values of a file's units of this motion and force; nothing where it tells no force."""
+    """SI values of a file's units of this motion and force; none without the unit of force."""
     if math.isnan(units.newtons):
         return None
     return (

@@ -1,9 +1,9 @@
-"""The modes of a test from the shapes that its files give, which may be parts of modes.
+"""The modes of a test, from shapes in its files that may be parts of modes.
 
-A mode may come in pieces: one dataset a set-up of sensors that rove over the structure, in one file
-or in several, all scaled alike; or several times: once for each place it was excited from. Shapes
-belong to one mode where number and frequency agree. Pieces are put together while they are still
-complex, so that one phase holds for all of them; then they are made real.
+A mode may come in parts: one dataset for each set-up of sensors that rove over the structure, in
+one file or several, all scaled alike; or several times: once for each exciter position. Shapes
+belong to one mode if number and frequency agree. Parts are joined while they are still complex, so
+that one phase applies to all of them, and then made real.
 """
 
 from __future__ import annotations
@@ -51,21 +51,25 @@ def modes(
     table, kept = _measured(table, np.array(nodes), notes)
     if not kept.any():
         raise CampaignError(f"{groups[0][0].place}: all shapes are zero everywhere")
-    _check_moving(groups, table[kept])
+    still = np.flatnonzero(~table[kept].any(axis=0))
+    if still.size:
+        shape = groups[int(still[0])][0]
+        raise CampaignError(f"{shape.place}: mode {shape.number} is zero at every sensor")
     numbers = _numbers(groups, notes)
     rows, components = np.nonzero(kept)
     with_phase = any(np.iscomplexobj(shape.values) for group in groups for shape in group)
     found = table[kept] if with_phase else table[kept].real
     if np.iscomplexobj(found):
         _note_complex(modal_phase_collinearity(found), numbers, notes)
-    leaders = [_strongest(group) for group in groups]
+    leaders = [max(group, key=lambda shape: np.abs(shape.values).max()) for group in groups]
+    unit = all(shape.modal_mass == 1.0 and not np.iscomplexobj(shape.values) for shape in shapes)
     measured = ModeSet(
         frequencies_hz=np.array([shape.frequency_hz for shape in leaders]),
         mode_shapes=real_shapes(found),
         nodes=np.array(nodes, dtype=np.int64)[rows],
         components=components.astype(np.int64) + 1,
         damping_ratios=_damping_ratios(leaders, numbers, notes),
-        normalisation="mass" if _unit_mass(shapes) else "unknown",
+        normalisation="mass" if unit else "unknown",
     )
     as_measured = np.asarray(found, dtype=np.complex128) if np.iscomplexobj(found) else None
     return MeasuredModes(numbers, measured), as_measured
@@ -94,7 +98,7 @@ def _same_mode(first: DatasetShape, second: DatasetShape) -> bool:
 
 
 def _check_between_files(groups: Sequence[Sequence[DatasetShape]]) -> None:
-    """One number for modes of different frequencies in two files: which is meant cannot be told."""
+    """Refuse one number for modes of different frequencies in two files: both may be meant."""
     by_number: dict[int, DatasetShape] = {}
     for group in groups:
         shape = group[0]
@@ -195,15 +199,8 @@ def _measured(
     return filled, kept
 
 
-def _check_moving(groups: Sequence[Sequence[DatasetShape]], found: Complexes) -> None:
-    still = np.flatnonzero(~found.any(axis=0))
-    if still.size:
-        shape = groups[int(still[0])][0]
-        raise CampaignError(f"{shape.place}: mode {shape.number} is zero at every sensor")
-
-
 def _numbers(groups: Sequence[Sequence[DatasetShape]], notes: list[str]) -> tuple[int, ...]:
-    """The modes' own numbers, or 1, 2, ... where these are missing or stand twice."""
+    """The modes' own numbers, or 1, 2, ... where these are missing or repeated."""
     numbers = tuple(group[0].number for group in groups)
     if len(set(numbers)) == len(numbers) and min(numbers) > 0:
         return numbers
@@ -248,11 +245,3 @@ def _damping_ratios(
             "per cent in the file?"
         )
     return np.nan_to_num(ratios)
-
-
-def _strongest(shapes: Sequence[DatasetShape]) -> DatasetShape:
-    return max(shapes, key=lambda shape: float(np.abs(shape.values).max()))
-
-
-def _unit_mass(shapes: Sequence[DatasetShape]) -> bool:
-    return all(shape.modal_mass == 1.0 and not np.iscomplexobj(shape.values) for shape in shapes)

@@ -249,7 +249,7 @@ COLUMNS_FROM = 15
 SIMCENTER = "simcenter"
 #: A direction along a line: cosine of 2 degrees.
 ALONG = 0.9994
-#: Nodes that must tell, and the share of them that must agree.
+#: Least number of conclusive nodes, and the share of them that must agree.
 FEWEST, MOST = 3, 0.8
 
 
@@ -267,8 +267,13 @@ def with_axes(file: UniversalFile, axes: Axes) -> UniversalFile:
     notes = (*file.notes, f"{place}: axes are the {chosen} of the matrices: {reason}")
     if chosen == "rows":
         return replace(file, notes=notes) if reason else file
-    contents = tuple(_transposed(item) if _is_matrix(item) else item for item in file.contents)
-    return replace(file, contents=contents, notes=notes)
+    contents = []
+    for item in file.contents:
+        if _is_matrix(item):
+            columns = (replace(system, axes=system.axes.T.copy()) for system in item.systems)
+            item = replace(item, systems=tuple(columns))
+        contents.append(item)
+    return replace(file, contents=tuple(contents), notes=notes)
 
 
 def _is_matrix(item: Content) -> TypeGuard[CoordinateSystems]:
@@ -277,11 +282,6 @@ def _is_matrix(item: Content) -> TypeGuard[CoordinateSystems]:
 
 def _asymmetric(system: CoordinateSystem) -> bool:
     return bool(np.abs(system.axes - system.axes.T).max() > 1e-6)
-
-
-def _transposed(item: CoordinateSystems) -> CoordinateSystems:
-    systems = tuple(replace(system, axes=system.axes.T.copy()) for system in item.systems)
-    return replace(item, systems=systems)
 
 
 def _found(file: UniversalFile) -> tuple[Literal["rows", "columns"], str]:
