@@ -24,6 +24,7 @@ from typing import TextIO
 import numpy as np
 from scipy import sparse
 
+from modetune.adapters.hdf5_reader import CSR
 from modetune.adapters.matrices.matrix_files import NO_ARRAYS, check_archive
 from modetune.adapters.matrices.model import Factors, MatrixModel
 from modetune.adapters.process import log_tail, read_log
@@ -49,9 +50,7 @@ JOB, RESULT = "job.json", "result.npz"
 FAULT, EXHAUSTED = "*ERROR", "*EXHAUSTED"
 CLOSING_MARK = "modetune matrices: job finished"
 MODAL = ("eigenvalues", "mode_shapes", "strain_energies", "total_strain_energy")
-MATRICES = tuple(
-    f"{name}_{part}" for name in ("stiffness", "mass") for part in ("data", "indices", "indptr")
-)
+MATRICES = tuple(f"{name}_{part}" for name in ("stiffness", "mass") for part in CSR)
 #: An eigenvalue below this share of the largest one found, with its sign changed, is not rounding.
 NEGATIVE = 1e-6
 #: One thread at a time: NumPy has Python parse the heads of arrays, and Python 3.11 failed at that
@@ -137,7 +136,7 @@ def _modal(
 def _matrices(model: MatrixModel, arrays: dict[str, Floats]) -> MatrixResult:
     stiffness, mass = (
         sparse.csr_array(
-            tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")),
+            tuple(arrays[f"{name}_{part}"] for part in CSR),
             shape=model.stiffness.shape,
         )
         for name in ("stiffness", "mass")

@@ -48,7 +48,7 @@ from modetune.adapters.nastran.cross_sections import (
 )
 from modetune.adapters.nastran.mesh import beam_axes
 from modetune.adapters.translation.assembly import Assembly, Form, Freedoms, difference, trimmed
-from modetune.adapters.translation.calculix_text import CalculixText, number_list
+from modetune.adapters.translation.calculix_text import BRICK_CORNERS, CalculixText, number_list
 from modetune.adapters.translation.springs import GroundedSprings
 from modetune.core.modes import Floats
 
@@ -269,11 +269,6 @@ NO_STIFFNESS = 1e-24
 #: Share of its radius of gyration with which a CBAR's mass resists twisting: Nastran gives it no
 #: torsional inertia (except with MDLPRM,BARMASS), and a free bar must have some to spin with.
 BAR_TORSION = 0.01
-#: Corners of a C3D8 in its own order, in units of half its sides.
-CORNERS = np.array(
-    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1],
-     [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=np.float64,
-)  # fmt: skip
 #: Where the two Gauss stations of a C3D8 are, in units of half its length.
 GAUSS = math.sqrt(1.0 / 3.0)
 #: Largest change of its width to an end: a beam whose mass ends in a point keeps a face there.
@@ -419,7 +414,7 @@ def _add_mass(model: Assembly, beam: Beam, carrier: Carrier, sets: Sequence[str]
     sides = np.maximum(math.sqrt(12.0) * radii, 1e-3 * (stop - start) * beam.length)
     slope = np.clip(carrier.slope, -SLOPE, SLOPE)
     nodes = []
-    for along, *across in CORNERS:
+    for along, *across in BRICK_CORNERS:
         arm = 0.5 * np.array(across) * sides * [1.0, 1.0 + along * slope]
         end = int(along > 0.0)
         place = beam.place(carrier.stretch[end], carrier.centres[end] + arm)

@@ -19,6 +19,11 @@ from modetune.core.modes import Floats, Integers
 LINE_ENTRIES = 16
 #: Terms of an equation on one line.
 LINE_TERMS = 4
+#: Corners of a C3D8 in ccx's order, as signs of half its sides; the axes are right-handed.
+BRICK_CORNERS = np.array(
+    [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1),
+     (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)], dtype=np.float64,
+)  # fmt: skip
 #: Factors below this are nothing.
 NO_FACTOR = 1e-14
 

@@ -27,7 +27,7 @@ from modetune.adapters.translation.assembly import (
     difference,
     total,
 )
-from modetune.adapters.translation.calculix_text import number_list
+from modetune.adapters.translation.calculix_text import BRICK_CORNERS, number_list
 from modetune.adapters.translation.springs import scalar_form
 from modetune.core.element_geometry import SHAPES, nodal_measures
 from modetune.core.modes import Floats
@@ -38,11 +38,6 @@ Shares = tuple[tuple[Hashable, float], ...]
 SCALAR_MASS = "SCALAR_"
 #: Names of the sets of bricks without extent, whose corners move with the centre, end with this.
 POINT = "_POINT"
-#: Corners of a C3D8 in ccx's order, as signs of the half sides; the axes are right-handed.
-CORNER_SIGNS = np.array(
-    [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1),
-     (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1)], dtype=np.float64,
-)  # fmt: skip
 
 
 def point_masses(bulk: Any, problems: list[str]) -> list[PointMass]:
@@ -130,7 +125,7 @@ def translate_scalar_masses(model: Assembly) -> None:
             model.refuse(element, reason)
             continue
         for count, (form, mass) in enumerate(parts):
-            nodes = [builder.new_node(origin + 0.5 * side * signs) for signs in CORNER_SIGNS]
+            nodes = [builder.new_node(origin + 0.5 * side * signs) for signs in BRICK_CORNERS]
             for node in nodes:
                 own = (node, 1)
                 freedoms.tie([difference({own: 1.0}, form)], [own], f"node {node}")
@@ -238,7 +233,7 @@ def _add_box(
     """Add a C3D8 of this mass; without extent (3,) it moves as its centre does."""
     sides = np.maximum(extent, 1e-3 * float(extent.max()) or 1e-3 * model.builder.size)
     nodes = []
-    for signs in CORNER_SIGNS:
+    for signs in BRICK_CORNERS:
         place = body.centre + axes @ (0.5 * sides * signs)
         node = model.builder.new_node(place)
         seen = place if extent.any() else body.centre
