@@ -19,7 +19,7 @@ from modetune.adapters.translation.assembly import Assembly, Freedoms
 from modetune.adapters.translation.beams import KINDS as BARS
 from modetune.adapters.translation.beams import beam_of
 from modetune.adapters.translation.calculix_text import CalculixText
-from modetune.adapters.translation.masses import POINT, SCALAR_MASS
+from modetune.adapters.translation.concentrated_masses import POINT, SCALAR_MASS
 from modetune.adapters.translation.shells import Shell
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.adapters.translation.solids import PYRAMIDS

@@ -49,7 +49,7 @@ from modetune.adapters.translation.assembly import (
     trimmed,
 )
 from modetune.adapters.translation.calculix_text import CalculixText, number_list
-from modetune.adapters.translation.masses import Shares, group_lines
+from modetune.adapters.translation.concentrated_masses import Shares, group_lines
 from modetune.core.modes import Floats, Integers
 
 LINEAR = {"CQUAD4": 4, "CQUADR": 4, "CTRIA3": 3, "CTRIAR": 3}

@@ -28,6 +28,12 @@ from modetune.adapters.nastran.masses import (
 from modetune.adapters.translation.assembly import Assembly, Freedoms
 from modetune.adapters.translation.beams import translate_beams
 from modetune.adapters.translation.calculix_text import CalculixText
+from modetune.adapters.translation.concentrated_masses import (
+    grouped_masses,
+    point_masses,
+    translate_masses,
+    translate_scalar_masses,
+)
 from modetune.adapters.translation.linear_constraints import (
     leaders,
     translate_mpcs,
@@ -39,12 +45,6 @@ from modetune.adapters.translation.mass_properties import (
     calculix_mass_properties,
     check_masses,
     nastran_mass_properties,
-)
-from modetune.adapters.translation.masses import (
-    grouped_masses,
-    point_masses,
-    translate_masses,
-    translate_scalar_masses,
 )
 from modetune.adapters.translation.shear_panels import translate_shear_panels
 from modetune.adapters.translation.shells import KINDS as SHELLS
