@@ -448,7 +448,7 @@ class BrickWriter:
     def _numbers(self, corners: BrickPoints, freedoms: Freedoms) -> Integers:
         """Make and tie the bricks' nodes, one for all corners that are alike; returns theirs."""
         first, same = corners.alike()
-        corners = BrickPoints(*(column[first] for column in corners))
+        corners = BrickPoints._make(column[first] for column in corners)
         coordinates = self._builder.coordinates
         places = np.array([coordinates[node] for node in corners.nodes.tolist()])
         away = corners.down + corners.heights + np.nan_to_num(corners.levers)
