@@ -1,8 +1,7 @@
-"""How a test's points are brought into the model's axes and length, and what speaks against it.
+"""How a test's points are brought into the model's axes and length, and doubts about it.
 
-The search for a pose takes seconds, so what it found is kept in the campaign's store: the same
-points on the same surface give the same poses. What the store has is believed where its checksum
-holds; what cannot be kept is searched again next time.
+The search for a pose takes seconds, so the campaign's store keeps its result: the same points on
+the same surface give the same poses.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from math import isnan
 
 import numpy as np
@@ -29,33 +28,38 @@ from modetune.core.surface import facets
 from modetune.flows.campaign.schema import SensorSection
 from modetune.flows.campaign.units import LENGTH_METRES
 
-#: Boxes of test and model that differ by more than this factor are hardly of one structure.
+logger = logging.getLogger(__name__)
+
+#: Increases whenever the search may give another result.
+SEARCH = 2
+#: Boxes of test and model that differ by more than this factor hardly belong to one structure.
 SIZES = 3.0
-#: A unit is tried where the test spans at least this part of the model in it.
+#: A unit is tried where the test in that unit spans at least this part of the model.
 LEAST_PART = 0.3
-#: Parts of the size: what a fit in the right unit leaves; what landmarks must tell poses apart by.
-GOOD_FIT, TOLD_APART = 0.02, 0.02
+#: Parts of the size: the residual of a fit in the right unit; the least difference between the
+#: distances from landmarks of two poses.
+GOOD_FIT, DISTINCT = 0.02, 0.02
 
 
 def unit_name(metres: float) -> str:
-    """The name of a unit of length; "" for one without."""
+    """Return the name of a unit of length; "" where it has none."""
     return next(
         (name for name, size in LENGTH_METRES.items() if np.isclose(size, metres, 1e-6)), ""
     )
 
 
 def diagonal(coordinates: Floats) -> float:
-    """Diagonal of the box around points (n, 3)."""
+    """Return the diagonal of the box around points (n, 3)."""
     return float(np.linalg.norm(np.ptp(coordinates, axis=0))) if coordinates.size else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Laid:
-    """How a test is laid over a model.
+    """The pose of a test on a model.
 
-    poses: ways that cannot be told apart, the one that is taken first. misfits: (n_points,), how
-    far each point of the test is from the surface, the model's length; empty where nothing was
-    fitted to it. notes: what is to be known; doubts: why the alignment is not certain.
+    poses: poses that fit equally well, the chosen one first. misfits: (n_points,), distances of the
+    test's points from the surface in the model's length; empty where nothing was fitted to it.
+    notes: remarks for the user; doubts: why the alignment is uncertain.
     """
 
     poses: tuple[Alignment, ...]
@@ -72,11 +76,11 @@ def align_test(
     tolerance: float,
     store: Store | None = None,
 ) -> Laid:
-    """Where the test's points lie in the model, and what is to be known of it.
+    """Return the pose of the test's points on the model, with notes and doubts.
 
-    metres: of the model's length. tolerance: the model's length, within which places count as
-    found. store: keeps what was found. All points of the geometry take part in a fit.
-    Raises CampaignError where landmarks are not there or the points allow no fit.
+    metres: of the model's unit of length. tolerance: in the model's length, within which a sensor
+    finds its node. store: keeps the result of a search. All points of the geometry take part in a
+    fit. Raises CampaignError where landmarks are missing or the points allow no fit.
     """
     known = not isnan(geometry.metres)
     scale = settings.scale or (geometry.metres / metres if known else None)
@@ -120,16 +124,26 @@ def _fitted(
             near = fit_similarity(points, targets, scale) if len(points) > 2 else None
         except ModesError:  # on one line: they choose among poses all the same
             near = None
-        corners = facets(mesh)
+        points_of_test, nodes, corners = geometry.coordinates, mesh.coordinates, facets(mesh)
         surface = cache(lambda: SurfacePoints.of(corners))
-        search = PoseSearch(corners, mesh.coordinates, surface, store)
-        found, notes = _registered(geometry.coordinates, search, scale, metres, near)
+
+        def search(scale: float | None, near: Alignment | None) -> Registration:
+            from modetune.core.measurement.registration import register  # not for stored results
+
+            logger.info("laying %d test points over the model", len(points_of_test))
+            return register(points_of_test, surface(), nodes, scale, near)
+
+        arrays = {"points": points_of_test, "corners": corners, "nodes": nodes}
+        asked: dict[str, Json] = {name: _digest(values) for name, values in arrays.items()}
+        poses_at = partial(_kept_poses, search, asked, store, near=near)
+        sizes = diagonal(points_of_test), diagonal(nodes)
+        found, notes = _registered(poses_at, *sizes, scale, metres)
     except ModesError as error:
         raise CampaignError(
             f"the test cannot be laid over the model: {error}; give `scale`, `rotation` and "
             "`translation` instead of a fit"
         ) from error
-    if near is not None and found.slides > tolerance:  # the surface says less than landmarks do
+    if near is not None and found.slides > tolerance:  # landmarks are better than the surface
         away = surface().closest(near.apply(geometry.coordinates)).distances
         found = Registration(replace(near, residuals=away, used=np.ones(away.size, bool)))
     size = diagonal(found.best.apply(geometry.coordinates))
@@ -155,7 +169,7 @@ def _fitted(
 def _landmarks(
     geometry: TestGeometry, mesh: Mesh, settings: SensorSection
 ) -> tuple[Floats, Floats]:
-    """Test points (n, 3) with partners, and these partners (n, 3) in the model."""
+    """Return test points (n, 3) with partners, and these partners (n, 3) in the model."""
     at = {node: row for row, node in enumerate(geometry.nodes.tolist())}
     lost = [str(node) for node in settings.match if node not in at]
     if lost:
@@ -175,7 +189,7 @@ def _nearest(
     settings: SensorSection,
     size: float,
 ) -> tuple[Alignment, ...]:
-    """Of several poses those that what the user gave is nearest to: one, but for ties."""
+    """Return the pose that is nearest to the user's data, or several where they tie."""
 
     def distance(pose: Alignment) -> float:
         far = float(np.sum((pose.apply(points) - targets) ** 2))
@@ -186,35 +200,40 @@ def _nearest(
         return far
 
     far = np.sqrt([distance(pose) for pose in poses])
-    # Landmarks on an axis of symmetry do not tell what turns about it.
-    alike = np.flatnonzero(far <= far.min() + TOLD_APART * size)
+    # Landmarks on an axis of symmetry do not determine a rotation about it.
+    alike = np.flatnonzero(far <= far.min() + DISTINCT * size)
     return tuple(poses[row] for row in alike[np.argsort(far[alike], kind="stable")])
 
 
 def _registered(
-    points: Floats, search: PoseSearch, scale: float | None, metres: float, near: Alignment | None
+    poses_at: Callable[[float | None], Registration],
+    test: float,
+    model: float,
+    scale: float | None,
+    metres: float,
 ) -> tuple[Registration, list[str]]:
-    """A fit without partners, of a scale that is one of units where one will do.
+    """Return a fit without partners and notes about its scale, that of a known unit if possible.
 
-    Of units in which the test fits the largest is taken: a part of the model fits anything small.
+    test, model: diagonals. The largest unit that fits is taken: a small test fits any part of the
+    model.
     """
     if scale is not None:
-        return search.register(points, scale, near), []
+        return poses_at(scale), []
     told = "the test does not tell its unit of length"
-    ratio = diagonal(search.nodes) / max(diagonal(points), 1e-300)
+    ratio = model / max(test, 1e-300)
     units = {name: size / metres for name, size in LENGTH_METRES.items()}
     for name, of_units in sorted(units.items(), key=lambda item: -item[1]):
         if not LEAST_PART * ratio <= of_units <= ratio / LEAST_PART**0.25:
             continue
-        fixed = search.register(points, of_units, near)
-        if fixed.best.rms <= GOOD_FIT * diagonal(points) * of_units and fixed.best.used.all():
+        fixed = poses_at(of_units)
+        if fixed.best.rms <= GOOD_FIT * test * of_units and fixed.best.used.all():
             return fixed, [f"{told}; taken as {name}, which fits the model"]
-    free = search.register(points, None, near)
+    free = poses_at(None)
     return free, [f"{told} and fits in none; the scale {free.best.scale:.6g} was fitted"]
 
 
 def _doubts(found: Registration, best: Alignment, tolerance: float, unit: str) -> tuple[str, ...]:
-    """Why an alignment that was fitted is not certain, without what other poses there are."""
+    """Return why a fitted alignment is uncertain, other poses aside."""
     said = []
     if found.mirrored:
         said.append(
@@ -239,7 +258,7 @@ def _doubts(found: Registration, best: Alignment, tolerance: float, unit: str) -
 def _size_doubts(
     found: Alignment, geometry: TestGeometry, mesh: Mesh, metres: float
 ) -> tuple[str, ...]:
-    """Test and model of very different size: mostly a unit taken for another."""
+    """Return a doubt where test and model differ much in size: mostly a wrong unit."""
     test, model = diagonal(found.apply(geometry.coordinates)), diagonal(mesh.coordinates)
     if _alike(test, model):
         return ()
@@ -256,7 +275,7 @@ def _size_doubts(
 
 
 def _alike(test: float, model: float) -> bool:
-    """Whether two boxes may be of one structure."""
+    """Return whether two boxes may belong to one structure."""
     return test > 0.0 and model > 0.0 and 1.0 / SIZES <= test / model <= SIZES
 
 
@@ -264,62 +283,33 @@ def _in(unit: str) -> str:
     return f" {unit}" if unit else ""
 
 
-logger = logging.getLogger(__name__)
+def _kept_poses(
+    search: Callable[..., Registration],
+    asked: dict[str, Json],
+    store: Store | None,
+    scale: float | None,
+    near: Alignment | None,
+) -> Registration:
+    """Return the result of a search for poses from the store, else search and keep it.
 
-#: Grows whenever the search may answer otherwise.
-SEARCH = 2
-
-
-@dataclass(frozen=True, slots=True)
-class PoseSearch:
-    """Searches a model's surface, triangles (n, 3, 3), and nodes (n, 3) for a test.
-
-    surface: the triangles, once they are asked for distances. store: None keeps nothing.
+    asked: digests of the points and the model. Raises ModesError where they allow no fit.
     """
-
-    corners: Floats
-    nodes: Floats
-    surface: Callable[[], SurfacePoints]
-    store: Store | None = None
-
-    def register(
-        self, points: Floats, scale: float | None, near: Alignment | None = None
-    ) -> Registration:
-        """All poses of points (n, 3) that cannot be told apart (`registration.register`).
-
-        Raises ModesError where points or nodes allow no fit.
-        """
-        if self.store is None:
-            return self._search(points, scale, near)
-        asked = canonical_json(self._asked(points, scale, near))
-        key, begun = content_key(asked), time.monotonic()
-        entry = self.store.get(key)
-        if entry is not None and isinstance(entry.result, Registration):
-            return entry.result
-        found = self._search(points, scale, near)
-        try:
-            self.store.put(Entry(key, found, "modetune", "", time.monotonic() - begun), asked)
-        except StorageUnavailable as error:
-            logger.info("the pose of the test is not kept: %s", error)
-        return found
-
-    def _search(self, points: Floats, scale: float | None, near: Alignment | None) -> Registration:
-        from modetune.core.measurement.registration import register  # what is kept needs no search
-
-        logger.info("laying %d test points over the model", len(points))
-        return register(points, self.surface(), self.nodes, scale, near)
-
-    def _asked(self, points: Floats, scale: float | None, near: Alignment | None) -> Json:
-        return {
-            "search of poses": SEARCH,
-            "points": _digest(points),
-            "corners": _digest(self.corners),
-            "nodes": _digest(self.nodes),
-            "scale": scale,
-            "near": None
-            if near is None
-            else [near.scale, near.rotation.tolist(), near.translation.tolist()],
-        }
+    if store is None:
+        return search(scale, near)
+    asked = {**asked, "search of poses": SEARCH, "scale": scale, "near": None}
+    if near is not None:
+        asked["near"] = [near.scale, near.rotation.tolist(), near.translation.tolist()]
+    text = canonical_json(asked)
+    key, begun = content_key(text), time.monotonic()
+    entry = store.get(key)
+    if entry is not None and isinstance(entry.result, Registration):
+        return entry.result
+    found = search(scale, near)
+    try:
+        store.put(Entry(key, found, "modetune", "", time.monotonic() - begun), text)
+    except StorageUnavailable as error:
+        logger.info("the pose of the test is not kept: %s", error)
+    return found
 
 
 def _digest(values: Floats) -> str:

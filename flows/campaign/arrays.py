@@ -1,6 +1,6 @@
-"""A campaign made of Python objects: an ordinary campaign file, and arrays as files beside it.
+"""A campaign made of Python objects: an ordinary campaign file, with arrays as files next to it.
 
-Keys are those of the campaign file. In two places arrays may stand where the file names a file:
+Keys are those of the campaign file. Two keys may have arrays instead of the path of a file:
 
     model   stiffness, mass (n, n), dense or sparse; parts: {name: {stiffness, mass}}, what each
             parameter scales; dofs: n names such as "12.z" or pairs (12, "z"), else unknown i is
@@ -9,7 +9,7 @@ Keys are those of the campaign file. In two places arrays may stand where the fi
             (n_sensors, n_modes) with the dofs (n_sensors) of their rows; numbers (n_modes,) of the
             modes, else 1, 2, ...; damping_ratios (n_modes,). Or modes: a Measurement or a ModeSet.
 
-What is written can be run, repeated and scheduled by the command line as it is.
+The command line can run, repeat and schedule the written campaign as it is.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from modetune.flows.campaign.schema import STORE_VARIABLE
 #: Keys of a model and of a test that are given as arrays.
 MODEL_ARRAYS = {"stiffness", "mass", "parts", "dofs"}
 TEST_ARRAYS = {"frequencies_hz", "mode_shapes", "dofs", "numbers", "damping_ratios"}
-#: Where campaigns are written unless a folder is named, below the current one.
+#: Folder of written campaigns by default, below the current one.
 MADE = Path(".modetune") / "campaigns"
 
 Dof = tuple[int, int]
@@ -72,7 +72,7 @@ def write_campaign(given: Mapping[str, Any], folder: Path | None = None) -> Path
 
 
 def _sides(holder: dict[str, Any], folder: Path, prefix: str, problems: list[str]) -> None:
-    """Model and test of a campaign or configuration, arrays written and paths made absolute."""
+    """Write the arrays of a campaign or configuration, and make paths absolute."""
     for key, write in (("model", _write_model), ("test", _write_test)):
         side = holder.get(key)
         if isinstance(side, Measurement | MeasuredModes | ModeSet):
@@ -140,7 +140,7 @@ def _write_test(test: dict[str, Any], folder: Path, prefix: str) -> dict[str, An
 
 
 def _measured(arrays: dict[str, Any]) -> MeasuredModes:
-    """Measured modes of arrays. Raises ModesError where they do not fit together."""
+    """Return measured modes from arrays. Raises ModesError where they do not fit together."""
     shapes = arrays.get("mode_shapes")
     dofs = [_dof(item) for item in arrays.get("dofs", ())]
     if shapes is not None and len(dofs) != np.shape(shapes)[0]:
@@ -162,7 +162,7 @@ def _measured(arrays: dict[str, Any]) -> MeasuredModes:
 
 
 def _dof(given: Any) -> Dof:
-    """Node and component 1..6 of "12.z", (12, "z") or (12, 3). Raises ModesError."""
+    """Return node and component 1..6 of "12.z", (12, "z") or (12, 3). Raises ModesError."""
     parts = given.split(".") if isinstance(given, str) else list(given)
     if len(parts) == 2:
         node, axis = str(parts[0]), parts[1]
@@ -173,7 +173,7 @@ def _dof(given: Any) -> Dof:
 
 
 def _plain(value: Any) -> Any:
-    """A value of a campaign as YAML has it; arrays and objects of model and test stay."""
+    """Return a campaign's value as YAML has it; arrays and objects of model and test remain."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

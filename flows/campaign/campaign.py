@@ -65,7 +65,10 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Campaign:
-    """A campaign that can run: settings checked, models and tests read."""
+    """A campaign that can run: settings checked, models and tests read.
+
+    cases: one, or one for each configuration. begin: parameter values (n_parameters,) to start
+    from, instead of the initial ones. fields: parameters with a value for each zone."""
 
     name: str
     file: Path
@@ -102,7 +105,7 @@ class Campaign:
 
     @property
     def used(self) -> tuple[Case, ...]:
-        """The cases that are updated with."""
+        """The cases that take part in updating, not only in judging it."""
         return tuple(item for item in self.cases if not item.aside)
 
     @property
@@ -112,7 +115,7 @@ class Campaign:
 
     @property
     def weighting(self) -> Weighting:
-        """That of `test`."""
+        """The weighting of `test`."""
         return weighting_side_by_side([item.weighting for item in self.used])
 
     def __repr__(self) -> str:
@@ -127,19 +130,21 @@ class Campaign:
 
     @property
     def configurations(self) -> tuple[str, ...]:
-        """Whose test each mode of `test` is of; empty where the campaign has one model."""
+        """The configuration of each mode of `test`; empty where the campaign has one model."""
         if self.only is not None:
             return ()
         return tuple(item.name for item in self.used for _ in item.test.numbers)
 
     @property
     def start(self) -> Floats:
-        """Parameters (n_parameters,) that updating starts from."""
+        """Parameter values (n_parameters,) that updating starts from."""
         return self.parameters.initial if self.begin is None else np.array(self.begin)
 
     def precision(self, theta: Floats) -> Floats:
-        """Weights of the parameters at these values: (n_parameters,), reciprocals of variances; or
-        the inverse of their covariance (n_parameters, n_parameters), where there are fields."""
+        """Return the parameters' weights at these values.
+
+        They are reciprocals of variances (n_parameters,), or where there are fields the inverse of
+        the covariance (n_parameters, n_parameters)."""
         own = self.parameters
         return prior_precision(self.fields, theta - own.initial, own.standard_deviations)
 
@@ -159,11 +164,11 @@ class Campaign:
 
     @property
     def threads(self) -> int:
-        """Threads of each job: the machine's cores shared out among parallel jobs."""
+        """Threads of each job: by default the machine's cores divided among parallel jobs."""
         return self.run.threads or max(1, cores() // self.parallel)
 
     def alone(self, case: Case) -> Campaign:
-        """The campaign that one of its cases would make alone, with the parameters it has."""
+        """Return the campaign of one case alone, with the parameters that it has."""
         own = replace(self, cases=(replace(case, columns=None, weight=1.0, aside=False),))
         if case.columns is None:
             return own
@@ -174,7 +179,7 @@ class Campaign:
         )
 
     def deck_value(self, parameter: Parameter) -> float:
-        """A parameter's value in the deck of the first case that has it."""
+        """Return a parameter's value in the deck of the first case that has it."""
         own = ((case, self.alone(case).parameters) for case in self.cases)
         case = next(c for c, p in own if parameter in (*p.parameters, *p.dependents))
         return case.solver.deck.deck_value(parameter)
@@ -187,8 +192,10 @@ class Campaign:
         )
 
     def write_updated(self, values: Values, folder: Path) -> Path:
-        """Write the updated deck and return its place; of several cases each in a folder of its
-        configuration's name, and their folder is returned."""
+        """Write the updated deck and return its path.
+
+        Several cases go to folders named as their configurations; the return value is the folder
+        of these."""
         if len(self.cases) == 1:
             return self.case.solver.deck.write_updated(values, folder)
         for item in self.cases:
@@ -198,7 +205,7 @@ class Campaign:
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -208,9 +215,10 @@ def load_campaign(
     form: type[CampaignFile] = CampaignFile,
     solver: Solver | None = None,
 ) -> Campaign:
-    """Read a campaign file of a form. Raises CampaignError with all problems; StoreError.
+    """Read a campaign file, its models and its tests, and check all of it.
 
-    solver: bound to the model already, of a campaign without parameters.
+    form: which keys are required. solver: already bound to the model, for a campaign without
+    parameters. Raises CampaignError with all problems, StoreError.
     """
     source = path if isinstance(path, YamlFile) else read_yaml(path, "a campaign")
     file = campaign_form(source, settings, form)
@@ -241,9 +249,9 @@ def load_campaign(
 
 
 def load_model(path: Path | YamlFile, settings: list[str] | None = None) -> Campaign:
-    """A campaign file for what looks at its model alone, with or without a test.
+    """Read a campaign file for commands that use only its model, with or without a test.
 
-    A test that can be read is, so that modes are those of updating. Raises as `load_campaign`.
+    A readable test is read, so that modes are those of updating. Raises as `load_campaign`.
     """
     try:
         return load_campaign(path, settings, OpenFile)
@@ -254,7 +262,7 @@ def load_model(path: Path | YamlFile, settings: list[str] | None = None) -> Camp
 def campaign_form(
     source: YamlFile, settings: list[str] | None = None, form: type[CampaignFile] = CampaignFile
 ) -> CampaignFile:
-    """The sections of a campaign file, its tests and decks not yet read.
+    """Return the sections of a campaign file without reading tests and decks.
 
     Raises CampaignError with all problems.
     """
@@ -289,7 +297,7 @@ def _with_fields(
 def _read_cases(
     source: YamlFile, file: CampaignFile, problems: list[str], solver: Solver | None
 ) -> list[Case]:
-    """The campaign's own case, or that of each configuration; those with problems are left out."""
+    """Return the campaign's case, or one per configuration, without those that have problems."""
     if not file.configurations:
         case = _read_case(source, file, problems, solver)
         return [] if case is None else [case]
@@ -315,7 +323,7 @@ def _read_cases(
 def _read_case(
     source: YamlFile, file: CampaignFile, problems: list[str], solver: Solver | None = None
 ) -> Case | None:
-    """One model and one test; nothing where there are problems."""
+    """Return a model with its test; None where there are problems."""
     measurement = read_test(source, file, problems)
     solver = solver or _read_model(source, file, problems)
     mapping, store = None, Store(_store_folder(source, file))
@@ -376,7 +384,7 @@ def _read_case(
 
 
 def store_of(source: YamlFile) -> Store:
-    """The store of a campaign file. Raises CampaignError."""
+    """Return the store of a campaign file. Raises CampaignError."""
     return Store(_store_folder(source, campaign_form(source)))
 
 
@@ -402,7 +410,7 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
     for position, parameter in enumerate(parameters):
         place = source.where(("parameters", position))
         problems += [f"{place}: {said}" for said in solver.deck.problems((parameter,))]
-    if not problems:  # what several parameters do to each other
+    if not problems:  # interactions of several parameters
         place = source.where(("parameters",))
         problems += [f"{place}: {said}" for said in solver.deck.problems(parameters)]
     number = file.model.rigid_modes
@@ -413,7 +421,7 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
 
 
 def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:
-    """Jobs in parallel times threads of each must not be more than the machine's cores."""
+    """Return a problem where parallel jobs times their threads exceed the machine's cores."""
     wanted = max(run.parallel, 1) * max(run.threads, 1)
     if wanted <= cores or not run.here:
         return []
@@ -425,7 +433,7 @@ def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:
 
 
 def target_problems(source: YamlFile, file: CampaignFile) -> list[str]:
-    """Parameters that name nothing, on a solver that needs to be told what they scale."""
+    """Return a problem for each parameter without a target, where the solver needs one."""
     if file.model.solver not in get_args(SolverName) or file.model.solver in BY_NAME:
         return []
     return [
@@ -437,7 +445,7 @@ def target_problems(source: YamlFile, file: CampaignFile) -> list[str]:
 
 
 def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
-    """A licence that no solver has would limit nothing, without a word."""
+    """Return a problem for licences that no solver has, which would limit nothing."""
     models = [item.model for item in file.configurations] + ([file.model] if file.model else [])
     known = [*get_args(SolverName), *(model.program for model in models)]
     unknown = sorted(set(file.run.licences) - set(known))
@@ -450,7 +458,7 @@ def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
 
 
 def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> list[str]:
-    """Why the campaign's sensitivity method is unavailable."""
+    """Return why the campaign's sensitivity method or eigensolver is unavailable."""
     method, has = file.sensitivity.method, solver.program.capabilities
     shapes = file.residuals.shape_changes
     place = source.where(("sensitivity", "method"))

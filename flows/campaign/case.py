@@ -1,8 +1,8 @@
-"""A model with a test: what a campaign's parameter sets are evaluated on.
+"""A model with a test, on which a campaign evaluates parameter values.
 
 A campaign has one case, or one for each of its configurations (fuel, payload, boundary
-conditions). Where modes of several cases stand side by side, as in a record, shapes of one are zero
-at the sensors of the others, and a mode is told by its configuration and its number there.
+conditions). Where a record has modes of several cases, shapes of one case are zero at the sensors
+of the others, and a mode is identified by its configuration and its number there.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from modetune.flows.campaign.mapping import Mapping
 from modetune.flows.campaign.schema import Eigensolver, ModelCheck
 from modetune.flows.campaign.units import Units
 
-#: Elastic modes computed beyond the measured ones, so that a mode that moves up stays in sight.
+#: Elastic modes computed beyond the measured ones, for measured modes whose number rises.
 EXTRA_MODES = 4
 RIGID_MODES = 6
 
@@ -38,13 +38,13 @@ RIGID_MODES = 6
 class Case:
     """A model with a test.
 
-    test: the modes that are used, weighting: of these; held_out: those that are only judged by,
-    held_out_deviations: (n_held_out,), relative, of their frequencies. nodes: at which pairing and
-    derivatives need shapes. name: of the configuration, empty where the campaign has one
-    model; columns: positions of its parameters among the campaign's, all of them where None;
-    accepted: doubts about the model that are known; weight: of its residuals; aside: whether it is
-    only judged by; rules: which pairs are allowed; compared: what is compared beside frequencies
-    and shapes; tolerances: e1's; gauged: nodes whose displacements make strains.
+    test: the modes that are used; weighting: their deviations and weights. held_out: modes for
+    judging only; held_out_deviations: (n_held_out,), relative, of their frequencies. nodes: nodes
+    where pairing and derivatives need shapes. name: of the configuration, empty where the campaign
+    has one model. columns: positions of its parameters among the campaign's, None for all.
+    accepted: doubts about the model that the user accepts. weight: of its residuals. aside: whether
+    it is for judging only. rules: which pairs are allowed. compared: responses besides frequencies
+    and shapes. tolerances: those of e1. gauged: nodes whose displacements make strains.
     """
 
     solver: Solver
@@ -70,50 +70,50 @@ class Case:
 
     @property
     def single_factors(self) -> bool | None:
-        """Whether factors are asked for in single precision or double; None: as memory has it."""
+        """Whether the campaign requires factors in single precision; None: as memory allows."""
         return {"pardiso": False, "mixed_precision": True}.get(self.eigensolver)
 
     @property
     def responses(self) -> tuple[Response, ...]:
-        """All that is compared, in the order of the residual's rows."""
+        """All responses, in the order of the residual's rows."""
         shapes = (Shapes(self.tolerances.mac),) if self.weighting.with_shapes else ()
         return (Frequencies(self.tolerances.frequency), *shapes, *self.compared)
 
     def needs(self, what: Need) -> bool:
-        """Whether a response of the case needs it."""
+        """Return whether a response of the case needs this."""
         return any(what in item.needs for item in self.responses)
 
     @property
     def sensors(self) -> SensorMap:
-        """How the test's sensors see the model."""
+        """The test's sensors on the model."""
         return self.mapping.sensors
 
     @property
     def result_nodes(self) -> tuple[int, ...]:
-        """Nodes at which the modes of the whole model are wanted: for pairing, to look at, and to
-        choose among poses of the test that its places cannot tell apart."""
+        """Nodes where the modes of the whole model are needed: for pairing, for pictures, and to
+        choose among poses of the test that fit equally well."""
         poses = (item.sensors.model_nodes.tolist() for item in self.mapping.others)
         return tuple(sorted({*self.nodes, *self.surface.nodes.tolist(), *chain(*poses)}))
 
     @property
     def n_modes(self) -> int:
-        """Modes asked of the solver: the measured ones, rigid ones and some to spare."""
+        """Modes requested from the solver: the measured ones, rigid ones and some in reserve."""
         by_hand = self.solver.rigid_modes
         rigid = max(RIGID_MODES, 0 if by_hand is None else by_hand.number)
         return len(self.measured.numbers) + EXTRA_MODES + rigid
 
     @property
     def measured(self) -> MeasuredModes:
-        """All measured modes that count: used ones, then those that are held out."""
+        """All measured modes of the case: used ones, then held-out ones."""
         return self.test if self.held_out is None else together(self.test, self.held_out)
 
     def of(self, text: str) -> str:
-        """A text of this case among others."""
+        """Return a text with the name of the case, where it has one."""
         return f"{text} of {self.name}" if self.name else text
 
 
 def whole_test(cases: Sequence[Case]) -> MeasuredModes:
-    """The modes of all tests that are used side by side."""
+    """Return the used modes of all tests in one set."""
     if len(cases) == 1:
         return cases[0].test
     tests = [item.test for item in cases if not item.aside]
@@ -122,13 +122,13 @@ def whole_test(cases: Sequence[Case]) -> MeasuredModes:
 
 
 def node_base(tests: Sequence[MeasuredModes]) -> int:
-    """A round number above all test nodes, at least 1000, to tell configurations' nodes apart."""
+    """Return a round number above all test nodes, at least 1000."""
     largest = max((int(test.modes.nodes.max(initial=0)) for test in tests), default=0)
     return int(10 ** max(3, len(str(largest))))
 
 
 def side_by_side(sets: Sequence[ModeSet], base: int) -> ModeSet:
-    """Modes of several cases in one set, shapes of each at its own sensors only.
+    """Return the modes of several cases in one set, shapes of each only at its own sensors.
 
     Node n of the k-th (from 1) becomes base * k + n.
     """

@@ -1,7 +1,7 @@
 """Campaign files with several configurations: each as a campaign file of its own.
 
-A configuration has its own `model` and `test` and shares the rest with the others; problems are
-told with the line in the one file where its keys stand.
+A configuration has its own `model` and `test` and shares the other keys. Problems are reported with
+the line of the configuration's keys in the one campaign file.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from modetune.flows.campaign.parameters import moved
 from modetune.flows.campaign.schema import CampaignFile, ConfigurationSection
 from modetune.flows.campaign.solvers import bind_solver
 
-#: What the configuration is called that the campaign's own `model` and `test` are.
+#: The name of the configuration that consists of the campaign's own `model` and `test`.
 BASE = "base"
-#: Keys that each configuration has for itself.
+#: Keys that each configuration has.
 OWN = ("model", "test")
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationFile:
-    """The campaign file as one configuration alone would have it.
+    """The campaign file of one configuration alone.
 
-    source: with the lines at which its own keys stand; columns: positions of its parameters among
-    the free ones of the campaign; place: where its keys stand in the campaign file.
+    source: with the lines of its own keys. columns: positions of its parameters among the free ones
+    of the campaign. place: of its keys in the campaign file.
     """
 
     section: ConfigurationSection
@@ -41,9 +41,9 @@ class ConfigurationFile:
 def configuration_files(
     source: YamlFile, file: CampaignFile, problems: list[str]
 ) -> list[ConfigurationFile]:
-    """A campaign file for each configuration.
+    """Return a campaign file for each configuration.
 
-    Problems of what the configurations have to do with each other are added.
+    Problems between configurations are added to `problems`.
     """
     sections: list[tuple[Place, ConfigurationSection]] = [
         (("configurations", place), item) for place, item in enumerate(file.configurations)
@@ -131,8 +131,9 @@ def _joint_problems(
 def _known_parameters(
     source: YamlFile, file: CampaignFile, section: ConfigurationSection
 ) -> tuple[int, ...]:
-    """Positions of the parameters that a configuration has: those that name it, and those that
-    name none and whose targets are in its deck."""
+    """Return the positions of a configuration's parameters.
+
+    They are those that name it, and those that name none and whose targets are in its deck."""
     named = [
         column
         for column, item in enumerate(file.parameters)
@@ -143,14 +144,14 @@ def _known_parameters(
         parameters = tuple(item.parameter() for item in file.parameters)
         solver = bind_solver(section.model, source.path.parent / section.model.deck, parameters)
     except ModelError:
-        return tuple(sorted((*named, *free)))  # told where the model is read
+        return tuple(sorted((*named, *free)))  # reported where the model is read
     alive = [
         column
         for column in free
         if file.parameters[column].quantity != "variable"
         and not solver.deck.problems((parameters[column],))
     ]
-    # What expressions name comes with them.
+    # Parameters in expressions come with these.
     own = {file.parameters[column].expression or "0" for column in (*named, *alive)}
     asked = {name for expression in own for name in names_of(expression)}
     asked |= (section.residuals or file.residuals).variables
@@ -163,7 +164,7 @@ def _known_parameters(
 
 
 def _view(source: YamlFile, place: Place) -> YamlFile:
-    """The file with the lines of a configuration's own keys where one's own would be."""
+    """Return the file with the lines of a configuration's keys moved to the top level."""
     if not place:
         return source
     depth = len(place)

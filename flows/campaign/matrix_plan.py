@@ -1,6 +1,6 @@
-"""Which matrix jobs show what every parameter does to the stiffness and mass matrices.
+"""Which matrix jobs determine the effect of every parameter on stiffness and mass matrices.
 
-A parameter in which the matrices are a sum of powers needs as many models beside the base as it
+A parameter in which the matrices are a sum of powers needs as many models besides the base as it
 has powers: one for Young's modulus, density or a spring, some for a thickness. Parameters whose
 elements share no node touch different entries, so one job can move several of them at once, and so
 can a modulus and a density, which move different matrices. The columns are coloured accordingly
@@ -27,8 +27,8 @@ from modetune.core.parameters import Parameter
 from modetune.flows.campaign.schema import Method
 from modetune.flows.campaign.solvers import not_confirmed
 
-#: Factor on a parameter in which the matrices are linear. It is exact anyhow, and as stored
-#: matrices are text of some digits a far one is the most exact.
+#: Factor on a parameter in which the matrices are linear. Any factor is exact, and a large one is
+#: most accurate, as stored matrices are text with few digits.
 LINEAR_FACTORS = (2.0,)
 #: Factors on others, spread like Chebyshev's points between 1/2 and 2.
 FACTORS = (0.55, 0.75, 1.4, 1.9, 0.65, 1.65)
@@ -38,8 +38,8 @@ FACTORS = (0.55, 0.75, 1.4, 1.9, 0.65, 1.65)
 class Sampling:
     """How one parameter is sampled.
 
-    affected: what it moves, None where that may be anything; powers: of its value, empty where
-    the matrices are not a sum of them; factors: on the parameter, a model each.
+    affected: elements that it changes, None where unknown. powers: of its value, empty where the
+    matrices are not a sum of them. factors: on the parameter, one model each.
     """
 
     affected: AffectedElements | None
@@ -49,7 +49,7 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One model whose matrices are stored: parameter values, and which columns it moves."""
+    """A model whose matrices are stored: parameter values, and the columns that it changes."""
 
     theta: tuple[float, ...]
     columns: tuple[int, ...]
@@ -63,8 +63,8 @@ class Sample:
 class MatrixPlan:
     """The models whose matrices are stored.
 
-    base: parameter values of the one that others differ from; rest: columns whose parts are what
-    the others leave of it.
+    base: parameter values of the model that the others differ from. rest: columns whose parts are
+    the base less those of all others.
     """
 
     base: tuple[float, ...]
@@ -73,7 +73,7 @@ class MatrixPlan:
 
 
 def sampling(solver: Solver, parameter: Parameter, step: float) -> Sampling:
-    """How to sample a parameter of a solver's model; step: relative, of the pairs."""
+    """Return how to sample a parameter of a solver's model; step: relative, of the pairs."""
     affected = solver.deck.affected_elements(parameter)
     if affected is None and not solver.deck.is_linear(parameter):
         pairs = [factor for s in (step, 2.0 * step) for factor in (1.0 + s, 1.0 / (1.0 + s))]
@@ -82,7 +82,7 @@ def sampling(solver: Solver, parameter: Parameter, step: float) -> Sampling:
     factors = LINEAR_FACTORS if powers == (1,) else FACTORS[: len(powers)]
     related = affected is not None and affected.related
     if powers == (1,) and (related or not parameter.proportional):
-        # Beyond its bounds a number may be none that a model can have.
+        # Beyond its bounds a value may be impossible for a model.
         ends = (parameter.upper / parameter.initial, parameter.lower / parameter.initial)
         factors = (max(ends, key=lambda factor: abs(factor - 1.0)),)
     if affected is not None and not (affected.stiffness or affected.mass):
@@ -91,7 +91,7 @@ def sampling(solver: Solver, parameter: Parameter, step: float) -> Sampling:
 
 
 def plan(theta: Floats, samplings: dict[int, Sampling], elements: frozenset[int]) -> MatrixPlan:
-    """The jobs at and around these values (n_parameters,), for these columns.
+    """Return the jobs at and around these values (n_parameters,), for these columns.
 
     elements: numbers of all elements of the model, point masses included.
     """
@@ -112,7 +112,7 @@ def plan(theta: Floats, samplings: dict[int, Sampling], elements: frozenset[int]
 
 
 def scale_together(one: tuple[Parameter, Sampling], other: tuple[Parameter, Sampling]) -> bool:
-    """Whether two parameters scale the same part of a matrix, which then has their product."""
+    """Return whether two parameters scale the same part of a matrix, by their product."""
     (first, here), (second, there) = one, other
     alike = (first.quantity, first.by, first.item) == (second.quantity, second.by, second.item)
     targets = {target.upper() for target in first.targets}
@@ -130,7 +130,7 @@ def scale_together(one: tuple[Parameter, Sampling], other: tuple[Parameter, Samp
 
 
 def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method) -> str | None:
-    """Why modes cannot be found from stored matrices, None where they can."""
+    """Return why modes cannot be computed from stored matrices, None where they can."""
     if not solver.offers.matrix_modes:
         why = not_confirmed(solver) if solver.program.capabilities.matrix_modes else ""
         return why or f"{solver.program.name} does not hand its matrices out"
@@ -153,7 +153,7 @@ def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method
 
 
 def _whole(samplings: dict[int, Sampling], elements: frozenset[int]) -> bool:
-    """Whether the stiffness is the sum of parts proportional to the parameters, and they move
+    """Return whether the stiffness is a sum of parts proportional to the parameters, which change
     nothing else."""
     parts = [
         item.affected.elements
@@ -165,19 +165,19 @@ def _whole(samplings: dict[int, Sampling], elements: frozenset[int]) -> bool:
 
 
 def _same_matrix(one: AffectedElements, other: AffectedElements) -> bool:
-    """Whether two parameters move the same of the two matrices."""
+    """Return whether two parameters change the same one of the two matrices."""
     return (one.stiffness and other.stiffness) or (one.mass and other.mass)
 
 
 def _collide(one: AffectedElements | None, other: AffectedElements | None) -> bool:
-    """Whether two parameters may move the same entry of a matrix."""
+    """Return whether two parameters may change the same entry of a matrix."""
     if one is None or other is None:
         return True
     return _same_matrix(one, other) and not one.nodes.isdisjoint(other.nodes)
 
 
 def _colours(samplings: dict[int, Sampling]) -> list[list[int]]:
-    """Columns in groups of which none collide, in ascending order."""
+    """Return columns in groups without collisions, in ascending order."""
     beside = {
         column: {
             other

@@ -38,7 +38,7 @@ from modetune.core.updating.fields import (
 from modetune.core.updating.fields import Field as ZoneField
 from modetune.flows.responses.section import Finite, Name, Positive, Section
 
-#: Keys that name what a parameter's quantity belongs to.
+#: Keys that name the target of a parameter.
 TARGET_KEYS: tuple[TargetKind, ...] = ("material", "elset", "property", "element", "part")
 #: Names in upper or lower case, or the numbers that Nastran decks use.
 Targets = str | int | tuple[str | int, ...]
@@ -148,22 +148,22 @@ class ParameterSection(Section):
             raise ValueError(str(error)) from None
 
     def by(self) -> TargetKind:
-        """What the targets name; without one the parameter's name is that of its placeholder."""
+        """Return the kind of the targets; `placeholder`, of the parameter's name, by default."""
         named = (key for key in TARGET_KEYS if getattr(self, key) is not None)
         return next(named, "placeholder")
 
     def targets(self) -> tuple[str, ...]:
-        """The targets' names."""
+        """Return the names of the targets."""
         chosen = self.name if self.by() == "placeholder" else getattr(self, self.by())
         return tuple(map(str, chosen)) if isinstance(chosen, tuple) else (str(chosen),)
 
     def start(self) -> float:
-        """The value that updating starts from."""
+        """Return the value that updating starts from."""
         additive = self.values == "additive" and "initial" not in self.model_fields_set
         return 0.0 if additive else self.initial
 
     def parameter(self) -> Parameter:
-        """The parameter as the program has it."""
+        """Return the parameter with values scaled for updating."""
         own = (self.name, self.quantity, self.by(), self.targets())
         if self.expression is not None:
             free = (-math.inf, math.inf, math.nan, math.nan)
@@ -184,12 +184,12 @@ class ParameterSection(Section):
 
 
 def targets_of(quantity: Quantity) -> str:
-    """The keys that may name what a quantity belongs to, for messages."""
+    """Return the keys that may name the target of a quantity, for messages."""
     return " or ".join(f"`{key}`" for key in QUANTITIES[quantity].targets) or "`solver: command`"
 
 
 def moved(source: YamlFile, columns: Sequence[int]) -> YamlFile:
-    """The file with the lines of these parameters where they are among themselves."""
+    """Return the file with only these parameters, their lines moved to their new positions."""
     lines = {key: line for key, line in source.lines.items() if key[:1] != ("parameters",)}
     lines[("parameters",)] = source.lines.get(("parameters",), 1)
     for now, column in enumerate(columns):
@@ -238,7 +238,7 @@ def with_fields(
 def _expanded(
     item: ParameterSection, asked: FieldSection, solver: Solver
 ) -> tuple[ZoneField, list[ParameterSection]]:
-    """A field, its columns counted from 0, and its parameters. Raises ModelError."""
+    """Return a field, with columns from 0, and its parameters. Raises ModelError."""
     affected = solver.deck.affected_elements(item.parameter())
     if affected is None:
         raise ModelError(
@@ -280,6 +280,6 @@ def _expanded(
 
 
 def _ranges(numbers: Integers) -> tuple[str, ...]:
-    """Element numbers as ranges, in ascending order."""
+    """Return element numbers, in ascending order, as ranges."""
     runs: Sequence[Integers] = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
     return tuple(f"{run[0]}-{run[-1]}" if run.size > 1 else str(run[0]) for run in runs)

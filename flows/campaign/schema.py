@@ -92,7 +92,7 @@ class EditSection(Section):
         return self
 
     def rule(self) -> NumberRule:
-        """The edit as the adapter has it."""
+        """Return the edit in the adapter's form."""
         given = dict(self) | {"line": self.line or 0, "field": self.field or 0}
         given |= {"columns": self.columns or (0, 0), "pattern": self.pattern or ""}
         return NumberRule(form=given.pop("format"), **given)
@@ -157,7 +157,7 @@ class CommandSection(Section):
         return self
 
     def settings(self, metres: float) -> CommandSettings:
-        """The program as the adapter has it; metres: of the deck's unit of length."""
+        """Return the program in the adapter's form; metres: of the deck's unit of length."""
         given = dict(self)
         given |= {key: given[key] or "" for key in ("results", "reader")}
         given["most_modes"] = self.most_modes or 0
@@ -209,19 +209,19 @@ class SensorSection(Section):
 
     @property
     def fits(self) -> bool:
-        """Whether the alignment is to be found."""
+        """Whether the alignment has to be found by a fit."""
         given = self.rotation is not None or self.translation is not None
         return self.align == "fit" or (self.align is None and bool(self.match) and not given)
 
     @property
     def places(self) -> bool:
-        """Whether anything here needs the test's coordinates."""
+        """Whether one of these keys needs the test's coordinates."""
         return self.align == "fit" or any(
             item is not None for item in (self.scale, self.rotation, self.translation)
         )
 
     def matrix(self) -> Floats:
-        """The rotation (3, 3); the identity where none is given."""
+        """Return the rotation (3, 3), the identity by default."""
         if self.rotation is None:
             return np.eye(3)
         given = np.array(self.rotation)
@@ -266,7 +266,7 @@ class ModelSection(Section):
 
     @property
     def program(self) -> str:
-        """What the solver is called in tables and among licences."""
+        """The solver's name in tables and among licences."""
         return self.command.name if self.command else self.solver
 
 
@@ -473,7 +473,7 @@ class CampaignFile(Section):
         return {name for kind in kinds for name in kind.variables}
 
     def parameter_set(self) -> ParameterSet:
-        """The parameters as the program has them."""
+        """Return the free parameters and those with expressions."""
         found = [item.parameter() for item in self.parameters]
         return ParameterSet(
             tuple(item for item in found if not item.expression),
@@ -489,7 +489,8 @@ class CampaignFile(Section):
 
     @model_validator(mode="after")
     def _regularised(self) -> CampaignFile:
-        """Fields are hundreds of values: steps are pulled to the initial ones, from one start."""
+        """Set defaults for fields, which are hundreds of values: steps from one start are pulled to
+        the initial values."""
         if not any(item.field for item in self.parameters):
             return self
         given = self.update.model_fields_set
@@ -529,7 +530,7 @@ class ModelFile(OpenFile):
 
 
 def campaign_schema() -> dict[str, Any]:
-    """The JSON schema of a campaign file, draft 2020-12."""
+    """Return the JSON schema of a campaign file, draft 2020-12."""
     schema = CampaignFile.model_json_schema()
     sections = schema["$defs"]
     meanings = {kind.__name__: _meanings(kind) for kind in _kinds(Section)}
@@ -548,21 +549,22 @@ def campaign_schema() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """The schema as it is published, with an end of line."""
+    """Return the schema as published text."""
     return json.dumps(campaign_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
 def _kinds(section: type[Section]) -> Iterator[type[Section]]:
-    """All sections that are of a kind."""
+    """Return all sections below a section, at any depth."""
     for kind in section.__subclasses__():
         yield kind
         yield from _kinds(kind)
 
 
 def _meanings(section: type[Section]) -> dict[str, str]:
-    """What the docstrings below a section's fields say of its keys.
+    """Return the meaning of a section's keys: the docstrings below its fields.
 
-    Pydantic would read them whenever a campaign is loaded, for a third of the time of its imports.
+    Pydantic would read them each time a campaign is loaded, which takes a third of the imports'
+    time.
     """
     (above,) = section.__bases__
     if above.__name__ == section.__name__:  # extended by `with_types`, without source
@@ -583,7 +585,7 @@ def _meanings(section: type[Section]) -> dict[str, str]:
 
 
 def _add_rules(sections: dict[str, Any]) -> None:
-    """What validators of the sections ask beyond types."""
+    """Add the rules of the sections' validators."""
     retries = sections["RunSection"]["properties"]["retries"]
     one_number = sections["RetriesSection"]["properties"]["stopped"]
     retries["anyOf"] = [
@@ -608,9 +610,9 @@ def _one_of(keys: tuple[str, ...]) -> list[dict[str, Any]]:
 
 
 def override(file: YamlFile, settings: list[str]) -> dict[str, object]:
-    """The file's data with `key.key=value` settings applied, values read as YAML.
+    """Return the file's data with `key.key=value` settings applied, values read as YAML.
 
-    Raises CampaignError where a setting has no such form or leads through a value.
+    Raises CampaignError where a setting has another form or leads through a value.
     """
     data = yaml.safe_load(file.text)
     for setting in settings:

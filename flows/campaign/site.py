@@ -1,14 +1,14 @@
-"""How and where jobs run: `run` in the campaign file, and the site file beneath it.
+"""How and where jobs run: `run` in the campaign file, and defaults in the site file.
 
-A site file says once what holds for all campaigns of a site, under the campaign's own keys, so
-that campaign files stay portable:
+A site file has the settings of all campaigns of a site, under the campaign's own keys, so that
+campaign files stay portable:
 
     run:
       engine: slurm
       slurm: {partition: batch, account: dynamics}
 
-It is `~/.config/modetune/site.yaml`, or what MODETUNE_SITE names. What a campaign says itself goes
-before what the site says.
+It is `~/.config/modetune/site.yaml`, or the file that MODETUNE_SITE names. A campaign's own keys
+override those of the site.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from modetune.core.errors import CampaignError
 from modetune.core.storage.files import machine_user
 from modetune.flows.responses.section import Name, Positive, Section, section_problems
 
-#: Names a site file in another place.
+#: Environment variable with the path of a site file.
 SITE_VARIABLE = "MODETUNE_SITE"
-#: Names the folder of what is the user's own: the shared server, limits, passed self-tests.
+#: Environment variable with the user's folder: shared server, limits, passed self-tests.
 HOME_VARIABLE = "MODETUNE_HOME"
-#: Jobs handed to Slurm at the same time where the campaign does not say.
+#: Default number of jobs that Slurm gets at the same time.
 SLURM_QUEUE = 32
 
 Engine = Literal["local", "slurm", "dask"]
@@ -155,7 +155,7 @@ class RunSection(SiteRun):
         return self.engine == "local" or (self.engine == "dask" and self.dask.here)
 
     def on_site(self) -> RunSection:
-        """With what the site file says beneath. Raises CampaignError, ValidationError."""
+        """Return these keys over those of the site file. Raises CampaignError, ValidationError."""
         return RunSection.model_validate(with_site(self.model_dump(exclude_unset=True)))
 
     @field_validator("retries", mode="before")
@@ -174,7 +174,7 @@ class SiteFile(Section):
 
 
 def user_home() -> Path:
-    """The folder of what is the user's own, on all machines that share it."""
+    """Return the user's folder, which several machines may share."""
     named = os.environ.get(HOME_VARIABLE)
     if named:
         return Path(named)
@@ -183,25 +183,25 @@ def user_home() -> Path:
 
 
 def machine_home(base: Path) -> Path:
-    """The folder of this machine and user below one that several may share."""
+    """Return the folder of this machine and user below a shared one."""
     return base / machine_user()
 
 
 def server_home() -> Path:
-    """The folder of what is this machine's and this user's own."""
+    """Return the folder of this machine and user."""
     return machine_home(user_home())
 
 
 def site_path() -> Path:
-    """Where the site file is, or would be."""
+    """Return the path of the site file, which may be missing."""
     named = os.environ.get(SITE_VARIABLE)
     return Path(named) if named else Path("~/.config/modetune/site.yaml").expanduser()
 
 
 def site_run() -> dict[str, Any]:
-    """The `run` keys that the site file gives; none where there is no such file.
+    """Return the `run` keys of the site file; none where there is no file.
 
-    Raises CampaignError where it cannot be read, or is named and not there.
+    Raises CampaignError where it cannot be read, or is named and missing.
     """
     path = site_path()
     if not path.is_file() and SITE_VARIABLE not in os.environ:
@@ -216,7 +216,7 @@ def site_run() -> dict[str, Any]:
 
 
 def merged(site: dict[str, Any], campaign: dict[str, Any]) -> dict[str, Any]:
-    """The site's keys under the campaign's: mappings key by key, all else replaced."""
+    """Return the site's keys overridden by the campaign's: mappings key by key, values whole."""
     both = dict(site)
     for key, value in campaign.items():
         below = both.get(key)
@@ -227,9 +227,9 @@ def merged(site: dict[str, Any], campaign: dict[str, Any]) -> dict[str, Any]:
 
 
 def with_site(run: dict[str, Any]) -> dict[str, Any]:
-    """The campaign's `run` keys with the site's beneath, and how many jobs a cluster is given.
+    """Return the campaign's `run` keys over the site's, with a cluster's number of jobs.
 
-    Raises CampaignError (the site file), ValidationError (what does not fit together).
+    Raises CampaignError for the site file, ValidationError for keys that exclude each other.
     """
     both = merged(site_run(), run)
     if both.get("engine") == "slurm":

@@ -1,8 +1,8 @@
-"""A deck where a campaign file is expected: a campaign without parameters, with or without a test.
+"""A deck instead of a campaign file: a campaign without parameters, with or without a test.
 
-What the file would say is found in the deck: the solver by its form and the programs of this
-machine, the units by its materials. Both are told, and `model.solver` and `model.units` among the
-settings (`--solver`, `--units`) give others.
+The solver follows from the form of the deck and the programs of this machine, the units from its
+materials. Both are reported; the settings `model.solver` and `model.units` (`--solver`, `--units`)
+override them.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ logger = logging.getLogger(__name__)
 YAML = (".yaml", ".yml")
 #: Results and listings of solvers, which may repeat the deck.
 RESULTS = (".f06", ".op2", ".pch", ".pnh", ".frd", ".out", ".log")
-#: What stands in a deck somewhere in its first characters.
+#: A line that every deck has among its first characters.
 DECK_LINE = re.compile(
     r"^(\*(HEADING|NODE|ELEMENT|INCLUDE|MATERIAL|PART)\b|BEGIN\s+BULK|CEND\s*$|GRID\*?[\s,]+\d)",
     re.IGNORECASE | re.MULTILINE,
 )
 LOOKED_AT = 1 << 18
-#: Programs that run Nastran decks: the first that is here and takes the deck does.
+#: Programs that run Nastran decks, in the order in which they are tried.
 RUN_NASTRAN = ("nastran", "mystran", "calculix")
-#: Where a campaign stands that is in no file, for messages.
+#: The place of a campaign without a file, for messages.
 PLACE = Path("the command line")
 
 
@@ -48,8 +48,8 @@ PLACE = Path("the command line")
 class DeckSketch:
     """A deck with the solver that runs it.
 
-    units: None where nothing tells; by_solver, by_units: how solver and units were found, empty
-    where they were given.
+    units: None where unknown. by_solver, by_units: how solver and units were found, empty where the
+    user gave them.
     """
 
     deck: Path
@@ -61,7 +61,7 @@ class DeckSketch:
 
 
 def is_deck(path: Path) -> bool:
-    """Whether a file is a deck and neither a campaign nor a test, by its name or its beginning."""
+    """Return whether a file is a deck, by its name or its beginning."""
     suffix = path.suffix.lower()
     if suffix in (*YAML, *RESULTS) or not path.is_file():
         return False
@@ -76,7 +76,7 @@ def is_deck(path: Path) -> bool:
 
 
 def is_matrix_model(path: Path) -> bool:
-    """Whether a file names matrices, or is a system of masses and springs, as a model in YAML."""
+    """Return whether a YAML file is a model: matrices, or masses and springs."""
     if path.suffix.lower() not in YAML:
         return False
     try:
@@ -88,9 +88,9 @@ def is_matrix_model(path: Path) -> bool:
 
 
 def looked_at(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = ()) -> Campaign:
-    """What a command looks at: a campaign file, or a deck.
+    """Load a campaign file, or a deck as a campaign.
 
-    tests: files of a test, in place of the campaign's own. Raises CampaignError, ModelError.
+    tests: files of a test, instead of the campaign's own. Raises CampaignError, ModelError.
     """
     if not path.exists():
         raise CampaignError(
@@ -121,7 +121,7 @@ def looked_at(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = 
 
 
 def sketched_campaign(sketch: DeckSketch, settings: Sequence[str] = ()) -> Campaign:
-    """The campaign of a deck, in no file. Raises CampaignError."""
+    """Return the campaign of a deck without a file. Raises CampaignError."""
     model = {
         "deck": str(sketch.deck.resolve()),
         "solver": sketch.name,
@@ -132,12 +132,12 @@ def sketched_campaign(sketch: DeckSketch, settings: Sequence[str] = ()) -> Campa
 
 
 def campaign_name(deck: Path) -> str:
-    """A campaign's name after its deck."""
+    """Return a campaign's name from that of its deck."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "_", deck.stem).strip("_.-")[:64] or "model"
 
 
 def sketch_deck(deck: Path, settings: Sequence[str] = ()) -> DeckSketch:
-    """Bind a deck to the solver of the settings, else to the first that is here and takes it.
+    """Bind a deck to the solver of the settings, or to the first installed one that accepts it.
 
     Raises CampaignError, ModelError.
     """
@@ -156,7 +156,9 @@ def sketch_deck(deck: Path, settings: Sequence[str] = ()) -> DeckSketch:
 
 
 def _bound(section: ModelSection, deck: Path) -> tuple[Solver, str, str]:
-    """The solver, its name, and how it was found. Raises ModelError with what each one said."""
+    """Return the solver, its name, and how it was found.
+
+    Raises ModelError with the reason of each solver that refuses the deck."""
     if "solver" in section.model_fields_set:
         return bind_solver(section, deck, ()), section.solver, ""
     if not is_nastran(deck):

@@ -34,12 +34,12 @@ from modetune.flows.campaign.units import METRES
 
 #: Entry points of packages that bring a solver.
 GROUP = "modetune.solvers"
-#: What a Nastran deck starts with: a comment, a statement, or a card.
+#: The start of a Nastran deck: a comment, a statement, or a card.
 NASTRAN_START = re.compile(r"\$|[A-Z][A-Z0-9]*[*,=(\s]|CEND|[A-Z0-9]{1,8}\s*$", re.IGNORECASE)
 
 
 def bind_solver(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
-    """The campaign's solver bound to its deck. Raises ModelError."""
+    """Return the campaign's solver bound to its deck. Raises ModelError."""
     if model.solver in SOLVERS:
         solver = SOLVERS[model.solver](model, deck, parameters)
     else:
@@ -83,12 +83,12 @@ def _command(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...])
 
 
 def registered() -> dict[str, EntryPoint]:
-    """The solvers that installed packages bring, by name; none of them is imported for it."""
+    """Return the solvers of other installed packages by name, without importing them."""
     return {entry.name: entry for entry in entry_points(group=GROUP)}
 
 
 def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
-    """A solver that another package brings. Raises ModelError where it brings none."""
+    """Return a solver of another package. Raises ModelError where there is none."""
     found = registered()
     if name not in found:
         raise ModelError(
@@ -100,7 +100,7 @@ def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Sol
     said = f"the solver {name} is `{entry.value}` of {package}"
     try:
         bind = entry.load()
-    except Exception as error:  # whatever importing another's module raises
+    except Exception as error:  # importing a foreign module may raise anything
         raise ModelError(
             f"{said}, which cannot be imported: {type(error).__name__}: {error}; repair or remove "
             "that package"
@@ -114,7 +114,7 @@ def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Sol
     return solver
 
 
-#: What binds each solver of a campaign to its model.
+#: The function that binds each solver to its model.
 SOLVERS: dict[str, Callable[[ModelSection, Path, tuple[Parameter, ...]], Solver]] = {
     "calculix": _calculix,
     "nastran": _nastran,
@@ -125,7 +125,7 @@ SOLVERS: dict[str, Callable[[ModelSection, Path, tuple[Parameter, ...]], Solver]
 
 
 def is_nastran(deck: Path) -> bool:
-    """Whether a deck is Nastran's: its first line of content is not a CalculiX keyword."""
+    """Return whether a deck is Nastran's: its first line of content is not a CalculiX keyword."""
     with (
         read_errors(deck, ModelError),
         open_regular(deck) as file,
@@ -143,13 +143,13 @@ def _nastran_deck(deck: Path) -> Path:
     return deck
 
 
-#: Threads with which the command line is asked for: options for several are part of it.
+#: Threads for the command line of an installation, which includes options for several threads.
 THREADS = 2
 REMEDY = f"name another place with {HOME_VARIABLE}"
 
 
 def passed_here(program: Program) -> frozenset[str]:
-    """The capabilities that the self-test has passed; none where the program is missing."""
+    """Return the capabilities that passed the self-test; none where the program is missing."""
     if not program.capabilities.to_confirm:
         return frozenset()
     try:
@@ -160,7 +160,7 @@ def passed_here(program: Program) -> frozenset[str]:
 
 
 def note_passed(program: Program, passed: Iterable[str]) -> Path:
-    """Note what the self-test passed, in place of what it passed before.
+    """Write the capabilities that passed the self-test, over those of an earlier test.
 
     Raises StorageUnavailable, SolverMissing.
     """
@@ -172,7 +172,7 @@ def note_passed(program: Program, passed: Iterable[str]) -> Path:
 
 
 def not_confirmed(solver: Solver) -> str:
-    """What of the solver is left aside until a self-test has passed it; empty where nothing is."""
+    """Return why capabilities wait for a self-test; empty where none do."""
     names = " and ".join(name.replace("_", " ") for name in solver.unconfirmed)
     name = solver.program.name
     dialect = " (with --dialect as in the campaign)" if name == "nastran" else ""

@@ -1,4 +1,4 @@
-"""The test of a campaign: read, cut to the modes that are used, and laid over the model."""
+"""The test of a campaign: read, reduced to the used modes, and mapped to the model."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from modetune.flows.campaign.schema import NO_TEST, CampaignFile, OpenFile
 from modetune.flows.campaign.units import LENGTH_METRES, METRES
 from modetune.flows.responses.residuals import kept_sensors, weight_problems
 
-#: Nodes whose shapes are kept where the test has no sensors, to track modes by.
+#: Number of nodes whose shapes identify modes where the test has no sensors.
 TRACKING_NODES = 500
 
 
 def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Measurement | None:
-    """The test, if it has the modes that are asked for."""
+    """Return the test, or None with problems where it lacks modes that the campaign names."""
     if isinstance(file, OpenFile) and file.test.modes == NO_TEST:
         return Measurement(MeasuredModes((), mode_set([])))
     names = (file.test.modes,) if isinstance(file.test.modes, str) else file.test.modes
@@ -85,7 +85,7 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
 def _with_repeats(
     source: YamlFile, file: CampaignFile, measurement: Measurement, problems: list[str]
 ) -> Measurement | None:
-    """The mean of a test and its repetitions, with the deviations that their scatter tells."""
+    """Return the mean of a test and its repetitions, with deviations from their scatter."""
     where = source.where(("test", "repeats"))
     own = file.test.modes if isinstance(file.test.modes, str) else ", ".join(file.test.modes)
     if measurement.modes is None or measurement.deviations is not None:
@@ -121,7 +121,7 @@ def _with_repeats(
 
 
 def _pair_problems(source: YamlFile, file: CampaignFile, test: MeasuredModes) -> list[str]:
-    """Why `test.pairs` cannot be: modes that are not used, two on one."""
+    """Return problems of `test.pairs`: unused modes, and two test modes with one computed mode."""
     used, problems = used_numbers(file, test), []
     taken: dict[int, int] = {}
     for number, mode in file.test.pairs.items():
@@ -144,21 +144,21 @@ def _pair_problems(source: YamlFile, file: CampaignFile, test: MeasuredModes) ->
 
 
 def used_numbers(file: CampaignFile, test: MeasuredModes) -> tuple[int, ...]:
-    """Numbers of the modes that the campaign uses."""
+    """Return the numbers of the modes that the campaign uses."""
     if file.test.use is not None:
         return file.test.use
     return tuple(number for number in test.numbers if number not in file.test.hold_out)
 
 
 def used_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes:
-    """The modes that the campaign uses, at the sensors that it uses."""
+    """Return the modes that the campaign uses, at the sensors that it uses."""
     assert measurement.modes is not None
     test = kept_sensors(file.residuals, measurement.modes)
     return test.use(used_numbers(file, test))
 
 
 def held_out_modes(file: CampaignFile, measurement: Measurement) -> MeasuredModes | None:
-    """The modes that are only judged by, None where there are none."""
+    """Return the held-out modes, None where there are none."""
     assert measurement.modes is not None
     if not file.test.hold_out:
         return None
@@ -174,9 +174,10 @@ def map_test(
     store: Store,
     modes: ModeSet | None = None,
 ) -> Mapping | None:
-    """Where the test's sensors are on the model; store: keeps a pose that was found.
+    """Return the test's sensors on the model, None with problems where this fails.
 
-    modes: others at whose degrees of freedom sensors are, as those of response functions.
+    store: keeps a pose that was found. modes: modes at other sensors, such as those of response
+    functions.
     """
     mesh, geometry = solver.deck.mesh(), measurement.geometry
     if mesh.nodes.size == 0:  # matrices alone have no places
@@ -199,7 +200,7 @@ def map_test(
 
 
 def complex_shapes(measurement: Measurement, test: MeasuredModes) -> Complexes | None:
-    """Shapes as measured at these modes and sensors, (n_dof, n_modes); None where they are real."""
+    """Return complex shapes (n_dof, n_modes) of these modes at these sensors; None if real."""
     whole, found = measurement.modes, measurement.complex_shapes
     if whole is None or found is None:
         return None
@@ -218,7 +219,7 @@ def frfs_on_model(
     problems: list[str],
     store: Store,
 ) -> tuple[MeasuredFrfs | None, SensorMap | None]:
-    """Response functions of used sensors, and where these and the forces are on the model."""
+    """Return response functions of used sensors, and their sensors and forces on the model."""
     frfs = measurement.frfs
     if frfs is None or not file.residuals.functions:
         return None, None
@@ -238,7 +239,7 @@ def frfs_on_model(
 def pairing_nodes(
     test: MeasuredModes, sensors: SensorMap, solver: Solver, gauged: tuple[int, ...] = ()
 ) -> tuple[int, ...]:
-    """Sensor nodes, without any a spread of nodes to track modes by; and those of gauges."""
+    """Return the nodes of sensors and gauges; without sensors a spread of nodes to track modes."""
     if test.has_shapes:
         nodes = sensors.model_nodes.tolist()
     else:
@@ -247,7 +248,7 @@ def pairing_nodes(
 
 
 def tracking_nodes(node_ids: frozenset[int]) -> tuple[int, ...]:
-    """A spread of nodes whose shapes tell modes apart."""
+    """Return a spread of nodes whose shapes identify modes."""
     nodes = np.array(sorted(node_ids))
     spread = np.linspace(0, nodes.size - 1, min(TRACKING_NODES, nodes.size)).round()
     return tuple(nodes[np.unique(spread.astype(np.int64))].tolist())

@@ -1,4 +1,4 @@
-"""Consistent units of a model, and whether they can be true."""
+"""Consistent units of a model, and whether they are plausible."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ LENGTH_METRES: dict[LengthUnit, float] = {
 }  # fmt: skip
 
 
-#: Sound travels so fast, m/s, in what structures are made of; wrong units show there.
+#: Speeds of sound in structural materials, m/s; wrong units show there.
 SPEEDS = (500.0, 20_000.0)
 
 
-#: Young's moduli, Pa, and densities, kg/m3, of what carries loads: wood and plastics to tungsten.
+#: Young's moduli, Pa, and densities, kg/m3, of load-bearing materials: wood to tungsten.
 MODULI, DENSITIES = (1e8, 1.2e12), (300.0, 2.3e4)
-#: Moduli of most that structures are made of: plastics to steel and carbon fibre.
+#: Young's moduli of usual structural materials: plastics to steel and carbon fibre.
 USUAL_MODULI = (1e9, 4e11)
 
 
 def guessed_units(solver: Solver) -> tuple[Units | None, str]:
-    """The units in which most of the model's mass is of a real material, and the reason.
+    """Return the units in which most of the model's mass is of a real material, and the reason.
 
-    No units where none or several fit. A guess, to be told and never to be taken in silence.
+    None where no units or several fit. This is a guess that callers must report to the user.
     """
     known, masses = solver.deck.elastic_constants(), solver.deck.material_masses()
     if not known:
@@ -62,7 +62,7 @@ def guessed_units(solver: Solver) -> tuple[Units | None, str]:
 
 
 def _real(units: Units, modulus: float, density: float) -> bool:
-    """Whether a material of these numbers exists; of E alone, whether it is a usual one."""
+    """Return whether such a material exists, or without a density whether E is a usual modulus."""
     pascals = modulus * KILOGRAMS[units] / METRES[units]
     if not density:
         return USUAL_MODULI[0] <= pascals <= USUAL_MODULI[1]
@@ -75,9 +75,9 @@ def _real(units: Units, modulus: float, density: float) -> bool:
 
 
 def unit_doubt(units: Units, solver: Solver) -> str:
-    """Why a model's units are doubtful by the materials of most of its mass, empty if they are not.
+    """Return why the materials of most of the mass make a model's units doubtful, else "".
 
-    Films, foams and honeycombs, whose numbers are of their own kind, weigh little.
+    Films, foams and honeycombs have unusual values but little mass.
     """
     deck = solver.deck
     speeds, masses = deck.wave_speeds(), deck.material_masses()

@@ -57,10 +57,11 @@ class ModalStrainSection(ResponseSection):
         return self.weight > 0.0
 
     def nodes(self, deck: Deck) -> set[int]:
-        return {node for gauge in self._made(deck)[0] for node in gauge.nodes.tolist()}
+        return {node for gauge in self._gauges(deck, []) for node in gauge.nodes.tolist()}
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        found = self._made(given.deck)[1]
+        found: list[tuple[Place, str]] = []
+        self._gauges(given.deck, found)
         if self.scale == "shapes" and not given.test.has_shapes:
             found.append(
                 (("scale",), "the test holds frequencies only, so no shape tells a scale: `own`")
@@ -69,7 +70,7 @@ class ModalStrainSection(ResponseSection):
 
     def response(self, given: TestedModel) -> ModalStrain:
         return ModalStrain(
-            tuple(self._made(given.deck)[0]),
+            tuple(self._gauges(given.deck, [])),
             {int(n): np.array(values) for n, values in self.modes.items()},
             self.scale,
             self.weight,
@@ -77,12 +78,12 @@ class ModalStrainSection(ResponseSection):
             self.tolerance,
         )
 
-    def _made(self, deck: Deck) -> tuple[list[Gauge], list[tuple[Place, str]]]:
+    def _gauges(self, deck: Deck, problems: list[tuple[Place, str]]) -> list[Gauge]:
+        """Return the gauges on the model; those whose nodes it lacks are problems."""
         gauges: list[Gauge] = []
-        problems: list[tuple[Place, str]] = []
         for place, name in enumerate(self.gauges):
             try:
                 gauges.append(Gauge(name, *elongation(name, deck)))
             except ModelError as error:
                 problems.append((("gauges", place), str(error)))
-        return gauges, problems
+        return gauges

@@ -65,43 +65,43 @@ class StaticSection(ResponseSection):
         return any(case.weight for case in self.cases)
 
     def response(self, given: TestedModel) -> Static:
-        _, readings, _ = self._made(given.deck)
-
         def loads(theta: Floats) -> list[LoadCase]:
             values = given.parameters.values(theta)
             return [_load(case, given.deck, values) for case in self.cases]
 
-        return Static(tuple(readings), loads, given.deck.observation)
+        return Static(tuple(self._readings(given.deck, [])), loads, given.deck.observation)
 
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
-        return self._made(given.deck)[2]
-
-    def _made(self, deck: Deck) -> tuple[list[LoadCase], list[Reading], list[tuple[Place, str]]]:
-        readings: list[Reading] = []
-        loads: list[LoadCase] = []
         problems: list[tuple[Place, str]] = []
         for position, case in enumerate(self.cases):
-            place: Place = ("cases", position)
             try:
-                loads.append(_load(case, deck))
+                _load(case, given.deck)
             except ModelError as error:
-                problems.append(((*place, "forces" if case.forces else "load"), str(error)))
+                key = "forces" if case.forces else "load"
+                problems.append((("cases", position, key), str(error)))
+        self._readings(given.deck, problems)
+        return sorted(problems, key=lambda item: item[0][1])  # case by case
+
+    def _readings(self, deck: Deck, problems: list[tuple[Place, str]]) -> list[Reading]:
+        """Return the measured values of all cases; those that the model lacks are problems."""
+        readings: list[Reading] = []
+        for position, case in enumerate(self.cases):
+            called = f"of load case {case.load or position + 1}"
             for key, values, terms in (
                 ("displacements", case.displacements, _displacement),
                 ("strains", case.strains, elongation),
             ):
                 size = max(map(abs, values.values()), default=0.0)
-                called = f"of load case {case.load or position + 1}"
+                allowed = case.deviation * size, case.tolerance * size, case.weight
                 for name, value in values.items():
                     try:
-                        nodes, components, factors = terms(name, deck)
+                        place = terms(name, deck)
                     except ModelError as error:
-                        problems.append(((*place, key, name), str(error)))
+                        problems.append((("cases", position, key, name), str(error)))
                         continue
-                    own = f"{key[:-1]} {name} {called}", position, nodes, components, factors
-                    allowed = case.deviation * size, case.tolerance * size, case.weight
-                    readings.append(Reading(*own, value, *allowed))
-        return loads, readings, problems
+                    own = f"{key[:-1]} {name} {called}", position, *place, value
+                    readings.append(Reading(*own, *allowed))
+        return readings
 
 
 def _load(section: StaticCase, deck: Deck, values: Values | None = None) -> LoadCase:
