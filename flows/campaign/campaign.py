@@ -45,7 +45,7 @@ from modetune.flows.campaign.schema import (
     override,
 )
 from modetune.flows.campaign.site import RunSection
-from modetune.flows.campaign.solvers import bind_solver, not_confirmed
+from modetune.flows.campaign.solvers import bind_solver, untested_capabilities
 from modetune.flows.campaign.test import (
     complex_shapes,
     frfs_on_model,
@@ -468,7 +468,7 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
         "solver": has.shape_sensitivities if shapes else has.frequency_sensitivities,
     }
     if not offered.get(method, True):
-        why = not_confirmed(solver) if method == "semi_analytic" and has.matrices else ""
+        why = untested_capabilities(solver) if method == "semi_analytic" and has.matrices else ""
         said = f"{solver.program.name} does not offer {method} here"
         return [f"{place}: {why or said}; use `auto`"]
     if file.model.eigensolver == "solver" and file.update.confirm == "matrices":

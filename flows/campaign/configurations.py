@@ -13,7 +13,7 @@ from modetune.adapters.yaml_file import Place, YamlFile
 from modetune.core.errors import ModelError
 from modetune.core.expressions import names_of
 from modetune.core.near_names import suggestion
-from modetune.flows.campaign.parameters import moved
+from modetune.flows.campaign.parameters import select_parameters
 from modetune.flows.campaign.schema import CampaignFile, ConfigurationSection
 from modetune.flows.campaign.solvers import bind_solver
 
@@ -73,7 +73,9 @@ def configuration_files(
             }
         )
         columns = tuple(free.index(place) for place in places if place in free)
-        found.append(ConfigurationFile(section, moved(view, places), own, columns, place))
+        found.append(
+            ConfigurationFile(section, select_parameters(view, places), own, columns, place)
+        )
         used |= set() if section.hold_out else set(places)
     for column, parameter in enumerate(file.parameters):
         if column not in used and parameter.configurations is None:

@@ -25,7 +25,7 @@ from modetune.adapters.solver import AffectedElements, Solver
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
 from modetune.flows.campaign.schema import Method
-from modetune.flows.campaign.solvers import not_confirmed
+from modetune.flows.campaign.solvers import untested_capabilities
 
 #: Factor on a parameter in which the matrices are linear. Any factor is exact, and a large one is
 #: most accurate, as stored matrices are text with few digits.
@@ -132,7 +132,7 @@ def scale_together(one: tuple[Parameter, Sampling], other: tuple[Parameter, Samp
 def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method) -> str | None:
     """Return why modes cannot be computed from stored matrices, None where they can."""
     if not solver.offers.matrix_modes:
-        why = not_confirmed(solver) if solver.program.capabilities.matrix_modes else ""
+        why = untested_capabilities(solver) if solver.program.capabilities.matrix_modes else ""
         return why or f"{solver.program.name} does not hand its matrices out"
     if not solver.deck.summary.matrix_shapes:
         return "the motion of this model's nodes does not follow from its matrices"

@@ -188,7 +188,7 @@ def targets_of(quantity: Quantity) -> str:
     return " or ".join(f"`{key}`" for key in QUANTITIES[quantity].targets) or "`solver: command`"
 
 
-def moved(source: YamlFile, columns: Sequence[int]) -> YamlFile:
+def select_parameters(source: YamlFile, columns: Sequence[int]) -> YamlFile:
     """Return the file with only these parameters, their lines moved to their new positions."""
     lines = {key: line for key, line in source.lines.items() if key[:1] != ("parameters",)}
     lines[("parameters",)] = source.lines.get(("parameters",), 1)
@@ -232,7 +232,7 @@ def with_fields(
         for place, name in zip(places, names, strict=True)
         if names.count(name) > 1 and given[place].field is None
     ]
-    return moved(source, places), tuple(sections), tuple(fields)
+    return select_parameters(source, places), tuple(sections), tuple(fields)
 
 
 def _expanded(

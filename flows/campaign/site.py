@@ -215,13 +215,15 @@ def site_run() -> dict[str, Any]:
     return site.run.model_dump(exclude_unset=True)
 
 
-def merged(site: dict[str, Any], campaign: dict[str, Any]) -> dict[str, Any]:
+def merge_keys(site: dict[str, Any], campaign: dict[str, Any]) -> dict[str, Any]:
     """Return the site's keys overridden by the campaign's: mappings key by key, values whole."""
     both = dict(site)
     for key, value in campaign.items():
         below = both.get(key)
         both[key] = (
-            merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+            merge_keys(below, value)
+            if isinstance(below, dict) and isinstance(value, dict)
+            else value
         )
     return both
 
@@ -231,7 +233,7 @@ def with_site(run: dict[str, Any]) -> dict[str, Any]:
 
     Raises CampaignError for the site file, ValidationError for keys that exclude each other.
     """
-    both = merged(site_run(), run)
+    both = merge_keys(site_run(), run)
     if both.get("engine") == "slurm":
         return _filled(both, SLURM_QUEUE, 1)
     if both.get("engine") == "dask":

@@ -87,7 +87,7 @@ def is_matrix_model(path: Path) -> bool:
     return re.search(r"^(stiffness|masses):", start, re.MULTILINE) is not None
 
 
-def looked_at(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = ()) -> Campaign:
+def open_model(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] = ()) -> Campaign:
     """Load a campaign file, or a deck as a campaign.
 
     tests: files of a test, instead of the campaign's own. Raises CampaignError, ModelError.

@@ -44,7 +44,7 @@ def bind_solver(model: ModelSection, deck: Path, parameters: tuple[Parameter, ..
         solver = SOLVERS[model.solver](model, deck, parameters)
     else:
         solver = _registered(model.solver, deck, parameters)
-    return replace(solver, confirmed=passed_here(solver.program))
+    return replace(solver, confirmed=read_self_test(solver.program))
 
 
 def _calculix(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
@@ -82,14 +82,14 @@ def _command(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...])
     return command_solver(deck, parameters, model.command.settings(METRES[model.units]))
 
 
-def registered() -> dict[str, EntryPoint]:
+def registered_solvers() -> dict[str, EntryPoint]:
     """Return the solvers of other installed packages by name, without importing them."""
     return {entry.name: entry for entry in entry_points(group=GROUP)}
 
 
 def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """Return a solver of another package. Raises ModelError where there is none."""
-    found = registered()
+    found = registered_solvers()
     if name not in found:
         raise ModelError(
             f"the solver {name} is not known here{suggestion(name, (*SOLVERS, *found))}; "
@@ -148,7 +148,7 @@ THREADS = 2
 REMEDY = f"name another place with {HOME_VARIABLE}"
 
 
-def passed_here(program: Program) -> frozenset[str]:
+def read_self_test(program: Program) -> frozenset[str]:
     """Return the capabilities that passed the self-test; none where the program is missing."""
     if not program.capabilities.to_confirm:
         return frozenset()
@@ -159,7 +159,7 @@ def passed_here(program: Program) -> frozenset[str]:
         return frozenset()
 
 
-def note_passed(program: Program, passed: Iterable[str]) -> Path:
+def write_self_test(program: Program, passed: Iterable[str]) -> Path:
     """Write the capabilities that passed the self-test, over those of an earlier test.
 
     Raises StorageUnavailable, SolverMissing.
@@ -171,7 +171,7 @@ def note_passed(program: Program, passed: Iterable[str]) -> Path:
     return place
 
 
-def not_confirmed(solver: Solver) -> str:
+def untested_capabilities(solver: Solver) -> str:
     """Return why capabilities wait for a self-test; empty where none do."""
     names = " and ".join(name.replace("_", " ") for name in solver.unconfirmed)
     name = solver.program.name

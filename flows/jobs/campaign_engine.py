@@ -14,7 +14,7 @@ from modetune.core.storage.store import Store
 from modetune.flows.campaign.campaign import Campaign, cores, load_campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.site import server_home
-from modetune.flows.campaign.sketch import looked_at
+from modetune.flows.campaign.sketch import open_model
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import CORES, Limit, Limits, MachineLimits
@@ -123,7 +123,7 @@ def _engine_elsewhere(order: Order) -> JobEngine:
     try:
         campaign = load_campaign(file, settings)
     except CampaignError:
-        campaign = looked_at(file, settings)  # a deck alone, or a campaign without a test
+        campaign = open_model(file, settings)  # a deck alone, or a campaign without a test
     campaign = replace(campaign, store=Store(order.store))
     engine = engine_of(job_engine(campaign), campaign, campaign.cases[order.model])
     if order.licences:

@@ -209,13 +209,13 @@ class DeckOptions(StudyOptions):
     units: UnitsChoice = None
 
     def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
-        from modetune.flows.campaign.sketch import looked_at
+        from modetune.flows.campaign.sketch import open_model
         from modetune.flows.report.page import check_page
         from modetune.flows.updating.mode_source import parse_values
 
         check_page(places(self)[0])
         changed = with_model(self.settings, self.solver, self.units)
-        campaign = campaign or looked_at(self.model, changed, self.test_files)
+        campaign = campaign or open_model(self.model, changed, self.test_files)
         values = parse_values(campaign, self.at or [])
         return Opened(campaign.name, progress, campaign, values)
 

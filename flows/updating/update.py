@@ -49,7 +49,7 @@ from modetune.core.storage.record_file import read_record, write_record
 from modetune.core.updating.trust import StartSpread, with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
-from modetune.flows.campaign.solvers import not_confirmed
+from modetune.flows.campaign.solvers import untested_capabilities
 from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine, solving_engine
 from modetune.flows.jobs.engine import JobEngine
@@ -435,7 +435,7 @@ def _update(
 
     if campaign.sensitivity.method == "auto":
         solvers = [case.solver for case in campaign.cases]
-        told = [tell(solver) for solver in solvers for tell in (not_linear, not_confirmed)]
+        told = [tell(solver) for solver in solvers for tell in (not_linear, untested_capabilities)]
         for said in dict.fromkeys(filter(None, told)):
             logger.warning("%s", said)
     for case in campaign.cases:

@@ -12,7 +12,7 @@ from modetune.core.parameters import DAMPING, QUANTITIES, Parameter
 from modetune.core.updating.judgement import NOTHING, UNSEEN_SHARE
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.campaign.solvers import not_confirmed
+from modetune.flows.campaign.solvers import untested_capabilities
 from modetune.flows.studies.check.findings import PARAMETERS, Finding
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 
@@ -161,7 +161,7 @@ def energy_findings(
             f"parameter {', '.join(silent)}",
         )
     if campaign.sensitivity.method == "auto":
-        reasons = [tell(campaign.case.solver) for tell in (not_linear, not_confirmed)]
+        reasons = [tell(campaign.case.solver) for tell in (not_linear, untested_capabilities)]
         yield from (PARAMETERS.good(said) for said in reasons if said)
     yield from _balance(campaign, result, bool(shares))
 

@@ -73,12 +73,12 @@ class CheckOptions(StudyOptions):
         if self.against is not None and self.no_run and self.record is None:
             raise CampaignError("--against needs a solver run; with --record nothing is run")
         from modetune.flows.campaign.campaign import load_campaign
-        from modetune.flows.campaign.sketch import looked_at
+        from modetune.flows.campaign.sketch import open_model
 
         changed = with_model(self.settings, self.solver, self.units)
         if campaign is None and self.against is not None:
             campaign = load_campaign(self.campaign_file, changed)
-        campaign = campaign or looked_at(self.campaign_file, changed, self.test or [])
+        campaign = campaign or open_model(self.campaign_file, changed, self.test or [])
         return Opened(campaign.name, progress, campaign)
 
     @property

@@ -26,7 +26,7 @@ from modetune.core.parameters import Values
 from modetune.core.storage.record_file import is_record, read_record
 from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
-from modetune.flows.campaign.sketch import YAML, is_deck, looked_at
+from modetune.flows.campaign.sketch import YAML, is_deck, open_model
 from modetune.flows.campaign.test import tracking_nodes
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
@@ -177,9 +177,9 @@ def _model_beside(
     """A campaign's model as the other side's sensors see it, and the other side."""
     if other.kind == "record":
         theirs = _read(other, state)
-        model = _model(looked_at(item.path, settings), item.at)
+        model = _model(open_model(item.path, settings), item.at)
         return model, model.side(_seen(model), model.campaign.name), theirs
-    campaign = looked_at(item.path, settings, (other.path, *other.more))
+    campaign = open_model(item.path, settings, (other.path, *other.more))
     model = _model(campaign, item.at)
     test = model.campaign.test
     theirs = Side(other.path.name, "test", test.numbers, test.modes, model.geometry)
@@ -192,7 +192,7 @@ def _two_models(
     settings: Sequence[str],
 ) -> tuple[Side, Side, Model]:
     """Two models at the sensors of their tests, or where these share none, at common nodes."""
-    models = [_model(looked_at(item.path, settings), item.at) for item in (first, second)]
+    models = [_model(open_model(item.path, settings), item.at) for item in (first, second)]
     seen, by_sensors = [_seen(model) for model in models], True
     if common_dofs(*seen)[0].size == 0:
         ids = (

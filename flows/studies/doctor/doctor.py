@@ -21,7 +21,7 @@ from modetune.core.storage.keys import Json
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import ModelFile, NastranDialect
 from modetune.flows.campaign.site import RunSection
-from modetune.flows.campaign.solvers import SOLVERS, note_passed, registered
+from modetune.flows.campaign.solvers import SOLVERS, registered_solvers, write_self_test
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.doctor.installation import DoctorLine, Tell, look_around, without_names
 from modetune.flows.studies.doctor.solver_tests import FREE, SolverTests
@@ -61,7 +61,7 @@ def run_doctor(
     tell: is given each line as it comes, without names of people and machines; working: what is
     under way. Raises CampaignError for a solver or campaign that cannot be tested.
     """
-    known = (*SOLVERS, *registered())
+    known = (*SOLVERS, *registered_solvers())
     if solver is not None and solver not in known:
         raise CampaignError(
             f"--solver {solver!r}: there is no such solver{suggestion(solver, known)}"
@@ -121,7 +121,7 @@ def _note(tests: SolverTests, tell: Tell) -> list[str]:
     if not to_confirm or tests.modal is None:
         return []
     passed = sorted(tests.confirmed & to_confirm)
-    note_passed(program, passed)
+    write_self_test(program, passed)
     used = ", ".join(item.replace("_", " ") for item in passed) or "nothing"
     said = f"noted for this installation: {used}; campaigns with `auto` go by it from now on"
     tell(DoctorLine(program.name, "confirmed", "passed" if passed else "not available", said))

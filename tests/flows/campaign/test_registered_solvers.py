@@ -9,7 +9,7 @@ import pytest
 
 from modetune.core.errors import CampaignError
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.campaign.solvers import GROUP, registered
+from modetune.flows.campaign.solvers import GROUP, registered_solvers
 from modetune.flows.updating.mode_source import model_modes
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -55,7 +55,7 @@ def campaign(folder: Path, solver: str) -> Path:
 
 
 def test_a_campaign_runs_on_a_solver_that_a_package_brings(site: Path, tmp_path: Path) -> None:
-    assert {"rods", "rusty", "blunt", "plain"} <= set(registered())
+    assert {"rods", "rusty", "blunt", "plain"} <= set(registered_solvers())
     loaded = load_campaign(campaign(tmp_path, "rods"))
     assert "rusted" not in sys.modules  # a broken package harms nobody who does not ask for it
     result = model_modes(loaded, {})

@@ -12,7 +12,12 @@ from modetune.adapters.solver import Capabilities, Command, Program, Solver
 from modetune.core.errors import SolverMissing
 from modetune.flows.campaign.schema import ModelSection
 from modetune.flows.campaign.site import HOME_VARIABLE
-from modetune.flows.campaign.solvers import bind_solver, not_confirmed, note_passed, passed_here
+from modetune.flows.campaign.solvers import (
+    bind_solver,
+    read_self_test,
+    untested_capabilities,
+    write_self_test,
+)
 
 SENSITIVITIES = frozenset(("frequency_sensitivities", "shape_sensitivities"))
 DECK = """\
@@ -56,18 +61,18 @@ def installation(release: str = "1", option: str = "a") -> Program:
 
 
 def test_what_passed_counts_for_its_version_and_command_line_alone() -> None:
-    assert passed_here(installation()) == frozenset()
-    note_passed(installation(), SENSITIVITIES)
-    assert passed_here(installation()) == SENSITIVITIES
+    assert read_self_test(installation()) == frozenset()
+    write_self_test(installation(), SENSITIVITIES)
+    assert read_self_test(installation()) == SENSITIVITIES
     for other in (installation("2"), installation(option="b"), installation("")):
-        assert passed_here(other) == frozenset()
-    note_passed(installation(), ["matrices"])  # a later test that passed less
-    assert passed_here(installation()) == {"matrices"}
+        assert read_self_test(other) == frozenset()
+    write_self_test(installation(), ["matrices"])  # a later test that passed less
+    assert read_self_test(installation()) == {"matrices"}
 
 
 def test_a_damaged_note_says_that_nothing_passed() -> None:
-    note_passed(installation(), SENSITIVITIES).write_text('{"passed": 3')
-    assert passed_here(installation()) == frozenset()
+    write_self_test(installation(), SENSITIVITIES).write_text('{"passed": 3')
+    assert read_self_test(installation()) == frozenset()
 
 
 def test_a_solver_offers_what_was_confirmed() -> None:
@@ -75,10 +80,10 @@ def test_a_solver_offers_what_was_confirmed() -> None:
     assert solver.unconfirmed == ("frequency_sensitivities",)  # it has no others to confirm
     assert not solver.offers.frequency_sensitivities
     assert solver.offers.strain_energies
-    assert "frequency sensitivities of solver are not used" in not_confirmed(solver)
+    assert "frequency sensitivities of solver are not used" in untested_capabilities(solver)
     again = replace(solver, confirmed=SENSITIVITIES)
     assert again.offers.frequency_sensitivities
-    assert not_confirmed(again) == ""
+    assert untested_capabilities(again) == ""
 
 
 def test_a_campaigns_nastran_has_what_its_installation_passed(
@@ -92,7 +97,7 @@ def test_a_campaigns_nastran_has_what_its_installation_passed(
     section = ModelSection(deck=deck.name, solver="nastran", units="m-kg-s")
     before = bind_solver(section, deck, ())
     assert set(before.unconfirmed) == SENSITIVITIES
-    note_passed(before.program, SENSITIVITIES)
+    write_self_test(before.program, SENSITIVITIES)
     assert bind_solver(section, deck, ()).unconfirmed == ()
     nx = bind_solver(section.model_copy(update={"dialect": "nx"}), deck, ())
     assert nx.unconfirmed == ("frequency_sensitivities",)  # it is started otherwise

@@ -29,7 +29,7 @@ from modetune.core.errors import (
     SolverTimeout,
 )
 from modetune.flows.campaign.schema import SensitivitySection
-from modetune.flows.campaign.site import DaskSection, RunSection, SlurmSection, merged
+from modetune.flows.campaign.site import DaskSection, RunSection, SlurmSection, merge_keys
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
@@ -223,7 +223,7 @@ def test_a_scheduler_and_a_queue_exclude_each_other() -> None:
 
 def test_mappings_merge_and_all_else_is_replaced() -> None:
     site = {"a": {"x": 1, "y": 2}, "b": [1, 2]}
-    assert merged(site, {"a": {"y": 3}, "b": [3]}) == {"a": {"x": 1, "y": 3}, "b": [3]}
+    assert merge_keys(site, {"a": {"y": 3}, "b": [3]}) == {"a": {"x": 1, "y": 3}, "b": [3]}
 
 
 @pytest.fixture(scope="module")

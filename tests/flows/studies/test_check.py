@@ -753,7 +753,7 @@ def test_a_solver_that_fails_is_told_with_all_the_rest(bench: Any) -> None:
 def command(monkeypatch: pytest.MonkeyPatch, campaign: Any, *options: str) -> Any:
     app = typer.Typer()
     app.command()(command_of(find_study("check")))
-    monkeypatch.setattr("modetune.flows.campaign.sketch.looked_at", lambda *_: campaign)
+    monkeypatch.setattr("modetune.flows.campaign.sketch.open_model", lambda *_: campaign)
     return CliRunner().invoke(app, ["c.yaml", *options])
 
 

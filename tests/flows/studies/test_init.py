@@ -16,7 +16,7 @@ from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import mode_set
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import OpenFile
-from modetune.flows.campaign.sketch import is_deck, looked_at, sketch_deck
+from modetune.flows.campaign.sketch import is_deck, open_model, sketch_deck
 from modetune.flows.studies.init.draft import Draft, init_campaign
 from tests.adapters.solved import needs_mystran
 from tests.command_line import run_command
@@ -163,7 +163,7 @@ def test_a_laminate_offers_its_plies(solver: str, tmp_path: Path) -> None:
 def test_a_test_in_millimetres_with_its_own_axes_is_laid_over_the_model(tmp_path: Path) -> None:
     """Measured is what the model itself computes, told in millimetres along turned axes."""
     deck = written(tmp_path, bracket(), "bracket.inp")
-    campaign = looked_at(deck)
+    campaign = open_model(deck)
     found = modetune.modes(str(deck), number=10).elastic
     mesh = campaign.case.solver.deck.mesh()
     rows = [row for row, node in enumerate(found.nodes.tolist()) if node in set(range(1, 36, 3))]
@@ -224,15 +224,15 @@ def test_a_deck_with_nothing_to_update_is_refused_in_words(tmp_path: Path) -> No
     assert "empty.inp" in str(caught.value)
     assert not (tmp_path / "campaign.yaml").exists()
     with pytest.raises(CampaignError, match=r"lost\.inp"):
-        looked_at(tmp_path / "lost.inp")
+        open_model(tmp_path / "lost.inp")
 
 
 def test_solver_and_units_that_are_unknown_are_told_beside_what_there_is(tmp_path: Path) -> None:
     deck = written(tmp_path, bracket(), "bracket.inp")
     with pytest.raises(CampaignError, match=r"the command line: units: unknown value `mm-t`"):
-        looked_at(deck, ["model.units=mm-t"])
+        open_model(deck, ["model.units=mm-t"])
     with pytest.raises(ModelError, match="did you mean mystran"):
-        looked_at(deck, ["model.solver=mystrann"])
+        open_model(deck, ["model.solver=mystrann"])
 
 
 @needs_mystran
