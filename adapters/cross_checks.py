@@ -45,7 +45,7 @@ def check_energies(eigenvalues: Floats, total_strain_energy: Floats) -> None:
 
 
 def without_spare(result: ModalResult) -> ModalResult:
-    """The modes of the model itself."""
+    """Return the modes of the model itself."""
     own = int(np.sum(result.eigenvalues < 0.5 * SPARE_EIGENVALUE))
     return result if own == result.eigenvalues.size else replace(
         result,
@@ -57,12 +57,12 @@ def without_spare(result: ModalResult) -> ModalResult:
 
 
 def mark_of(text: bytes) -> str:
-    """The mark of a job with this text: sixteen digits of its SHA-256."""
+    """Return the mark of a job with this text: sixteen digits of its SHA-256."""
     return f"_JOB{hashlib.sha256(text).hexdigest()[:16].upper()}"
 
 
 def without_mark(text: bytes) -> bytes:
-    """A job's text as it was before it was marked."""
+    """Return a job's text as it was before it was marked."""
     return re.sub(MARK.pattern.encode(), b"", text)
 
 

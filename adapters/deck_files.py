@@ -62,7 +62,7 @@ Renamed = Callable[[Sequence[Line], Path, Path], list[str]]
 
 
 def read_text(path: Path) -> str:
-    """The text of a deck file, bytes that are not UTF-8 kept. Raises ModelError."""
+    """Return the text of a deck file, bytes that are not UTF-8 kept. Raises ModelError."""
     with read_errors(path, ModelError):
         data = read_regular(path)
     if b"\0" in data:
@@ -95,7 +95,7 @@ def check_include(
 def with_added(
     lines: Sequence[Line], changed: Mapping[int, str], added: Mapping[int, Iterable[str]]
 ) -> tuple[Line, ...]:
-    """Lines of a deck, some with other texts, some with new lines behind them.
+    """Return lines of a deck, some with other texts, some with new lines behind them.
 
     changed, added: position of a line to its text, or to the texts of the lines behind it.
     """
@@ -153,7 +153,7 @@ def write_edited(
 
 
 def _places(main: Path, includes: Sequence[Include]) -> dict[Path, Path]:
-    """Every file of a deck and where an updated deck has it, relative to the main file."""
+    """Return every file of a deck and where an updated deck has it, relative to the main file."""
     places = {main: Path(main.name)}
     for include in includes:
         if include.keeps_place:

@@ -27,7 +27,10 @@ class Number:
 def moved_numbers(
     parameter: Parameter, numbers: Iterable[Number], value: float
 ) -> list[tuple[Number, float]]:
-    """Numbers of a deck with what they are at a value. Raises ModelError where one cannot be so."""
+    """Return numbers of a deck with what they are at a value.
+
+    Raises ModelError where one cannot be so.
+    """
     found: list[tuple[Number, float]] = []
     ratio = 1.0
     for number in numbers:
@@ -51,7 +54,7 @@ def moved_numbers(
 def refusals(
     numbers_of: Callable[[Parameter], list[Number]], parameters: tuple[Parameter, ...]
 ) -> list[str]:
-    """Why parameters cannot move the numbers of a deck, a sentence each; empty if fine."""
+    """Return why parameters cannot move the numbers of a deck, a sentence each; empty if fine."""
     found = []
     owners: dict[Any, str] = {}
     for parameter in parameters:

@@ -41,7 +41,7 @@ _NOTHING = (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeErr
 
 
 def read_hdf5(path: Path, names: Sequence[str]) -> dict[str, dict[str, Floats] | ModelError]:
-    """The arrays of each name: `dense`, or data, indices, indptr of a CSR matrix.
+    """Return the arrays of each name: `dense`, or data, indices, indptr of a CSR matrix.
 
     The name ALL gives what the file holds, by path: arrays in MATLAB's order of indices, texts and
     lists of texts as arrays of text. An error replaces an array that cannot be read.
@@ -69,7 +69,7 @@ def _read_one(folder: Path, number: int, ended: str) -> dict[str, Floats] | Mode
 
 
 def _everything(file: h5py.File) -> dict[str, NDArray[Any]]:
-    """What the file holds that is numbers or text; references of MATLAB lead to texts only."""
+    """Return all numbers and texts of a file; MATLAB's references lead only to texts."""
     found: dict[str, NDArray[Any]] = {}
 
     def take(name: str, item: object) -> None:
@@ -92,7 +92,7 @@ def _everything(file: h5py.File) -> dict[str, NDArray[Any]]:
 
 
 def _text(dataset: h5py.Dataset) -> NDArray[Any]:
-    """A text of MATLAB's, which has a number for each character."""
+    """Return a MATLAB text, which has a number for each character."""
     if dataset.dtype.kind not in "iu":
         raise ModelError(f"{dataset.name!r} is not a text")
     return np.array("".join(map(chr, np.ravel(dataset[()]).tolist())))

@@ -37,7 +37,7 @@ SPOKEN = ("*.log", "*.LOG", "*.f04", "*.F04", "*.f06", "*.F06", "*.out", "*.err"
 
 
 def licence_denied(text: str, messages: Sequence[str] = ()) -> str:
-    """The first line of a text that says a licence was refused; empty if none does.
+    """Return the first line of a text that says a licence was refused; empty if none does.
 
     messages: parts of lines that say so too, in upper or lower case.
     """

@@ -60,7 +60,7 @@ def unstructured_grid(mesh: Mesh) -> pyvista.UnstructuredGrid:
 
 
 def mode_grids(mesh: Mesh, modes: ModeSet) -> Iterator[pyvista.UnstructuredGrid]:
-    """The mesh with the shape of one mode after another."""
+    """Yield the mesh with the shape of one mode after another."""
     grid = unstructured_grid(mesh)
     for shape in global_shapes(mesh, modes):
         grid.point_data[SHAPE] = shape

@@ -31,7 +31,7 @@ from modetune.core.modes import Floats
 
 
 def lscf_poles(frequencies_hz: Floats, values: Complexes, order: int) -> tuple[Complexes, ...]:
-    """Poles of polynomials with 1, 2, ..., order pairs, all of them, rad/s.
+    """Return poles of polynomials with 1, 2, ..., order pairs, all of them, rad/s.
 
     frequencies_hz: (n_lines,), evenly spaced; values: (n_lines, n_functions), none zero. Half
     plane of positive frequency only; computational and unstable poles included. Raises
@@ -75,7 +75,7 @@ PolesOfOrder = tuple[Complexes, Complexes]
 def ssi_poles(
     values: Floats, step_s: float, order: int, block_rows: int
 ) -> tuple[PolesOfOrder, ...]:
-    """Poles of models with 1, 2, ..., order pairs, rad/s, conjugates and all.
+    """Return poles of models with 1, 2, ..., order pairs, rad/s, conjugates and all.
 
     values: (n_times, n_channels), evenly sampled. Raises CampaignError where there are too few of
     them for the order; ModuleNotFoundError without pyOMA2.

@@ -113,7 +113,7 @@ def run_process(
 
 
 def log_tail(folder: Path, lines: int = 15) -> str:
-    """The end of a job's log, for messages."""
+    """Return the end of a job's log, for messages."""
     try:
         with open_regular(folder / LOG) as log:
             log.seek(0, os.SEEK_END)
@@ -234,7 +234,7 @@ def _report(supervisor: _Supervisor, group: int) -> bytes:
 
 
 def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> tuple[Finished, int]:
-    """How a program ended, and the bytes of disk it took where those were too many, else 0."""
+    """Return how a program ended, and the bytes of disk it took if they were too many, else 0."""
     if not report:
         raise SolverCrashed(f"{where}: its supervisor was killed\n{log_tail(folder)}")
     try:
@@ -280,7 +280,7 @@ def _number(line: bytes) -> int:
 
 
 def disk_full(folder: Path) -> bool:
-    """Whether the disk below a folder has no room left, the likely cause of what failed there.
+    """Return whether the disk below a folder is full, the likely cause of a failure there.
 
     False for a folder that is no longer there.
     """

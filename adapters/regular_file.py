@@ -20,7 +20,7 @@ SHARE = 1 / 16
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """A regular file opened for reading. Raises OSError, also where it is something else."""
+    """Return a regular file opened for reading. Raises OSError, also where it is something else."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # no waiting for a writer
     kind = os.fstat(handle).st_mode
     if not stat.S_ISREG(kind):
@@ -58,5 +58,5 @@ def read_regular(path: Path, most: int | None = None) -> bytes:
 
 
 def largest(share: float = SHARE) -> int:
-    """Bytes that are a share of the machine's memory."""
+    """Return bytes that are a share of the machine's memory."""
     return int(share * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))

@@ -41,7 +41,10 @@ class YamlFile:
     words: dict[Place, tuple[int, int]]
 
     def where(self, place: Place) -> str:
-        """File and line of a value, or of the nearest thing around it; what is no file has none."""
+        """Return file and line of a value, or of the nearest thing around it.
+
+        What is no file has none.
+        """
         if not self.lines:
             return str(self.path)
         while place and place not in self.lines:
@@ -49,7 +52,7 @@ class YamlFile:
         return f"{self.path}, line {self.lines.get(place, 1)}"
 
     def at(self, place: Place) -> object:
-        """The value at a place of mappings and lists; None where there is none."""
+        """Return the value at a place of mappings and lists; None where there is none."""
         found: object = self.data
         for key in place:
             if isinstance(found, list) and isinstance(key, int) and key < len(found):
@@ -59,7 +62,7 @@ class YamlFile:
         return found
 
     def entries(self, place: Place, problems: list[str]) -> dict[str, object]:
-        """The mapping at a place; a problem and nothing where there is none."""
+        """Return the mapping at a place; a problem and nothing where there is none."""
         found = self.at(place)
         if not isinstance(found, dict) or not all(isinstance(key, str) for key in found):
             problems.append(f"{self.where(place)}: `{place[-1]}` must be a mapping of names")
@@ -67,12 +70,12 @@ class YamlFile:
         return found
 
     def word(self, place: Place) -> str:
-        """A value as it is written; empty where it is not one word."""
+        """Return a value as it is written; empty where it is not one word."""
         start, end = self.words.get(place, (0, 0))
         return self.text[start:end]
 
     def replaced(self, words: Mapping[Place, str]) -> str:
-        """The text with other words at these places."""
+        """Return the text with other words at these places."""
         text = self.text
         for place in sorted(words, key=lambda place: self.words[place], reverse=True):
             start, end = self.words[place]
@@ -110,7 +113,7 @@ def read_yaml(path: Path, kind: str) -> YamlFile:
 
 
 def parse_yaml(path: Path, text: str, kind: str) -> YamlFile:
-    """What `read_yaml` gives of a file with this text. Raises CampaignError with file and line."""
+    """Return the YamlFile of a text. Raises CampaignError with file and line."""
     loader = None
     try:
         loader = _Loader(text)
@@ -186,7 +189,7 @@ def edited(source: YamlFile, changes: Mapping[Place, object]) -> str:
 
 
 def _put(data: Any, place: Place, value: object) -> Any:
-    """The data with one value set or removed, nothing else of it touched."""
+    """Return the data with one value set or removed, nothing else of it touched."""
     if not place:
         return value
     if data is None and value is None:
@@ -201,7 +204,10 @@ def _put(data: Any, place: Place, value: object) -> Any:
 
 
 def _set(text: str, place: Place, value: object) -> str:
-    """The text with one value set or removed; what leads to it is made where it is missing."""
+    """Return the text with one value set or removed.
+
+    What leads to it is made where it is missing.
+    """
     node: Any = yaml.compose(text, Loader=yaml.SafeLoader)
     parents: list[tuple[yaml.MappingNode, int]] = []
     for depth, key in enumerate(place):
@@ -233,7 +239,7 @@ def _set(text: str, place: Place, value: object) -> str:
 
 
 def _entry(node: Any, key: str | int) -> int | None:
-    """The position of a key in a mapping, or in nothing, which becomes one."""
+    """Return the position of a key in a mapping, or in nothing, which becomes one."""
     if node.tag == "tag:yaml.org,2002:null":
         node.value = []
     elif not isinstance(node, yaml.MappingNode):
@@ -248,7 +254,7 @@ def _replaced(text: str, node: yaml.Node, start: int, value: object) -> str:
 
 
 def _inserted(text: str, node: yaml.MappingNode, key: str | int, value: object) -> str:
-    """A new entry behind the last one of a mapping, in its style."""
+    """Return a new entry behind the last one of a mapping, in its style."""
     end, entry = _end(text, node.value[-1][1]), f"{_flow(key)}: {_flow(value)}"
     if node.flow_style:
         return f"{text[:end]}, {entry}{text[end:]}"
@@ -260,7 +266,7 @@ def _inserted(text: str, node: yaml.MappingNode, key: str | int, value: object) 
 
 
 def _without(text: str, node: yaml.MappingNode, at: int) -> str:
-    """The text without an entry of a mapping."""
+    """Return the text without an entry of a mapping."""
     start, end = node.value[at][0].start_mark.index, _end(text, node.value[at][1])
     if node.flow_style:
         if at:
@@ -276,7 +282,7 @@ def _without(text: str, node: yaml.MappingNode, at: int) -> str:
 
 
 def _end(text: str, node: yaml.Node) -> int:
-    """Where a value ends: PyYAML's end of a block is where the next thing begins."""
+    """Return where a value ends: PyYAML's end of a block is where the next thing begins."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(text, last[1] if isinstance(last, tuple) else last)
@@ -284,7 +290,7 @@ def _end(text: str, node: yaml.Node) -> int:
 
 
 def _flow(value: object) -> str:
-    """A value in one line, as people write it."""
+    """Return a value in one line, as people write it."""
     told = yaml.safe_dump(
         value, default_flow_style=True, sort_keys=False, width=1_000_000, allow_unicode=True
     )

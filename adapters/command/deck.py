@@ -87,7 +87,7 @@ class CommandDeck(Deck):
         return EditedTemplate(self.template, self._moved(values))
 
     def _moved(self, values: Values) -> dict[Spot, float]:
-        """New numbers of the template. Raises ModelError."""
+        """Return new numbers of the template. Raises ModelError."""
         return {
             number.place: there
             for parameter, value in assigned(self.parameters, values)
@@ -128,7 +128,7 @@ def read_deck(
 
 
 def _read_nodes(path: Path, metres: float) -> Mesh:
-    """The nodes of a file of points, lines and faces as elements between them.
+    """Return the nodes of a file of points, lines and faces as elements between them.
 
     metres: of the deck's unit of length, into which the file's is brought where both are known.
     """

@@ -41,7 +41,7 @@ class UserReader:
     digest: str
 
     def read(self, folder: Path) -> ModeSet:
-        """The modes of a job's folder. Raises SolverRejected where the function fails."""
+        """Return the modes of a job's folder. Raises SolverRejected where the function fails."""
         try:
             frequencies, shapes, nodes, components = self.function(folder)
         except Exception as error:  # a user's function may raise anything
@@ -62,7 +62,7 @@ class UserReader:
 
 
 def load_reader(name: str, folder: Path) -> UserReader:
-    """The function that a campaign names; folder: the deck's. Raises ModelError."""
+    """Return the function that a campaign names; folder: the deck's. Raises ModelError."""
     place, _, function_name = name.rpartition(":")
     if not place or not function_name.isidentifier():
         raise ModelError(f"{name}: {KEY} is `file.py:function` or `package.module:function`")

@@ -157,7 +157,7 @@ class CommandProgram:
         )
 
     def _lines(self, folder: Path) -> Iterator[tuple[Path, str]]:
-        """The lines of a job's logs."""
+        """Yield the lines of a job's logs."""
         if not self.settings.success and not self.settings.fatal:
             return
         named = (path for name in self.settings.logs for path in sorted(folder.glob(name)))
@@ -172,7 +172,7 @@ class CommandProgram:
 def command_solver(
     deck: Path, parameters: tuple[Parameter, ...], settings: CommandSettings
 ) -> Solver:
-    """A program for a deck. Raises ModelError for what of the two cannot be."""
+    """Return a program for a deck. Raises ModelError where the two do not fit."""
     version = () if isinstance(settings.version, str) else settings.version
     problems = [
         f"{deck}: `model.command` has {{{name}}} in a command line; there are "
@@ -197,7 +197,7 @@ REMEDY = "under `model.command`"
 
 
 def read_results(path: Path) -> ModeSet:
-    """The modes of a file, at all of its nodes. Raises NoResult, SolverRejected."""
+    """Return the modes of a file, at all of its nodes. Raises NoResult, SolverRejected."""
     if not path.exists():
         there = ", ".join(sorted(item.name for item in path.parent.iterdir())) or "nothing"
         raise NoResult(
@@ -217,7 +217,7 @@ def asked_modes(
     normalisation: Normalisation,
     place: str,
 ) -> ModalResult:
-    """The lowest modes of those that were found, at the nodes of an analysis.
+    """Return the lowest modes of those that were found, at the nodes of an analysis.
 
     place: of the results, for messages. Raises SolverRejected where there are not enough modes or
     nodes: the same deck would give the same again.

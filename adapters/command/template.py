@@ -54,7 +54,7 @@ class Spot:
     tail: str = ""
 
     def written(self, value: float) -> str:
-        """The text of a number. Raises ModelError where it does not fit its width."""
+        """Return the text of a number. Raises ModelError where it does not fit its width."""
         if not math.isfinite(value):
             raise ModelError(f"{self.where}: {self.name} would be {value}, which is not a number")
         if self.form:
@@ -84,7 +84,7 @@ class TemplateFile:
     spots: tuple[Spot, ...]
 
     def replaced(self, new: Callable[[Spot], str]) -> bytes:
-        """The file with new texts at its spots."""
+        """Return the file with new texts at its spots."""
         parts, at = [], 0
         for spot in self.spots:
             parts += [self.text[at : spot.start], new(spot)]
@@ -121,7 +121,7 @@ class Template:
         return any(spot.head for spots in self.spots.values() for spot in spots)
 
     def filled(self, numbers: Mapping[Spot, float], n_modes: int) -> dict[str, bytes]:
-        """The files with new numbers at some spots, as the program gets them, by name.
+        """Return the files with new numbers at some spots, as the program gets them, by name.
 
         Raises ModelError.
         """
@@ -134,7 +134,7 @@ class Template:
         return {file.name: file.replaced(new) for file in self.files}
 
     def updated(self, numbers: Mapping[Spot, float]) -> dict[str, bytes]:
-        """The files with new numbers, placeholders kept: what was written is the deck's own now."""
+        """Return the files with new numbers; placeholders stay, with the new values in them."""
 
         def new(spot: Spot) -> str:
             if spot.name == N_MODES:
@@ -172,7 +172,7 @@ def read_template(deck: Path, settings: CommandSettings) -> Template:
 
 
 def read_value(text: str) -> float:
-    """A number of a deck, with E or D before its exponent. Raises ValueError."""
+    """Return a number of a deck, with E or D before its exponent. Raises ValueError."""
     value = float(text.strip().upper().replace("D", "E"))
     if not math.isfinite(value):
         raise ValueError(f"{text} is not a finite number")
@@ -217,7 +217,7 @@ def _around(found: re.Match[str]) -> tuple[str, str]:
 
 
 def _ruled(path: Path, text: str, rule: NumberRule, problems: list[str]) -> list[Spot]:
-    """The numbers that a rule finds in a file."""
+    """Return the numbers that a rule finds in a file."""
     try:
         spans = _by_pattern(text, rule) if rule.pattern else [_by_line(text, rule)]
     except (ModelError, re.error) as error:
@@ -280,7 +280,7 @@ def _by_line(text: str, rule: NumberRule) -> tuple[int, int]:
 
 
 def _apart(spots: list[Spot], problems: list[str]) -> tuple[Spot, ...]:
-    """The spots in the order of the text; a problem where two overlap."""
+    """Return the spots in the order of the text; a problem where two overlap."""
     ordered = sorted(spots, key=lambda spot: spot.start)
     for one, other in pairwise(ordered):
         if other.start < one.end:
@@ -293,7 +293,7 @@ def _apart(spots: list[Spot], problems: list[str]) -> tuple[Spot, ...]:
 def _with_values(
     files: Sequence[TemplateFile], delimiters: tuple[str, str], problems: list[str]
 ) -> list[TemplateFile]:
-    """The files with the value of a name's other placeholders where one has none."""
+    """Return the files with the value of a name's other placeholders where one has none."""
     values: dict[str, float] = {}
     for file in files:
         for spot in file.spots:

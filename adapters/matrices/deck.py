@@ -186,7 +186,10 @@ def write_updated(deck: MatrixDeck, factors: Factors, folder: Path) -> Path:
 
 
 def read_index(file: YamlFile) -> MatrixModel:
-    """The model whose matrices a file names. Raises ModelError with every problem and its line."""
+    """Return the model whose matrices a file names.
+
+    Raises ModelError with every problem and its line.
+    """
     problems: list[str] = []
     matrices = dict(_matrices(file, problems))
     stiffness, mass = matrices.get(("stiffness",)), matrices.get(("mass",))
@@ -213,7 +216,7 @@ def read_index(file: YamlFile) -> MatrixModel:
 
 
 def _matrices(file: YamlFile, problems: list[str]) -> list[tuple[Place, sparse.csr_array]]:
-    """Place and matrix of everything the file names."""
+    """Return place and matrix of everything the file names."""
     places: list[Place] = [("stiffness",), ("mass",)]
     for name in file.entries(("parts",), problems) if "parts" in file.data else {}:
         given = file.entries(("parts", name), problems)
@@ -235,7 +238,7 @@ def _matrices(file: YamlFile, problems: list[str]) -> list[tuple[Place, sparse.c
 
 
 def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Integers]:
-    """Node and component of each unknown."""
+    """Return node and component of each unknown."""
     if "dofs" not in file.data:
         return np.arange(1, size + 1, dtype=np.int64), np.ones(size, dtype=np.int64)
     path = file.path.parent / str(file.data["dofs"])
@@ -287,7 +290,7 @@ def write_index(file: YamlFile, model: MatrixModel, factors: Factors, folder: Pa
 
 
 def _below(file: YamlFile, places: list[Place], words: dict[Place, str]) -> dict[Place, str]:
-    """Each reference as it is where that stays below the new folder, else by its name alone.
+    """Return each reference as it is where that stays below the new folder, else by its name alone.
 
     Changed ones are added to words.
     """
@@ -360,7 +363,7 @@ def read_spring_mass(file: YamlFile) -> tuple[MatrixModel, dict[str, Place]]:
 def _link(
     file: YamlFile, place: Place, row_of: Mapping[str, int], problems: list[str]
 ) -> tuple[list[int], str, float]:
-    """Rows of the masses that a spring or damper holds, one or two, its key, and its value."""
+    """Return the rows of the one or two masses of a spring or damper, its key and its value."""
     where, given, keys = file.where(place), file.entries(place, problems), LINKS[str(place[0])]
     unknown = [key for key in given if key not in ("between", *keys)]
     if unknown:
@@ -384,7 +387,7 @@ def _link(
 
 
 def _element(size: int, rows: list[int], value: float) -> sparse.csr_array:
-    """A spring or mass on one unknown, or a spring between two."""
+    """Return a spring or mass on one unknown, or a spring between two."""
     signs = np.array([1.0, -1.0])[: len(rows)]
     values = value * np.outer(signs, signs).ravel()
     i, j = np.repeat(rows, len(rows)), np.tile(rows, len(rows))
@@ -392,7 +395,7 @@ def _element(size: int, rows: list[int], value: float) -> sparse.csr_array:
 
 
 def _number(file: YamlFile, place: Place, problems: list[str]) -> float:
-    """The number at a place as the text has it (YAML takes 1e3 for a word and 010 for 8)."""
+    """Return the number at a place as the text has it (YAML takes 1e3 for a word and 010 for 8)."""
     word = file.word(place)
     try:
         value = float(word)

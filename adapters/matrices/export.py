@@ -90,7 +90,7 @@ def write_matrices(path: Path, found: WrittenMatrices) -> tuple[Path, ...]:
 
 
 def _bulk(found: WrittenMatrices) -> list[str]:
-    """Scalar points and both matrices, each as a header, and the lower triangle column by column.
+    """Return scalar points, and each matrix as a header and the columns of its lower triangle.
 
     Of symmetric matrices either half is given; an entry and its mirror image would be an error.
     """

@@ -77,7 +77,9 @@ def write_job(model: MatrixModel, factors: Factors, analysis: Analysis, folder: 
 def read_result(
     model: MatrixModel, factors: Factors, analysis: Analysis, folder: Path, return_code: int
 ) -> Result:
-    """The result of a finished job. Raises SolverRejected, SolverExhausted or SolverCrashed where
+    """Return the result of a finished job.
+
+    Raises SolverRejected, SolverExhausted or SolverCrashed where
     there is none."""
     lines = read_log(folder).splitlines()
     faults = [line.removeprefix(FAULT).strip() for line in lines if line.startswith(FAULT)]
@@ -199,7 +201,7 @@ def _solved(
 
 
 def _files(folder: Path) -> FactorFiles:
-    """A folder for factors within the job's own, which goes with it."""
+    """Return a folder for factors within the job's own, which goes with it."""
     own = Path(tempfile.mkdtemp(dir=folder))
     return FactorFiles(own, partial(shutil.rmtree, own, ignore_errors=True))
 

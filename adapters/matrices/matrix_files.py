@@ -57,7 +57,7 @@ NO_ARRAYS = (
 
 
 def split_reference(reference: str) -> tuple[str, str]:
-    """File and dataset of a reference; the dataset is empty where the file is the matrix."""
+    """Return file and dataset of a reference; the dataset is empty where the file is the matrix."""
     file, separator, name = reference.rpartition(":")
     if separator and Path(file).suffix.lower() in (*HDF5, OP4):
         return file, name
@@ -65,7 +65,7 @@ def split_reference(reference: str) -> tuple[str, str]:
 
 
 def read_matrices(folder: Path, references: Sequence[str]) -> list[sparse.csr_array | ModelError]:
-    """The matrices of references, relative to a folder, each (n, n), both triangles.
+    """Return the matrices of references, relative to a folder, each (n, n), both triangles.
 
     An error in place of one that cannot be read, or is not real, square, finite and symmetric. An
     HDF5 file is opened once for all of its datasets.
@@ -146,7 +146,7 @@ def check_archive(path: Path) -> None:
 
 
 def _sound(matrix: Any) -> Any:
-    """A sparse matrix of a file, its size and indices checked: SciPy itself trusts them."""
+    """Return a sparse matrix of a file, its size and indices checked: SciPy itself trusts them."""
     if max(matrix.shape) > MOST_EQUATIONS:
         raise ValueError(f"it has the shape {matrix.shape}; {MOST_EQUATIONS} is the most")
     if matrix.format in ("csr", "csc", "bsr"):
@@ -188,7 +188,7 @@ FIELDS = {"real": 3, "double": 3, "integer": 3, "pattern": 2}
 
 
 def read_market(path: Path) -> sparse.csr_array:
-    """The matrix of a file, (n_rows, n_columns), both triangles.
+    """Return the matrix of a file, (n_rows, n_columns), both triangles.
 
     Raises OSError, ValueError where it is complex, no Matrix Market file, or declares other than it
     holds.
@@ -228,7 +228,7 @@ def read_market(path: Path) -> sparse.csr_array:
 
 
 def _banner(text: bytes) -> tuple[int, str, str, str]:
-    """Where the first line ends, and what it says: form, field and symmetry."""
+    """Return where the first line ends, and what it says: form, field and symmetry."""
     end = text.find(b"\n", 0, 1024) + 1
     words = text[:end].decode("ascii", "replace").lower().split()
     if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
@@ -267,7 +267,7 @@ ON_A_LINE, FORM = 3, "1P,3E23.16"
 
 
 def read_op4(path: Path, name: str) -> Any:
-    """The matrix of a name, dense or sparse; the only one where the name is empty.
+    """Return the matrix of a name, dense or sparse; the only one where the name is empty.
 
     Raises OSError, ValueError where it is not there, and what pyNastran raises of files that are
     damaged or something else.
@@ -295,7 +295,7 @@ def read_op4(path: Path, name: str) -> Any:
 
 
 def op4_lines(name: str, matrix: Floats) -> Iterator[str]:
-    """The text of a symmetric dense matrix (n, n); name: of eight letters at most."""
+    """Yield the text of a symmetric dense matrix (n, n); name: of eight letters at most."""
     n = matrix.shape[0]
     yield f"{n:8d}{n:8d}{6:8d}{2:8d}{name:8s}{FORM}\n"
     for column in range(n):

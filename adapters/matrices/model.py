@@ -71,13 +71,16 @@ class MatrixModel:
     parts: Mapping[str, MatrixPart]
 
     def part(self, name: str) -> MatrixPart:
-        """A part by its name. Raises ModelError with the nearest names."""
+        """Return a part by its name. Raises ModelError with the nearest names."""
         if name not in self.parts:
             raise ModelError(f"the model has no part {name}{suggestion(name, self.parts)}")
         return self.parts[name]
 
     def targets(self, parameter: Parameter) -> list[MatrixPart]:
-        """The parts of a parameter. Raises ModelError with the first reason why it has none."""
+        """Return the parts of a parameter.
+
+        Raises ModelError with the first reason why it has none.
+        """
         found = []
         for name in () if parameter.quantity == "variable" else parameter.targets:
             part = self.part(name)
@@ -106,7 +109,7 @@ class MatrixModel:
         return parameter_matrices(base, np.ones(len(self.parts)), stiffness, mass)
 
     def matrices(self, parameters: tuple[Parameter, ...]) -> ParameterMatrices:
-        """K and M for all values of these parameters."""
+        """Return K and M for all values of these parameters."""
         names = list(self.parts)
         here, there = (
             {name: f for p in parameters for name, f in self.factors(p, value).items()}
@@ -131,7 +134,7 @@ class MatrixModel:
         return ParameterMatrices(np.ones(len(parameters)), base, stiffness, mass)
 
     def damping(self, parameters: tuple[Parameter, ...]) -> DampingModel:
-        """What damps the model, for all values of these parameters."""
+        """Return the damping of the model for all values of these parameters."""
         here, there = (
             {name: (f, column) for column, p in enumerate(parameters)
              for name, f in self.factors(p, value).items()}
@@ -148,7 +151,7 @@ class MatrixModel:
         return DampingModel(tuple(found))
 
     def factors(self, parameter: Parameter, value: float) -> dict[str, float]:
-        """Factors on the parts of a parameter at its value."""
+        """Return factors on the parts of a parameter at its value."""
         shown, plain = parameter.shown(value), parameter.values == "relative"
         return {
             name: shown if plain else parameter.number(part.value, value) / part.value
@@ -157,11 +160,11 @@ class MatrixModel:
         }
 
     def assembled(self, factors: Factors) -> MatrixResult:
-        """K and M with these parts scaled."""
+        """Return K and M with these parts scaled."""
         return self.by_parts.at(np.array([factors.get(name, 1.0) for name in self.parts]))
 
     def group_stiffness(self, names: tuple[str, ...], factors: Factors) -> sparse.csr_array:
-        """The scaled stiffness of several parts together."""
+        """Return the scaled stiffness of several parts together."""
         total = sparse.csr_array(self.stiffness.shape)
         for name in names:
             stiffness = self.part(name).stiffness

@@ -34,7 +34,7 @@ class MatricesProgram:
     capabilities = Capabilities(strain_energies=True, matrices=True, tell_rigid=True)
 
     def version(self) -> str:
-        """SciPy's: its solvers are what gives the numbers."""
+        """Return the version of SciPy, whose solvers give the numbers."""
         return scipy.__version__
 
     def render(self, deck: EditedMatrices, analysis: Analysis) -> Rendered:
@@ -69,5 +69,8 @@ class MatricesProgram:
 
 
 def matrices_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
-    """The embedded solver for a model file. Raises ModelError where it cannot be understood."""
+    """Return the embedded solver for a model file.
+
+    Raises ModelError where it cannot be understood.
+    """
     return Solver(read_deck(deck, parameters), MatricesProgram())

@@ -39,7 +39,7 @@ _RIGHT = 1e-3
 
 
 def is_geometry(table: FileTable) -> bool:
-    """Whether a table holds points rather than modes, by its first row."""
+    """Return whether a table holds points rather than modes, by its first row."""
     return table.first in ("node", "metres")
 
 
@@ -49,7 +49,7 @@ def read_geometry_csv(path: Path) -> TestGeometry:
 
 
 def geometry_of(table: FileTable) -> TestGeometry:
-    """The points of a table. Raises CampaignError likewise."""
+    """Return the points of a table. Raises CampaignError likewise."""
     problems: list[str] = []
     rows = list(table.rows)
     metres = _metres(rows.pop(0), problems) if table.first == "metres" else math.nan
@@ -146,7 +146,7 @@ def _add_point(
 
 
 def _numbers(row: TableRow, count: int, problems: list[str]) -> list[float]:
-    """The numbers of a row behind its name; none where one is missing or is not a number."""
+    """Return the numbers of a row behind its name; none where one is missing or is not a number."""
     if len(row.fields) != count + 1:
         problems.append(f"{row.where}: {len(row.fields) - 1} numbers where {count} must be")
         return []

@@ -78,7 +78,7 @@ def read_mat(path: Path, kind: FileKind) -> Measurement:
 
 
 def _variables(path: Path, said: str) -> Variables:
-    """All numbers and texts, by name. Raises CampaignError."""
+    """Return all numbers and texts, by name. Raises CampaignError."""
     if "7.3" in said:
         found = read_hdf5(path, (ALL,))[ALL]
         if isinstance(found, ModelError):
@@ -95,7 +95,7 @@ def _variables(path: Path, said: str) -> Variables:
 
 
 def _flat(name: str, value: object) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Arrays within structs by their path; a cell of texts as an array of them."""
+    """Yield arrays within structs by their path; a cell of texts as an array of them."""
     if not isinstance(value, np.ndarray):
         return
     if value.dtype.names is not None:
@@ -122,7 +122,7 @@ def _is_vector(values: NDArray[Any]) -> bool:
 
 
 def _modes(path: Path, found: Variables) -> tuple[MeasuredModes | None, list[str]]:
-    """The modes, and a sentence a variable that was taken. Raises CampaignError."""
+    """Return the modes, and a sentence a variable that was taken. Raises CampaignError."""
     for source, frequencies, damping in _frequencies(found):
         for name, shapes in _choices(found, SHAPES):
             if shapes.ndim != 2 or frequencies.size not in shapes.shape:
@@ -168,7 +168,10 @@ def _frequencies(found: Variables) -> Iterator[tuple[str, Floats, Floats]]:
 def _dofs(
     path: Path, found: Variables, shapes: str, count: int
 ) -> tuple[Integers, Integers, Floats, str]:
-    """Nodes, components 1..6 and signs of the rows, and the variable. Raises CampaignError."""
+    """Return nodes, components 1..6 and signs of the rows, and the variable.
+
+    Raises CampaignError.
+    """
     for name, values in _choices(found, DOFS):
         if values.dtype.kind == "U" and values.size == count:
             sensors = [sensor_of(str(label)) for label in np.ravel(values)]
@@ -194,7 +197,7 @@ def _dofs(
 
 
 def _points(found: Variables) -> TestGeometry | None:
-    """Points with rows [node x y z], or SDT's seven columns."""
+    """Return points with rows [node x y z], or SDT's seven columns."""
     for _, values in _choices(found, POINTS):
         if values.dtype.kind not in "iuf" or values.ndim != 2 or values.shape[1] not in (4, 7):
             continue
@@ -210,7 +213,7 @@ def _points(found: Variables) -> TestGeometry | None:
 
 
 def _told(found: Variables) -> str:
-    """Names and sizes of what a file holds, the first few."""
+    """Return names and sizes of what a file holds, the first few."""
     said = [
         f"{name} ({'x'.join(map(str, np.atleast_2d(values).shape))})"
         for name, values in list(found.items())[:8]

@@ -47,19 +47,27 @@ _SENSOR = re.compile(
 
 
 def read_modes_csv(path: Path) -> MeasuredModes:
-    """The modes of a test. Raises CampaignError with every problem, each with file and line."""
+    """Return the modes of a test.
+
+    Raises CampaignError with every problem, each with file and line.
+    """
     found = read_test_csv(path).modes
     assert found is not None
     return found
 
 
 def read_test_csv(path: Path, computed: bool = False) -> Measurement:
-    """The modes of a file and how exactly they were measured. Raises CampaignError likewise."""
+    """Return the modes of a file and how exactly they were measured.
+
+    Raises CampaignError likewise.
+    """
     return modes_of(read_tables(path)[0], computed)
 
 
 def modes_of(table: FileTable, computed: bool = False) -> Measurement:
-    """The modes of a table and how exactly they were measured. Raises CampaignError likewise.
+    """Return the modes of a table and how exactly they were measured.
+
+    Raises CampaignError likewise.
 
     computed: the modes are a model's, which may be rigid (0 Hz), or move none of these nodes.
     """
@@ -108,7 +116,7 @@ def modes_of(table: FileTable, computed: bool = False) -> Measurement:
 
 
 def _by_columns(table: FileTable) -> list[TableRow]:
-    """The rows of a table with one column a mode; one with a row a mode is turned over."""
+    """Return the rows of a table with one column a mode; one with a row a mode is turned over."""
     names = table.rows[0].fields if table.rows else ()
     named = [heading(name)[0] in QUANTITIES or sensor_of(name) is not None for name in names[1:]]
     if table.first != "mode" and not (table.first == "frequency_hz" and all(named)):
@@ -156,7 +164,7 @@ def _numbers(row: TableRow, count: int, problems: list[str]) -> list[float]:
 
 
 def _wrong(row: TableRow, meaning: str, values: list[float], computed: bool) -> list[str]:
-    """Why the values of a quantity cannot be."""
+    """Return why the values of a quantity cannot be."""
     if meaning == "frequency_hz":
         wrong = any(value < 0.0 or (value == 0.0 and not computed) for value in values)
         return [f"{row.where}: frequencies must be above zero"] if wrong else []
@@ -170,7 +178,10 @@ def _wrong(row: TableRow, meaning: str, values: list[float], computed: bool) -> 
 
 
 def sensor_of(name: str) -> tuple[tuple[int, int], float] | None:
-    """Node and component 1..6 of a sensor's name, and its sign; nothing where it is not one."""
+    """Return node and component 1..6 of a sensor's name, and its sign.
+
+    Nothing where it is not one.
+    """
     found = _SENSOR.fullmatch(name.casefold())
     if found is None:
         return None

@@ -31,13 +31,15 @@ _OF_MODE = re.compile(r"(?:mode )?([^\d]+?) ?([0-9]{1,6})(?: hz)?|mode ([0-9]{1,
 
 
 def is_repeated(table: FileTable) -> bool:
-    """Whether a table has a row a test: two headings or more name a quantity and a mode."""
+    """Return whether a table has a row a test: two headings or more name a quantity and a mode."""
     fields = table.rows[0].fields if table.rows else ()
     return sum(_column(field) is not None for field in fields) > 1
 
 
 def repeated_of(table: FileTable) -> Measurement:
-    """The mean of the tests of a table. Raises CampaignError with every problem, each with file
+    """Return the mean of the tests of a table.
+
+    Raises CampaignError with every problem, each with file
     and line."""
     header, *rows = table.rows
     problems: list[str] = []
@@ -105,7 +107,7 @@ def repeated_of(table: FileTable) -> Measurement:
 
 
 def _apart(table: FileTable, numbers: list[int], hz: Floats) -> list[str]:
-    """Why most rows cannot be tests of one structure, or modes of one number be the same."""
+    """Return why most rows cannot be tests of one structure, or modes of one number be the same."""
     if len(hz) < 2:
         return [f"{table.start}: {len(hz)} test follows; repeated tests are two or more"]
     middle = np.nanmedian(hz, axis=0)
@@ -119,7 +121,7 @@ def _apart(table: FileTable, numbers: list[int], hz: Floats) -> list[str]:
 
 
 def _column(field: str) -> tuple[str, int, str] | None:
-    """Quantity, mode and unit of a column's heading."""
+    """Return quantity, mode and unit of a column's heading."""
     words, unit = heading(field)
     found = _OF_MODE.fullmatch(words)
     if found is None:

@@ -36,7 +36,10 @@ def _nowhere() -> Points:
 
 
 def _printed(path: Path) -> ModeSet:
-    """Modes of a print file; frequencies alone where it has no eigenvectors. Raises ValueError."""
+    """Return modes of a print file; frequencies alone where it has no eigenvectors.
+
+    Raises ValueError.
+    """
     printed = read_f06(path)
     if printed.fatal_messages:
         raise ValueError(f"the run failed: {printed.fatal_messages[0].text.strip()}")

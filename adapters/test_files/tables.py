@@ -159,7 +159,7 @@ def _text_table(path: Path, data: bytes) -> FileTable:
 
 
 def _decoded(path: Path, data: bytes) -> str:
-    """A text in its encoding. Raises CampaignError where it is not a text."""
+    """Return a text in its encoding. Raises CampaignError where it is not a text."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         try:
             return data.decode("utf-16")
@@ -179,7 +179,7 @@ def _decoded(path: Path, data: bytes) -> str:
 
 
 def _sheets(path: Path) -> list[FileTable]:
-    """The sheets of a workbook that hold anything. Raises CampaignError, OSError."""
+    """Return the sheets of a workbook that hold anything. Raises CampaignError, OSError."""
     from openpyxl import load_workbook
     from openpyxl.utils.exceptions import InvalidFileException
 
@@ -209,7 +209,7 @@ def _sheet(name: str, sheet: object) -> FileTable:
 
 
 def _cell(value: object) -> str:
-    """A cell as a text: numbers as they are, dates and truth values as they look."""
+    """Return a cell as a text: numbers as they are, dates and truth values as they look."""
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return str(int(value))
     return "" if value is None else str(value).strip()

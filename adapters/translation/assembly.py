@@ -61,7 +61,7 @@ class Freedoms:
         self._holds: dict[int, list[Floats]] = {}
 
     def turns(self, node: int) -> bool:
-        """Whether the node has rotations."""
+        """Return whether the node has rotations."""
         return node in self.turning or node not in self.solid | self.points
 
     def translations(self, node: int) -> list[Freedom]:
@@ -70,7 +70,7 @@ class Freedoms:
         return [(node, 1), (node, 2), (node, 3)]
 
     def rotations(self, node: int) -> list[Freedom]:
-        """Where the node's rotations about the basic axes are; empty where it has none."""
+        """Return where the node's rotations about the basic axes are; empty where it has none."""
         if not self.turns(node):
             return []
         if node not in self.turn_nodes:
@@ -79,7 +79,7 @@ class Freedoms:
         return [(other, 1), (other, 2), (other, 3)]
 
     def form(self, node: int, component: int, factor: float = 1.0) -> Form:
-        """A component 1..6 of a grid point in its output frame; empty for a missing rotation.
+        """Return the form of a component 1..6 in the output frame; empty for a missing rotation.
 
         Of a scalar point it is 0 or 1.
         """
@@ -97,12 +97,12 @@ class Freedoms:
         }
 
     def along(self, freedoms: Sequence[Freedom], axis: Floats) -> Form:
-        """A direction in basic coordinates of three translations or rotations."""
+        """Return a direction in basic coordinates of three translations or rotations."""
         pairs = zip(freedoms, axis, strict=True)
         return {freedom: float(share) for freedom, share in pairs if abs(share) > NOTHING}
 
     def rigid_motion(self, leader: int, place: Floats, axis: Floats) -> Form:
-        """Displacement along axis (basic) of a place that moves rigidly with a grid point."""
+        """Return the displacement along a basic axis of a place that is rigid with a grid point."""
         arm = place - self.builder.coordinates[leader]
         form = self.along(self.translations(leader), axis)
         turning = np.cross(arm, axis)  # axis . (theta x arm) = theta . (arm x axis)
@@ -130,7 +130,7 @@ class Freedoms:
         self._holds.setdefault(node, []).append(axis)
 
     def holds(self, node: int) -> Floats:
-        """All that hinders the node's rotation, (n, 3), each of the size it came with."""
+        """Return all that hinders the node's rotation, (n, 3), each of the size it came with."""
         return np.array(self._holds.get(node, []), dtype=np.float64).reshape(-1, 3)
 
     def tie(self, rows: Iterable[Form], dependents: Sequence[Freedom], what: str) -> None:
@@ -190,7 +190,7 @@ class Freedoms:
 
 
 def difference(first: Form, second: Form) -> Form:
-    """first - second, without terms that cancel."""
+    """Return first - second, without terms that cancel."""
     form = dict(first)
     for freedom, factor in second.items():
         form[freedom] = form.get(freedom, 0.0) - factor
@@ -211,12 +211,12 @@ def trimmed(form: Form) -> Form:
 
 
 def scaled(row: Form, freedom: Freedom) -> Form:
-    """The row with factor 1 at this freedom."""
+    """Return the row with factor 1 at this freedom."""
     return {other: factor / row[freedom] for other, factor in row.items()}
 
 
 def without(row: Form, freedom: Freedom, pivot: Form) -> Form:
-    """The row less the multiple of the pivot row that takes this freedom out of it."""
+    """Return the row less the multiple of the pivot row that takes this freedom out of it."""
     factor = row.get(freedom, 0.0)
     if not factor:
         return row
@@ -250,7 +250,7 @@ class Assembly:
         return self.freedoms.problems
 
     def elements(self, *kinds: str) -> Iterator[Any]:
-        """Elements of these cards, in the order of the bulk data."""
+        """Return elements of these cards, in the order of the bulk data."""
         return (element for element in self.bulk.elements.values() if element.type in kinds)
 
     def sets_of(self, element: Any) -> Sequence[str]:

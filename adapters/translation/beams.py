@@ -181,7 +181,7 @@ class Beam:
         return np.array(least) > 0.0
 
     def _points(self, start: float, stop: float) -> list[tuple[float, float]]:
-        """Gauss points and weights (lengths), not across a station."""
+        """Return Gauss points and weights (lengths), not across a station."""
         inner = [place for place in self.section.places if start < place < stop]
         count = UNIFORM_POINTS if self.section.is_uniform else POINTS
         gauss, weights = _gauss(count)
@@ -235,7 +235,7 @@ def _is_diagonal(matrix: Floats) -> bool:
 
 
 def _inverse(matrix: Floats) -> Floats:
-    """Of a positive definite matrix of 0 to 2 rows, where np.linalg takes a hundred times as long.
+    """Invert a positive definite matrix of 0 to 2 rows, a hundred times faster than np.linalg.
 
     Raises LinAlgError.
     """
@@ -255,7 +255,7 @@ def _gauss(count: int) -> tuple[Floats, Floats]:
 
 
 def cross_matrix(arm: Floats) -> Floats:
-    """(3, 3), theta to theta x arm."""
+    """Return the matrix (3, 3) from theta to theta x arm."""
     x, y, z = arm
     return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
@@ -301,7 +301,7 @@ def translate_beams(model: Assembly) -> None:
 
 
 def beam_of(element: Any, freedoms: Freedoms) -> Beam:
-    """A bar, beam or rod. Raises ValueError with what cannot be translated."""
+    """Return a bar, beam or rod. Raises ValueError with what cannot be translated."""
     is_rod = element.type in RODS
     section = cross_section(element if element.type == "CONROD" else element.pid_ref)
     where = beam_axes(element, freedoms.builder.coordinates, freedoms.frames)
@@ -315,7 +315,7 @@ def beam_of(element: Any, freedoms: Freedoms) -> Beam:
 
 
 def _released(beam: Beam, element: Any) -> Beam:
-    """Pin flags: the freedoms between beam and grid point go where no force acts on them."""
+    """Condense the freedoms between beam and grid point that pin flags release."""
     check_warping(element)
     flags = [(getattr(element, name) or 0, base) for name, base in (("pa", 0), ("pb", 6))]
     free = [base + int(digit) - 1 for flag, base in flags for digit in str(flag) if digit != "0"]
@@ -336,7 +336,7 @@ def _released(beam: Beam, element: Any) -> Beam:
 
 
 def _form(row: Floats, beam: Beam, freedoms: Freedoms) -> Form:
-    """A linear form of the grid points' 12 basic freedoms (a row of factors)."""
+    """Return a linear form of the grid points' 12 basic freedoms (a row of factors)."""
     form: Form = {}
     largest = np.abs(row).max()
     for place, node in enumerate(beam.nodes):
@@ -368,7 +368,7 @@ class Carrier:
 
 
 def _carriers(beam: Beam, lumped: bool) -> Iterator[Carrier]:
-    """Of the whole beam, or between two places where its mass changes linearly.
+    """Yield the carrier of the whole beam, or of each stretch with linear mass.
 
     Lumped masses are those of the ends, which twist and do not turn otherwise.
     """
@@ -450,14 +450,14 @@ def _moved(station: Floats, centre: Floats, lever: Floats, turning: Floats) -> F
 
 
 def _root(second: Floats) -> Floats:
-    """The symmetric square root of a positive semi-definite (2, 2) matrix."""
+    """Return the symmetric square root of a positive semi-definite (2, 2) matrix."""
     middle = math.sqrt(max(second[0, 0] * second[1, 1] - second[0, 1] ** 2, 0.0))
     size = math.sqrt(second[0, 0] + second[1, 1] + 2.0 * middle)
     return (second + middle * np.eye(2)) / size if size else np.zeros((2, 2))
 
 
 def _mass_material(builder: CalculixText, density: float, youngs_modulus: float) -> str:
-    """The material and section (of one name) of mass carriers of this density."""
+    """Return the material and section (of one name) of mass carriers of this density."""
     lines = [
         "*ELASTIC",
         number_list((NO_STIFFNESS * youngs_modulus, 0.0)),

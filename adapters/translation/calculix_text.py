@@ -135,7 +135,7 @@ class CalculixText:
         self._cards += lines
 
     def text(self) -> str:
-        """The model part of the deck: everything but a step."""
+        """Return the model part of the deck: everything but a step."""
         lines = ["*NODE, NSET=NALL"]
         for number, place in sorted(self.coordinates.items(), key=itemgetter(0)):
             lines.append(f"{number}, {number_list(place.tolist())}")
@@ -163,7 +163,7 @@ class CalculixText:
 
 
 def _equation(words: Sequence[str]) -> str:
-    """The lines of an equation; words: its terms."""
+    """Return the lines of an equation; words: its terms."""
     if len(words) <= LINE_TERMS:
         return f"{len(words)}\n{','.join(words)}"
     rows = [words[i : i + LINE_TERMS] for i in range(0, len(words), LINE_TERMS)]
@@ -171,12 +171,12 @@ def _equation(words: Sequence[str]) -> str:
 
 
 def _factor(value: float) -> str:
-    """A factor of an equation: as many digits as always fit the characters that ccx reads."""
+    """Return a factor of an equation, with the digits that always fit the field of ccx."""
     return f"{value:.14g}"
 
 
 def number_list(values: Iterable[float]) -> str:
-    """Numbers as ccx reads them, with commas."""
+    """Return numbers as ccx reads them, with commas."""
     return ", ".join(format_number(float(value)) for value in values)
 
 

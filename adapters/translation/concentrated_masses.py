@@ -41,7 +41,7 @@ POINT = "_POINT"
 
 
 def point_masses(bulk: Any, problems: list[str]) -> list[PointMass]:
-    """All concentrated masses of the model."""
+    """Return all concentrated masses of the model."""
     found = []
     for element in bulk.masses.values():
         if element.type == "CONM2":
@@ -58,7 +58,7 @@ def point_masses(bulk: Any, problems: list[str]) -> list[PointMass]:
 
 
 def _bush_masses(element: Any, problems: list[str]) -> list[PointMass]:
-    """The mass of a PBUSH, half of it at each end."""
+    """Return the mass of a PBUSH, half of it at each end."""
     if len(set(filter(None, element.node_ids))) < 2:
         problems.append(
             f"CBUSH {element.eid}: the mass of its PBUSH with one end on the ground is not "
@@ -74,7 +74,7 @@ def _bush_masses(element: Any, problems: list[str]) -> list[PointMass]:
 
 
 def _panel_masses(element: Any) -> list[PointMass]:
-    """The mass of a shear panel, at its corners as its bilinear shape functions share it."""
+    """Return the mass of a shear panel, at its corners as its bilinear shape functions share it."""
     places = np.array([node.get_position() for node in element.nodes_ref])
     card = element.pid_ref
     shares = nodal_measures(SHAPES["S4"], places[None])[0]
@@ -87,7 +87,7 @@ def _panel_masses(element: Any) -> list[PointMass]:
 
 
 def _body_of(element: Any) -> PointMass | None:
-    """The rigid body whose mass matrix a CONM1 gives, None where it gives another one.
+    """Return the rigid body whose mass matrix a CONM1 gives, None where it gives another one.
 
     With m the mass, S the cross-product matrix of the centre and I the inertia about it, the matrix
     is [[m, -m S], [m S, I - m S S]].
@@ -109,7 +109,7 @@ def _body_of(element: Any) -> PointMass | None:
 
 
 def _symmetric(element: Any) -> Floats:
-    """The mass matrix of a CONM1, (6, 6), of which the card has the lower triangle."""
+    """Return the mass matrix of a CONM1, (6, 6), of which the card has the lower triangle."""
     lower = np.tril(np.asarray(element.mass_matrix, dtype=np.float64))
     return np.asarray(lower + np.tril(lower, -1).T)
 
@@ -158,7 +158,7 @@ def _scalar_masses(element: Any, freedoms: Freedoms) -> Iterator[tuple[Form, flo
 def grouped_masses(
     lumped: Sequence[Lump], densities: Mapping[Hashable, float]
 ) -> tuple[list[PointMass], dict[str, Shares]]:
-    """Lumped masses, and what those of each group have of each density's source.
+    """Return lumped masses, and what those of each group have of each density's source.
 
     Groups are of equal shares, so that they stay alike whatever the densities are.
     """
@@ -254,11 +254,11 @@ def _add_brick(
 
 
 def brick_lines(density: float) -> tuple[str, ...]:
-    """The cards of the material of a mass's brick."""
+    """Return the cards of the material of a mass's brick."""
     return ("*ELASTIC", "1., 0.", "*DENSITY", number_list((density,)))
 
 
 def group_lines(name: str, mass: float, size: float) -> dict[str, tuple[str, ...]]:
-    """The numbers of a group of masses (WTMASS in them): its *MASS, and its brick's material."""
+    """Return the numbers of a group of masses with WTMASS: its *MASS and its brick's material."""
     volume = float(np.prod(np.full(3, 1e-3 * size)))
     return {name: (number_list((mass,)),), name + POINT: brick_lines(mass / volume)}

@@ -64,7 +64,7 @@ def _rigid(
     components: list[int],
     what: str,
 ) -> None:
-    """Components (in the follower's output frame) of nodes that move with the leader's body."""
+    """Tie components, in the follower's output frame, of nodes to the body of the leader."""
     body = {leader, *followers} if set(components) >= {1, 2, 3} else set()
     middles = [
         middle
@@ -95,7 +95,7 @@ def _rigid(
 
 
 def leaders(bulk: Any) -> set[int]:
-    """The grid points whose motion rigid elements follow."""
+    """Return the grid points whose motion rigid elements follow."""
     found = set[int]()
     for element in bulk.rigid_elements.values():
         if element.type == "RBE2":
@@ -109,7 +109,7 @@ def leaders(bulk: Any) -> set[int]:
 
 
 def _components_of(element: Any) -> tuple[list[Component], list[Component]]:
-    """Independent and dependent components of a RBE1 or RBAR, each a grid point and 1..6."""
+    """Return independent and dependent components of a RBE1 or RBAR, each a grid point and 1..6."""
     if element.type == "RBE1":
         pairs = zip(element.Gni, element.Cni, strict=True)
         dependent = list(zip(element.Gmi, element.Cmi, strict=True))
@@ -135,7 +135,7 @@ def _body(
     dependent: list[Component],
     problems: list[str],
 ) -> None:
-    """Components that follow the rigid motion which six others determine.
+    """Tie components to the rigid motion that six others determine.
 
     With A and B the motion of the independent and dependent components under a rigid motion,
     u_m = B A^-1 u_n.
@@ -169,7 +169,7 @@ def _body(
 
 
 def rigid_motions(freedoms: Freedoms, components: Sequence[Component], centre: int) -> Floats:
-    """What six rigid motions about a point make of components, (n, 6).
+    """Return the motion of components in six rigid motions about a point, (n, 6).
 
     Rotations, as motions and as components, are multiplied by the model's size.
     """
@@ -183,7 +183,7 @@ def rigid_motions(freedoms: Freedoms, components: Sequence[Component], centre: i
 
 
 def _rod(freedoms: Freedoms, element: Any) -> None:
-    """RROD: the distance of its ends stays, to first order."""
+    """Add an RROD: the distance of its ends is constant, to first order."""
     first, second = element.nodes
     along = freedoms.builder.coordinates[second] - freedoms.builder.coordinates[first]
     along = along / np.linalg.norm(along)
@@ -207,7 +207,7 @@ def _bar(freedoms: Freedoms, edges: Edges, element: Any, problems: list[str]) ->
 
 
 def _interpolation(freedoms: Freedoms, element: Any, problems: list[str]) -> None:
-    """The reference point moves as the weighted rigid motion that fits the others best.
+    """Tie the reference point to the weighted rigid motion that fits the others best.
 
     With G_i the motion of point i's components under a rigid motion of the reference point and w
     the weights, u_ref = (sum G_i' w G_i)^-1 sum G_i' w u_i. Rotational components are weighted
@@ -243,7 +243,7 @@ def _write_interpolation(
     forms: list[Form],
     problems: list[str],
 ) -> None:
-    """motion: (n, 6), weights: (n,), of the n independent components of the forms."""
+    """Write the equations; motion: (n, 6), weights: (n,), of the n independent components."""
     what = f"RBE3 {element.eid}"
     weighted = motion.T * weights
     normal = weighted @ motion
@@ -341,7 +341,7 @@ def translate_mpcs(bulk: Any, freedoms: Freedoms, mpc: int, problems: list[str])
 
 
 def _selected(bulk: Any, kind: str, number: int, problems: list[str]) -> list[Any]:
-    """Cards of a constraint set, those of an ADD card in its place."""
+    """Return cards of a constraint set, those of an ADD card in its place."""
     if not number:
         return []
     added = getattr(bulk, f"{kind}adds").get(number, [])
@@ -362,7 +362,7 @@ def _digits(components: object) -> list[int]:
 def _common(
     freedoms: Freedoms, edge: tuple[int, int], first: set[int], second: set[int]
 ) -> set[int]:
-    """Components fixed at both ends; in unlike frames only whole triples count."""
+    """Return components fixed at both ends; in unlike frames only whole triples count."""
     both = first & second
     frames = [freedoms.frames.get(node, np.eye(3)) for node in edge]
     if np.allclose(frames[0], frames[1], rtol=0.0, atol=1e-9):

@@ -64,18 +64,21 @@ class Moments:
 
 
 def of_point(mass: float, place: Floats, second: Floats | None = None) -> Moments:
-    """A body at a place; second: (3, 3), its own integral of place by place about its centre."""
+    """Return a body at a place.
+
+    second: (3, 3), its own integral of place by place about its centre.
+    """
     own = np.zeros((3, 3)) if second is None else second
     return Moments(mass, mass * place, mass * np.outer(place, place) + own)
 
 
 def of_volume(points: Points, density: Floats) -> Moments:
-    """Solids; density: (n_elements,)."""
+    """Return the moments of solids; density: (n_elements,)."""
     return _integrated(points.places, points.measures * density[:, None])
 
 
 def of_surface(points: Points, density: Floats, offset: Floats) -> Moments:
-    """Shells: density (of area) and offset of the mid-surface, (n_elements,) each."""
+    """Return the moments of shells; density (of area), offset of the mid-surface: (n_elements,)."""
     weights = points.measures * density[:, None]
     return _integrated(points.places + points.normals * offset[:, None, None], weights)
 
@@ -87,12 +90,12 @@ def _integrated(places: Floats, weights: Floats) -> Moments:
 
 
 def second_moment(inertia: Floats) -> Floats:
-    """The integral of place by place of a body whose inertia tensor is given."""
+    """Return the integral of place by place of a body whose inertia tensor is given."""
     return np.asarray(0.5 * np.trace(inertia) * np.eye(3) - inertia)
 
 
 def mass_properties(parts: Sequence[Moments]) -> MassProperties:
-    """All parts together."""
+    """Return the mass properties of all parts together."""
     mass = sum(part.mass for part in parts)
     first = np.sum([part.first for part in parts], axis=0) if parts else np.zeros(3)
     second = np.sum([part.second for part in parts], axis=0) if parts else np.zeros((3, 3))
@@ -103,7 +106,7 @@ def mass_properties(parts: Sequence[Moments]) -> MassProperties:
 
 
 def check_masses(expected: MassProperties, found: MassProperties, size: float) -> str:
-    """A sentence on how well both agree; size: of the model, for the centre of gravity.
+    """Return a sentence on how well both agree; size: of the model, for the centre of gravity.
 
     Raises ModelError with both sides where they differ by more than 0.1 %.
     """
@@ -124,7 +127,7 @@ def check_masses(expected: MassProperties, found: MassProperties, size: float) -
 
 
 def calculix_mass_properties(builder: CalculixText, deck: KeywordDeck) -> MassProperties:
-    """Mass properties of the model by the sections and densities of its deck.
+    """Return mass properties of the model by the sections and densities of its deck.
 
     Springs have no mass; scalar masses are left out, as they are on the other side.
     """
@@ -172,7 +175,7 @@ def _densities(deck: KeywordDeck) -> dict[str, float]:
 def nastran_mass_properties(
     model: Assembly, plates: Sequence[Shell], masses: list[PointMass]
 ) -> MassProperties:
-    """Mass properties of a model that can be translated; WTMASS is in them."""
+    """Return mass properties of a model that can be translated; WTMASS is in them."""
     freedoms, wtmass = model.freedoms, model.wtmass
     solids: dict[str, list[tuple[Floats, float]]] = {}
     shells: dict[str, list[tuple[Floats, float, float]]] = {}

@@ -49,7 +49,7 @@ def _panel(element: Any, freedoms: Freedoms) -> Deformations:
 
 
 def panel_springs(card: Any, places: Floats) -> list[tuple[Floats, float]]:
-    """Directions (4, 3) at the corners and the stiffness of each spring; places: (4, 3).
+    """Return directions (4, 3) at the corners and the stiffness of each spring; places: (4, 3).
 
     Raises ValueError where an interior angle is not below 180 degrees.
     """

@@ -85,14 +85,14 @@ class Edges:
     made: set[int]
 
     def is_side(self, edge: Corners) -> bool:
-        """Whether the edge is on the border of the shells."""
+        """Return whether the edge is on the border of the shells."""
         return self.shells.get(edge, 0) == 1
 
 
 def understand_shells(
     bulk: Any, builder: CalculixText, problems: list[str]
 ) -> tuple[list[Shell], Edges]:
-    """All shells of the model; their midside nodes are added."""
+    """Return all shells of the model; their midside nodes are added."""
     elements = [element for element in bulk.elements.values() if element.type in KINDS]
     edges = Edges(_given_middles(elements), {}, set())
     laws: dict[tuple[int, float | None], ShellLaw | None] = {}
@@ -147,7 +147,7 @@ def _given_middles(shells: list[Any]) -> dict[Corners, int]:
 
 
 def edges_of(element: Any) -> list[Corners]:
-    """The edges of a shell, as its nodes go round."""
+    """Return the edges of a shell, as its nodes go round."""
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
     corners = element.node_ids[:count]
     ends = zip(corners, (*corners[1:], corners[0]), strict=True)
@@ -157,7 +157,10 @@ def edges_of(element: Any) -> list[Corners]:
 def _nodes(
     element: Any, builder: CalculixText, edges: Edges, problems: list[str]
 ) -> tuple[int, ...]:
-    """Corner and midside nodes; missing midside nodes are made. Empty where a corner repeats."""
+    """Return corner and midside nodes.
+
+    Missing midside nodes are made. Empty where a corner repeats.
+    """
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
     corners = element.node_ids[:count]
     if None in corners or len(set(corners)) < count:
@@ -177,7 +180,7 @@ def _nodes(
 
 
 def material_axes(element: Any, problems: list[str]) -> tuple[Floats, Floats]:
-    """Material x direction and normal of a shell, unit vectors in basic coordinates."""
+    """Return material x direction and normal of a shell, unit vectors in basic coordinates."""
     count = LINEAR.get(element.type) or QUADRATIC[element.type]
     corners = [np.asarray(node.get_position()) for node in element.nodes_ref[:count]]
     side = corners[1] - corners[0]
@@ -222,7 +225,7 @@ class Brick:
 
 
 def bricks_of(shell: Shell, height: float, lumped: bool) -> list[Brick]:
-    """The bricks that together have the stiffness and the mass of a shell."""
+    """Return the bricks that together have the stiffness and the mass of a shell."""
     law, none = shell.law, np.zeros((2, 2))
     density = 0.0 if lumped else law.mass / height
     middle, bending = law.offset, law.bending
@@ -241,7 +244,7 @@ def bricks_of(shell: Shell, height: float, lumped: bool) -> list[Brick]:
 
 
 def material_lines(brick: Brick, wtmass: float) -> tuple[str, ...]:
-    """The cards of a brick's material."""
+    """Return the cards of a brick's material."""
     plane, shear = brick.plane, brick.shear
     numbers = np.zeros(21)
     numbers[[0, 1, 2, 6, 7, 9]] = plane[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
@@ -259,14 +262,14 @@ def law_key(element: Any) -> Hashable:
 
 
 def shell_densities(shells: Sequence[Shell]) -> dict[Hashable, float]:
-    """Mass of a unit of area by law, without WTMASS."""
+    """Return the mass per unit of area of each law, without WTMASS."""
     return {law_key(shell.element): shell.law.mass for shell in shells}
 
 
 def lumped_shells(
     shells: Sequence[Shell], builder: CalculixText, properties: frozenset[int]
 ) -> list[LumpedElement]:
-    """Shells of these properties, whose masses are lumped."""
+    """Return shells of these properties, whose masses are lumped."""
     found = []
     for shell in shells:
         if shell.element.pid in properties:
@@ -296,7 +299,7 @@ class WrittenShells:
     densities: dict[Hashable, float]
 
     def edited(self, bulk: Any) -> dict[str, tuple[str, ...]] | None:
-        """The numbers of all materials and masses of the shells, by their names.
+        """Return the numbers of all materials and masses of the shells, by their names.
 
         bulk: the model whose properties have other numbers now. None where more than these follow
         from the numbers: other bricks, or a law for some of those elements alone that had one in
@@ -331,7 +334,7 @@ class WrittenShells:
 
 
 def shape_of(shell: Shell, bricks: Sequence[Brick]) -> tuple[object, ...]:
-    """What of a shell's law decides on more than the numbers of materials and masses."""
+    """Return the properties of a shell's law that decide on more than numbers of materials."""
     levers = [(brick.lever, bool(brick.density)) for brick in bricks]
     return (shell.law.bends, shell.law.stretches, shell.law.offset, bool(shell.law.mass), *levers)
 
@@ -394,7 +397,10 @@ class BrickWriter:
         self._sections: dict[tuple[object, ...], str] = {}
 
     def material(self, pid: int, brick: Brick) -> str:
-        """The name of a brick's material; of each property its own, whose numbers may change."""
+        """Return the name of a brick's material.
+
+        Of each property its own, whose numbers may change.
+        """
         lines = material_lines(brick, self._wtmass)
         key = (pid, lines)
         if key not in self._materials:
@@ -424,7 +430,7 @@ class BrickWriter:
                 self._builder.new_element(kind, row, (*brick[3], section))
 
     def _corners(self, bricks: Sequence[tuple[Shell, float, str, Sequence[str]]]) -> BrickPoints:
-        """The corners and edge points of bricks on shells of equally many nodes."""
+        """Return the corners and edge points of bricks on shells of equally many nodes."""
         nodes = np.array([shell.nodes for shell, *_ in bricks])
         count = nodes.shape[1] // 2
         normals = np.array([shell.normal for shell, *_ in bricks])
@@ -476,7 +482,10 @@ class BrickWriter:
     def _named_sections(
         self, bricks: Sequence[tuple[Shell, float, str, Sequence[str]]]
     ) -> list[str]:
-        """The sections of bricks, by material and direction; those that are new are written."""
+        """Return the sections of bricks, by material and direction.
+
+        Those that are new are written.
+        """
         first = np.array([shell.axis for shell, *_ in bricks])
         normals = np.round([shell.normal for shell, *_ in bricks], DIGITS) + 0.0
         axes = np.round(np.hstack([first, np.cross(normals, first)]), DIGITS) + 0.0
@@ -511,7 +520,7 @@ class BrickPoints(NamedTuple):
         return np.where(bends, self.heights, np.round(self.down + self.levers, 12)) + 0.0
 
     def alike(self) -> tuple[Integers, Integers]:
-        """The first rows of those that are alike, ascending, and the place there of each row."""
+        """Return the first rows of equal ones, ascending, and the place there of each row."""
         bends = np.isnan(self.levers)
         key = np.zeros(len(self.nodes), dtype=np.int64)
         for column in (self.nodes, *self.normals.T, self.down, self.heights, self.arms, bends):
@@ -592,14 +601,14 @@ def _hold_loose(
 
 
 def _is_loose(freedoms: Freedoms, form: Form) -> bool:
-    """Whether some freedom of the form is neither fixed nor dependent."""
+    """Return whether some freedom of the form is neither fixed nor dependent."""
     return any(not freedoms.is_dependent(f) and not freedoms.builder.is_fixed(*f) for f in form)
 
 
 def _mean_rotations(
     freedoms: Freedoms, near: dict[int, set[int]], axes: dict[int, Floats]
 ) -> dict[int, Form]:
-    """Of nodes, the rotations about axes that fit the displacements of the nodes near best."""
+    """Return the rotations of nodes about axes that best fit the displacements near them."""
     if not near:
         return {}
     coordinates = freedoms.builder.coordinates

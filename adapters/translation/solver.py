@@ -73,7 +73,7 @@ class TranslatedDeck(NastranModel):
         return CalculixDeck(self.edited({}).model, ())
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
-        """The deck's sets, none where CalculiX prints no whole energy of their elements."""
+        """Return the deck's sets, none where CalculiX prints no whole energy of their elements."""
         names = super().energy_sets(parameter)
         mesh = self._nominal.model.mesh
         members = [mesh.element_sets.get(name, frozenset()) for name in names]
@@ -82,7 +82,7 @@ class TranslatedDeck(NastranModel):
         return names if whole else ()
 
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
-        """By what of the translated deck changes with the parameter.
+        """Return the elements by the changes of the translated deck with the parameter.
 
         Not every parameter that a Nastran model is linear in is so in its translation.
         """
@@ -143,7 +143,7 @@ class TranslatedDeck(NastranModel):
         return found
 
     def edited(self, values: Values) -> EditedCalculix:
-        """The translation at these values, kept for a while. Raises ModelError."""
+        """Return the translation at these values, kept for a while. Raises ModelError."""
         changed = self.changed(values)
         known = tuple(sorted(changed.items()))
         with self._lock:
@@ -156,7 +156,7 @@ class TranslatedDeck(NastranModel):
             return self._kept[known]
 
     def _translate(self, changed: dict[int, str]) -> EditedCalculix:
-        """The translation with some lines of the deck changed. Raises ModelError.
+        """Return the translation with some lines of the deck changed. Raises ModelError.
 
         Where numbers alone differ from the nominal translation it is that one, edited.
         """
@@ -175,7 +175,10 @@ class TranslatedDeck(NastranModel):
     def _edited_shells(
         self, nominal: EditedCalculix, changed: dict[int, str]
     ) -> EditedCalculix | None:
-        """The nominal translation with the laws of its shells edited; None where more changes."""
+        """Return the nominal translation with the laws of its shells edited.
+
+        None where more changes.
+        """
         if not self._of_shells(changed):
             return None
         with self._own, edited_bulk(self.deck, self._bulk, changed) as bulk:
@@ -191,7 +194,7 @@ class TranslatedDeck(NastranModel):
         return EditedCalculix(nominal.model, lines, nominal.frames)
 
     def _of_shells(self, changed: dict[int, str]) -> bool:
-        """Whether these lines are those of shells' properties, and of materials of these alone."""
+        """Return whether these lines belong only to properties of shells and their materials."""
         structure = self.structure
         cards = [card for card in self.deck.cards if not changed.keys().isdisjoint(card.lines)]
         if not {card.name for card in cards} <= {*SHELL_LAWS, *MATERIALS}:
@@ -212,7 +215,7 @@ class TranslatedDeck(NastranModel):
         return numbers.isdisjoint(others) and kinds <= set(KINDS)
 
     def _translation(self, changed: dict[int, str]) -> Translation:
-        """The text with some lines of the deck changed. Raises ModelError."""
+        """Return the text with some lines of the deck changed. Raises ModelError."""
         stem = self.deck.file.stem
         case = read_case_control(self.deck)
         own = self._bulk if changed else self.bulk
@@ -249,7 +252,7 @@ class TranslatedDeck(NastranModel):
 
 
 def translated_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
-    """CalculiX for a Nastran deck file. Raises ModelError where it cannot be translated."""
+    """Return CalculiX for a Nastran deck. Raises ModelError where it cannot be translated."""
     model = nastran_model.understand(read_deck(deck), parameters)
     model.check()
     translated = TranslatedDeck(model.structure, model.objections, model.parameters)

@@ -65,7 +65,7 @@ def _scalar_spring(element: Any, freedoms: Freedoms) -> Deformations:
 
 
 def scalar_form(element: Any, freedoms: Freedoms) -> Form:
-    """What a scalar element acts on: its first end less its second one, ground left out.
+    """Return the form of a scalar element: its first end less its second one, without ground.
 
     Raises ValueError for a point that is not there, or an element of ground alone.
     """
@@ -89,7 +89,7 @@ def scalar_form(element: Any, freedoms: Freedoms) -> Form:
 
 
 def _bush(element: Any, freedoms: Freedoms) -> Deformations:
-    """The six deformations, of the second end against the first (or the ground)."""
+    """Return the six deformations, of the second end against the first (or the ground)."""
     if element.pid_ref.type != "PBUSH":
         raise ValueError(f"{element.pid_ref.type} is not translated")
     values = [float(value or 0.0) for value in element.pid_ref.Ki]
@@ -112,7 +112,7 @@ def _bush(element: Any, freedoms: Freedoms) -> Deformations:
 
 
 def _line_bush(element: Any, freedoms: Freedoms) -> Deformations:
-    """The stretch of a CBUSH1D; its tables and equations are for nonlinear solutions."""
+    """Return the stretch of a CBUSH1D; its tables and equations are for nonlinear solutions."""
     if element.pid_ref.m:
         raise ValueError("the mass of its PBUSH1D: give it as CONM2")
     first, second = [*element.node_ids, None][:2]
@@ -130,7 +130,7 @@ def _line_bush(element: Any, freedoms: Freedoms) -> Deformations:
 
 
 def _motion(freedoms: Freedoms, node: int, place: Floats, axis: Floats, turns: bool) -> Form:
-    """Displacement or rotation along an axis, of a place that is rigid with a grid point."""
+    """Return displacement or rotation along an axis, of a place that is rigid with a grid point."""
     if not turns:
         return freedoms.rigid_motion(node, place, axis)
     rotations = freedoms.rotations(node)
@@ -210,7 +210,10 @@ class GroundedSprings:
         return self._names[stiffnesses]
 
     def _free_name(self, stiffnesses: tuple[float, ...]) -> str:
-        """A name for these stiffnesses; other collections may have written to the same deck."""
+        """Return a name for these stiffnesses.
+
+        Other collections may have written to the same deck.
+        """
         count = len(self._names) + 1
         while f"K_{count}" in self._builder.sets:
             count += 1

@@ -35,7 +35,7 @@ def translate_matrices(model: Assembly, k2gg: str) -> None:
 
 
 def matrix_components(element: Any) -> list[Component]:
-    """The grid points and components of a GENEL."""
+    """Return the grid points and components of a GENEL."""
     return [(int(node), int(c)) for part in (element.ul, element.ud) for node, c in part]
 
 
@@ -67,7 +67,7 @@ def _general(element: Any, freedoms: Freedoms) -> Deformations:
 def _shares(
     element: Any, freedoms: Freedoms, own: Sequence[Component], held: Sequence[Component]
 ) -> Floats:
-    """S, (n_ul, n_ud). Raises ValueError where it neither is given nor follows."""
+    """Return S, (n_ul, n_ud). Raises ValueError where it neither is given nor follows."""
     if element.s is not None:
         if len(element.s) != len(own) * len(held):
             raise ValueError(f"its S requires {len(own) * len(held)} numbers")
@@ -99,7 +99,7 @@ def _direct(bulk: Any, name: str, freedoms: Freedoms) -> Deformations:
 
 
 def _forms(freedoms: Freedoms, components: Sequence[Component]) -> list[Form]:
-    """What each component is in ccx. Raises ValueError for one that is not there."""
+    """Return the form of each component in ccx. Raises ValueError for a missing one."""
     forms = []
     for node, component in components:
         if node not in freedoms.builder.coordinates:
@@ -112,12 +112,12 @@ def _forms(freedoms: Freedoms, components: Sequence[Component]) -> list[Form]:
 
 
 def _lengths(freedoms: Freedoms, components: Sequence[Component]) -> Floats:
-    """The model's size where a component is a rotation, else 1."""
+    """Return the model's size where a component is a rotation, else 1."""
     return np.array([freedoms.builder.size if c > 3 else 1.0 for _, c in components])
 
 
 def _springs_of(matrix: Floats, forms: Sequence[Form], lengths: Floats) -> Deformations:
-    """Forms and stiffnesses whose energies sum up to that of the matrix."""
+    """Return forms and stiffnesses whose energies sum up to that of the matrix."""
     values, vectors = np.linalg.eigh(matrix / np.outer(lengths, lengths))
     least = ROUNDING * np.abs(values).max(initial=0.0)
     return [

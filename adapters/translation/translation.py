@@ -79,7 +79,7 @@ BY_USE = ("P", "MAT")
 
 
 def refused_cards(bulk: Any) -> list[str]:
-    """A sentence for each kind of card that can be neither translated nor left out."""
+    """Return a sentence for each kind of card that can be neither translated nor left out."""
     counts = {name.upper(): count for name, count in bulk.card_count.items()}
     used = _used_kinds(bulk)
     found = [
@@ -94,7 +94,7 @@ def refused_cards(bulk: Any) -> list[str]:
 
 
 def _used_kinds(bulk: Any) -> set[str]:
-    """Names of the properties that elements have, and of their materials."""
+    """Return names of the properties that elements have, and of their materials."""
     found = set[str]()
     for element in bulk.elements.values():
         card = getattr(element, "pid_ref", None) or element
@@ -114,13 +114,13 @@ def _numbers(bulk: Any, name: str) -> str:
 
 
 def shortened(numbers: Iterable[Any]) -> str:
-    """The first few numbers of many."""
+    """Return the first few numbers of many."""
     words = [str(number) for number in numbers]
     return ", ".join(words[:5]) + (f", ... {words[-1]}" if len(words) > 5 else "")
 
 
 def summarised(problems: Iterable[str]) -> list[str]:
-    """One sentence for all cards of a kind that have the same problem."""
+    """Return one sentence for all cards of a kind that have the same problem."""
     groups: dict[tuple[str, str], list[str]] = {}
     for problem in dict.fromkeys(problems):
         found = re.fullmatch(r"([A-Z]+\d?) (\d+)(\D.*)", problem, re.DOTALL)
@@ -220,7 +220,7 @@ def translate(
 
 
 def _builder(bulk: Any) -> CalculixText:
-    """A builder with all grid points."""
+    """Return a builder with all grid points."""
     builder = CalculixText()
     for number in sorted(bulk.nodes):
         builder.node(number, np.asarray(bulk.nodes[number].get_position(), dtype=np.float64))
@@ -235,7 +235,7 @@ def _builder(bulk: Any) -> CalculixText:
 def _freedoms(
     bulk: Any, builder: CalculixText, bending: set[int], held: set[int], problems: list[str]
 ) -> Freedoms:
-    """bending: nodes of shells that bend; held: those whose rotations beams and springs hold."""
+    """Return the freedoms; bending: nodes of shells that bend; held: rotations held by others."""
     solids, structural = set[int](), set[int]()
     for element in bulk.elements.values():
         nodes = {node for node in element.node_ids if node}
@@ -248,7 +248,7 @@ def _freedoms(
 
 
 def _held(bulk: Any) -> set[int]:
-    """Grid points that more than shells and supports hold."""
+    """Return grid points that more than shells and supports hold."""
     found = set[int]()
     for element in bulk.rigid_elements.values():
         found.update((*element.independent_nodes, *element.dependent_nodes))
@@ -260,7 +260,7 @@ def _held(bulk: Any) -> set[int]:
 
 
 def _held_rotations(bulk: Any) -> set[int]:
-    """Grid points whose rotations beams and springs hold."""
+    """Return grid points whose rotations beams and springs hold."""
     held = set[int]()
     for element in bulk.elements.values():
         if element.type in ("CBAR", "CBEAM", "CBUSH"):

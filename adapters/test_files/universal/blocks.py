@@ -57,7 +57,10 @@ class DatasetBlock:
 
 
 def read_blocks(path: Path) -> tuple[DatasetBlock, ...]:
-    """The datasets of a file in their order. Raises CampaignError where it is none or cut short."""
+    """Return the datasets of a file in their order.
+
+    Raises CampaignError where it is none or cut short.
+    """
     data = read_file(path)
     tried = [data]
     if b"58b" not in data and (tidied := _ODD_MARK.sub(b"    -1", data)) != data:
@@ -90,7 +93,7 @@ def _blocks(path: Path, data: bytes) -> tuple[DatasetBlock, ...]:
 
 
 def read_file(path: Path) -> bytes:
-    """A test file's bytes. Raises CampaignError where it cannot be read or is empty."""
+    """Return a test file's bytes. Raises CampaignError where it cannot be read or is empty."""
     with read_errors(f"test file {path}", CampaignError):
         data = read_regular(path)
     if not data.strip():
@@ -117,7 +120,7 @@ def _block(
 
 
 def _head(data: bytes, start: int) -> tuple[list[bytes], int]:
-    """The text rows of a binary dataset, and where its values begin."""
+    """Return the text rows of a binary dataset, and where its values begin."""
     rows = []
     for _ in range(BINARY_ROWS):
         end = data.find(b"\n", start)
@@ -129,7 +132,7 @@ def _head(data: bytes, start: int) -> tuple[list[bytes], int]:
 
 
 def _values_end(data: bytes, first: int, rows: list[bytes]) -> int | None:
-    """Where binary values end: after as many bytes as they need or claim, where a mark follows.
+    """Return the end of binary values: after the bytes that they need or claim, before a mark.
 
     pyuff itself claims 8 bytes a complex value, other programs the bytes of a padded record; the
     number and type of the values (record 7) are tried as well, then the first mark before a start.
@@ -157,7 +160,7 @@ def whole_numbers(row: bytes, columns: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _text(row: bytes) -> str:
-    """A row as text. Programs write ids and units in UTF-8 or Latin-1, without saying which."""
+    """Return a row as text. Programs write UTF-8 or Latin-1 without naming it."""
     try:
         return row.decode("utf-8").rstrip("\r")
     except UnicodeDecodeError:
@@ -189,7 +192,10 @@ _TEXTS = {55: range(1, 6), 58: range(1, 6), 2414: range(2, 9), 151: range(1, 8)}
 
 
 def tidy(block: DatasetBlock) -> bytes:
-    """A dataset with its marks, as pyuff reads it. Raises ValueError where its form is broken."""
+    """Return a dataset with its marks, as pyuff reads it.
+
+    Raises ValueError where its form is broken.
+    """
     rows = [_ascii(row).rstrip() for row in block.rows]
     header = HEADERS.get(block.kind)
     if header is not None and len(rows) < header:
@@ -219,7 +225,7 @@ def tidy(block: DatasetBlock) -> bytes:
 
 
 def bad_row(block: DatasetBlock) -> int | None:
-    """The first row of a dataset's numbers that holds something else, nothing if none does."""
+    """Return the first row of a dataset's numbers that is not made of numbers, None if all are."""
     first = NUMBERS_FROM.get(block.kind)
     if first is None or block.binary is not None:
         return None
@@ -243,21 +249,24 @@ class DataKind:
 
 
 def data_kind(row: str) -> DataKind:
-    """What a dataset 55 or 2414 says that it holds."""
+    """Return the declared content of a dataset 55 or 2414."""
     row = _in_columns(_ascii(row))
     fields = [int(row[start : start + 10].strip() or 0) for start in range(0, 60, 10)]
     return DataKind(fields[1], fields[2], fields[3], fields[4] in (5, 6), fields[5])
 
 
 def _in_columns(row: str) -> str:
-    """A row of whole numbers in columns of ten, where blanks or tabs separate them instead."""
+    """Return a row of whole numbers in columns of ten, which blanks or tabs may separate."""
     if all(len(row[start : start + 10].split()) < 2 for start in range(0, len(row), 10)):
         return row
     return "".join(f"{field:>10}" for field in row.split())
 
 
 def node_rows(rows: list[str], header: int, kind: int) -> list[tuple[str, list[str]]]:
-    """The row of each node and the rows of its values. Raises ValueError where one is missing."""
+    """Return the row of each node and the rows of its values.
+
+    Raises ValueError where one is missing.
+    """
     said = data_kind(rows[6 if kind == 55 else 9])
     count = said.count * (2 if said.is_complex else 1)
     per_node = -(-count // 6)
@@ -273,7 +282,7 @@ def node_rows(rows: list[str], header: int, kind: int) -> list[tuple[str, list[s
 
 
 def _joined_values(rows: list[str], header: int, kind: int) -> list[str]:
-    """Each node's values in one row; none where modetune reads them itself."""
+    """Return each node's values in one row; none where modetune reads them itself."""
     if kind == 2414 and int(rows[3]) != 1:
         raise ValueError("holds data on elements or at points, not at nodes")
     joined = rows[:header]
@@ -287,7 +296,7 @@ def _joined_values(rows: list[str], header: int, kind: int) -> list[str]:
 
 
 def _joined_elements(rows: list[str]) -> list[str]:
-    """Each element's node numbers in one row. Raises ValueError where some are missing."""
+    """Return each element's node numbers in one row. Raises ValueError where some are missing."""
     joined, body, place = rows[:1], [row for row in rows[1:] if row], 0
     while place < len(body):
         fields = body[place].split()
@@ -309,7 +318,10 @@ _PLAIN = str.maketrans("\N{SUPERSCRIPT TWO}\N{MICRO SIGN}\N{GREEK SMALL LETTER M
 
 
 def _ascii(row: str) -> str:
-    """A row with one character of ASCII for each; a raised 2 of a unit stays a 2, micro a u."""
+    """Return a row with one character of ASCII for each.
+
+    A raised 2 of a unit stays a 2, micro a u.
+    """
     if row.isascii() and row.isprintable():
         return row
     text = row.translate(_PLAIN).encode("ascii", "replace").decode()
@@ -317,7 +329,7 @@ def _ascii(row: str) -> str:
 
 
 def _doubles(block: DatasetBlock) -> bytes:
-    """Values of a binary function; those of an uneven one all in double precision."""
+    """Return values of a binary function; those of an uneven one all in double precision."""
     assert block.binary is not None
     row = block.rows[7]
     kind, count, even = (int(row[start : start + 10]) for start in (0, 10, 20))

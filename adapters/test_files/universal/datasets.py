@@ -287,7 +287,7 @@ _SOLIDS: dict[int, tuple[tuple[int, ...], ...]] = {
 def _sides(
     descriptor: int, nodes: tuple[int, ...]
 ) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
-    """Lines and triangles that draw an element; nothing for one that is not known."""
+    """Return lines and triangles that draw an element; nothing for one that is not known."""
     if len(nodes) == 2:
         return [nodes], []
     if descriptor in _SOLIDS:
@@ -309,7 +309,7 @@ def _sides(
 
 
 def function(place: DatasetPlace, block: DatasetBlock, read: Any) -> Function:
-    """Dataset 58."""
+    """Convert dataset 58."""
     values, abscissae = np.asarray(read["data"]), np.asarray(read["x"], dtype=np.float64)
     count = int(read["num_pts"])
     if values.size < count or abscissae.size < count:
@@ -335,7 +335,10 @@ def function(place: DatasetPlace, block: DatasetBlock, read: Any) -> Function:
 
 
 def _end(read: Any, end: str) -> tuple[str, int, int]:
-    """Component, node and direction of one end of a function; by its name if it has no number."""
+    """Return component, node and direction of one end of a function.
+
+    By its name if it has no number.
+    """
     name = str(read[f"{end}_ent_name"]).strip()
     part = "" if name.upper() == "NONE" else name
     node, direction = int(read[f"{end}_node"]), int(read[f"{end}_dir"])
@@ -406,7 +409,7 @@ def shape_2414(place: DatasetPlace, block: DatasetBlock, read: Any) -> DatasetSh
 
 
 def complex_with_rotations(block: DatasetBlock) -> tuple[Integers, Complexes]:
-    """Nodes (n,) and values (n, 6) of a dataset 55, which pyuff refuses to read for this kind."""
+    """Read nodes (n,) and values (n, 6) of a dataset 55 of the kind that pyuff refuses."""
     nodes, values = [], []
     for node, rows in node_rows([row.rstrip() for row in block.rows], HEADERS[55], 55):
         fields = [
@@ -431,13 +434,16 @@ def _check_mode(said: DataKind) -> None:
 
 
 def _normal(frequency_hz: Any, viscous: Any, hysteretic: Any) -> tuple[float, float]:
-    """Frequency and damping ratio; half the loss factor where no viscous damping is given."""
+    """Return frequency and damping ratio.
+
+    Half the loss factor where no viscous damping is given.
+    """
     damping = float(viscous) or 0.5 * float(hysteretic)
     return float(frequency_hz), damping or math.nan
 
 
 def _complex(eigenvalue: complex) -> tuple[float, float]:
-    """Frequency and damping ratio of a pole in rad/s."""
+    """Return frequency and damping ratio of a pole in rad/s."""
     magnitude = abs(eigenvalue)
     if not magnitude > 0.0:
         raise ValueError("has the eigenvalue 0")
@@ -447,7 +453,7 @@ def _complex(eigenvalue: complex) -> tuple[float, float]:
 
 
 def _by_its_text(eigenvalue: complex, text: str) -> tuple[tuple[float, float], str]:
-    """Frequency and damping ratio of a pole, and a doubt where its dataset names it in Hz.
+    """Return frequency and damping ratio of a pole, and a doubt where its dataset names it in Hz.
 
     The format has poles in rad/s; programs that write Hz often say the frequency in an id line.
     """

@@ -77,7 +77,10 @@ Passed = dict[str, list[tuple[DatasetPlace, DatasetBlock]]]
 
 
 def read_file(path: Path) -> UniversalFile:
-    """A file's datasets. Raises CampaignError where it is cut short or nothing can be read."""
+    """Return a file's datasets.
+
+    Raises CampaignError where it is cut short or nothing can be read.
+    """
     blocks = read_blocks(path)
     notes: list[str] = []
     unknown: dict[str, list[int]] = {}
@@ -106,7 +109,7 @@ def read_file(path: Path) -> UniversalFile:
 
 
 def _program(blocks: Sequence[DatasetBlock]) -> str:
-    """What wrote a file: of its header's rows (dataset 151) the last program's."""
+    """Return the program that wrote a file: the last one in its header (dataset 151)."""
     header = next((block for block in blocks if block.kind == 151), None)
     rows = (
         [] if header is None else [header.rows[row] for row in PROGRAMS if row < len(header.rows)]
@@ -117,7 +120,7 @@ def _program(blocks: Sequence[DatasetBlock]) -> str:
 def _contents(
     wanted: Sequence[tuple[DatasetPlace, DatasetBlock, bytes]], passed: Passed
 ) -> list[Content]:
-    """What datasets say; those that cannot be read are put into `passed` by the reason."""
+    """Return the content of datasets; unreadable ones go into `passed` by the reason."""
     contents: list[Content] = []
     with tempfile.TemporaryDirectory(prefix="modetune-") as folder:
         copy = Path(folder) / "tidy.uff"
@@ -154,7 +157,7 @@ def _passed_over(reason: str, found: Sequence[tuple[DatasetPlace, DatasetBlock]]
 
 
 def _doubts(contents: Sequence[Content]) -> list[str]:
-    """What is doubtful of datasets that are read, a sentence each kind of doubt."""
+    """Return a sentence for each kind of doubt about datasets that are read."""
     found: dict[str, list[DatasetPlace]] = {}
     for item in contents:
         if isinstance(item, Units | DatasetShape) and item.doubt:
@@ -338,7 +341,10 @@ def _modes(measured: MeasuredModes) -> Iterator[Fields]:
 
 
 def _functions(frfs: MeasuredFrfs, metres: float) -> Iterator[Fields]:
-    """Functions and coherences; metres: the file's unit of length, NaN where it gives none."""
+    """Yield functions and coherences.
+
+    metres: the file's unit of length, NaN where it gives none.
+    """
     _check_numbers(np.concatenate([frfs.nodes, frfs.reference_nodes]))
     even = _even(frfs.frequencies_hz)
     directions = (frfs.components * frfs.signs).astype(np.int64)
@@ -374,7 +380,7 @@ def _functions(frfs: MeasuredFrfs, metres: float) -> Iterator[Fields]:
 
 
 def _even(frequencies_hz: Floats) -> bool:
-    """Whether first frequency and step, printed with 6 digits, give the others."""
+    """Return whether first frequency and step, printed with 6 digits, give the others."""
     if frequencies_hz.size < 2:
         raise ModesError("response functions at one frequency cannot be written")
     printed = [

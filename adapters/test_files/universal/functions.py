@@ -116,7 +116,7 @@ def _records(functions: Sequence[Function]) -> str:
 
 
 def _again(first: Function, second: Function) -> str:
-    """Why a function at the node and direction of one before is passed over."""
+    """Return why a function at the node and direction of one before is passed over."""
     parts, others = ((end.part, end.reference_part) for end in (first, second))
     if parts == others:
         return "that was given before"
@@ -130,7 +130,7 @@ def _again(first: Function, second: Function) -> str:
 def _coherences(
     group: dict[Dof, Function], functions: Sequence[Function], notes: list[str]
 ) -> Floats:
-    """Coherences of these functions, (n_lines, n_functions), empty where one has none."""
+    """Return coherences of these functions, (n_lines, n_functions), empty where one has none."""
     broken = [
         item
         for item in functions
@@ -174,7 +174,7 @@ def _note_others(functions: Sequence[Function], notes: list[str]) -> None:
 
 
 def _unusable(function: Function) -> str | None:
-    """Why a response function cannot be used, or nothing."""
+    """Return why a response function cannot be used, or nothing."""
     if not 1 <= abs(function.direction) <= 6 or function.node < 1:
         return "without node or direction of its sensor"
     if not 1 <= abs(function.reference_direction) <= 6 or function.reference_node < 1:
@@ -196,7 +196,7 @@ def _unusable(function: Function) -> str | None:
 
 
 def _quantity(function: Function) -> Response | None:
-    """What was measured; by its unit where the file does not say."""
+    """Return the measured quantity, by its unit where the file leaves it open."""
     if function.numerator in QUANTITIES:
         return QUANTITIES[function.numerator]
     return "accelerance" if _ACCELERATION.search(function.unit) else None
@@ -223,7 +223,10 @@ _COUNT = "\0"
 def in_si(
     functions: Sequence[Function], kind: Response, files: Sequence[UniversalFile], notes: list[str]
 ) -> list[Complexes]:
-    """The values of these functions in SI, (n_lines,) each; `notes` say what was converted."""
+    """Return the values of these functions in SI, (n_lines,) each.
+
+    `notes` say what was converted.
+    """
     given = [item for file in files for item in file.contents if isinstance(item, Units)]
     said: Counter[str] = Counter()
     values: list[Complexes] = []
@@ -257,7 +260,7 @@ def _by_labels(
     labels: tuple[float | None, float | None],
     by_file: tuple[float, float] | None,
 ) -> tuple[float, str]:
-    """As `_factor`, where a label names the unit of motion or force, or both."""
+    """Return as `_factor`, where a label names the unit of motion or force, or both."""
     motion, force = labels
     file_motion, file_force = by_file or (1.0, 1.0)
     factor = (motion or file_motion) / (force or file_force)
@@ -288,7 +291,7 @@ def _converted(factor: float, source: str) -> str:
 
 
 def _labels(function: Function, kind: Response) -> tuple[float | None, float | None]:
-    """SI values of the units of motion and force that the labels name, nothing for unknown ones."""
+    """Return the SI values of the labels' units of motion and force, None for unknown ones."""
     numerator, denominator = function.unit, function.denominator_unit
     ratio = _RATIO.fullmatch(numerator.strip().lower())
     force = NEWTONS.get(denominator.strip().lower().strip("()[] "))
@@ -303,7 +306,10 @@ def _labels(function: Function, kind: Response) -> tuple[float | None, float | N
 
 
 def _by_file(function: Function, units: Units) -> tuple[float, float] | None:
-    """SI values of a file's units of this motion and force; none without the unit of force."""
+    """Return SI values of a file's units of this motion and force.
+
+    None without the unit of force.
+    """
     if math.isnan(units.newtons):
         return None
     return (
@@ -313,7 +319,7 @@ def _by_file(function: Function, units: Units) -> tuple[float, float] | None:
 
 
 def _units_at(function: Function, given: Sequence[Units]) -> Units | None:
-    """The dataset 164 that goes for a function: of its file, the last before it, else the first."""
+    """Return the dataset 164 of a function: the last before it in its file, else the first."""
     own = [units for units in given if units.place.path == function.place.path]
     before = [units for units in own if units.place.line < function.place.line]
     return before[-1] if before else own[0] if own else None

@@ -76,7 +76,7 @@ def modes(
 
 
 def _groups(shapes: Sequence[DatasetShape]) -> list[list[DatasetShape]]:
-    """Shapes that belong to one mode, in the order of the files."""
+    """Return shapes that belong to one mode, in the order of the files."""
     groups: list[list[DatasetShape]] = []
     for shape in shapes:
         home = next((group for group in groups if _same_mode(group[0], shape)), None)
@@ -112,7 +112,7 @@ def _check_between_files(groups: Sequence[Sequence[DatasetShape]]) -> None:
 
 
 def _merged(group: Sequence[DatasetShape], notes: list[str]) -> dict[int, NDArray[np.complex128]]:
-    """Values of one mode by node, all excited from one reference."""
+    """Return values of one mode by node, all excited from one reference."""
     merged: dict[int, NDArray[np.complex128]] = {}
     source: dict[int, DatasetShape] = {}
     for shape in _of_one_reference(group, notes):
@@ -133,7 +133,7 @@ def _merged(group: Sequence[DatasetShape], notes: list[str]) -> dict[int, NDArra
 
 
 def _of_one_reference(group: Sequence[DatasetShape], notes: list[str]) -> list[DatasetShape]:
-    """A mode's shape over each set of sensors, those of the reference that moves it most.
+    """Return a mode's shape over each set of sensors, those of the reference that moves it most.
 
     References follow each other in the same order in every set-up. Each has its own scale and sign:
     shapes of two of them do not make one.
@@ -166,7 +166,7 @@ def _of_one_reference(group: Sequence[DatasetShape], notes: list[str]) -> list[D
 
 
 def _same_sensors(first: DatasetShape, second: DatasetShape) -> bool:
-    """Whether two shapes are of one set-up: the same nodes, and components measured in both."""
+    """Return whether two shapes have the same nodes, and components measured in both."""
     if not np.array_equal(first.nodes, second.nodes):
         return False
     one, two = (shape.values != 0.0 for shape in (first, second))
@@ -177,7 +177,7 @@ def _same_sensors(first: DatasetShape, second: DatasetShape) -> bool:
 def _measured(
     table: Complexes, nodes: NDArray[np.int64], notes: list[str]
 ) -> tuple[Complexes, NDArray[np.bool_]]:
-    """The table with zeros where a part was not measured, and which entries were, (n, 6).
+    """Return the table with zeros where a part was not measured, and which entries were, (n, 6).
 
     A component that is zero in all modes was not measured: the format has no other way to say so.
     A node that some modes lack cannot be compared in them: it is left out of all.
@@ -200,7 +200,7 @@ def _measured(
 
 
 def _numbers(groups: Sequence[Sequence[DatasetShape]], notes: list[str]) -> tuple[int, ...]:
-    """The modes' own numbers, or 1, 2, ... where these are missing or repeated."""
+    """Return the modes' own numbers, or 1, 2, ... where these are missing or repeated."""
     numbers = tuple(group[0].number for group in groups)
     if len(set(numbers)) == len(numbers) and min(numbers) > 0:
         return numbers

@@ -37,7 +37,7 @@ SAME, DIGITS = 1e-4, 1e-5
 
 
 def geometry(files: Sequence[UniversalFile], notes: list[str]) -> TestGeometry | None:
-    """The points of all files together, or nothing where no file has any.
+    """Return the points of all files together, or nothing where no file has any.
 
     Raises CampaignError where two tables contradict each other.
     """
@@ -113,7 +113,10 @@ def _note_missing(table: NodeTable, systems: dict[int, CoordinateSystem], notes:
 
 
 def _systems(files: Sequence[UniversalFile]) -> dict[int, CoordinateSystem]:
-    """All systems by number, in global axes; those of later files come before earlier ones."""
+    """Return all systems by number, in global axes.
+
+    Those of later files come before earlier ones.
+    """
     given: dict[int, tuple[CoordinateSystem, DatasetPlace]] = {}
     for file in files:
         for item in file.contents:
@@ -146,7 +149,7 @@ def _resolve(
 def _in_global_axes(
     system: CoordinateSystem, found: dict[int, CoordinateSystem]
 ) -> CoordinateSystem:
-    """A system in global axes; the one that it is given in, if any, is in `found`."""
+    """Return a system in global axes; the one that it is given in, if any, is in `found`."""
     reference = system.reference
     if reference == 0 or reference not in found:
         return system
@@ -162,7 +165,7 @@ def _in_global_axes(
 
 
 def _to_global(point: Floats, number: int, systems: dict[int, CoordinateSystem]) -> Floats:
-    """Global coordinates of a point given in a system; angles in degrees."""
+    """Return global coordinates of a point given in a system; angles in degrees."""
     if number == 0 or number not in systems:
         return point
     system = systems[number]
@@ -180,7 +183,7 @@ def _to_global(point: Floats, number: int, systems: dict[int, CoordinateSystem])
 
 
 def _axes_at(place: Floats, number: int, systems: dict[int, CoordinateSystem]) -> Floats:
-    """A system's directions at a global point, (3, 3), rows in global axes."""
+    """Return a system's directions at a global point, (3, 3), rows in global axes."""
     if number == 0 or number not in systems:
         return np.eye(3)
     system = systems[number]
@@ -205,7 +208,7 @@ def _axes_at(place: Floats, number: int, systems: dict[int, CoordinateSystem]) -
 def _drawing(
     files: Sequence[UniversalFile], nodes: Integers, notes: list[str]
 ) -> tuple[Integers, Integers]:
-    """Lines and triangles whose nodes all have a place, each once."""
+    """Return lines and triangles whose nodes all have a place, each once."""
     drawings = [item for file in files for item in file.contents if isinstance(item, Drawing)]
     drawn = []
     for width, parts in (
@@ -224,7 +227,10 @@ def _drawing(
 
 
 def _metres(files: Sequence[UniversalFile]) -> float:
-    """Length of the unit of the node tables. Raises CampaignError where files differ in it."""
+    """Return the length of the unit of the node tables.
+
+    Raises CampaignError where files differ in it.
+    """
     found: Units | None = None
     for file in files:
         if not any(isinstance(item, NodeTable) for item in file.contents):
@@ -254,7 +260,7 @@ FEWEST, MOST = 3, 0.8
 
 
 def with_axes(file: UniversalFile, axes: Axes) -> UniversalFile:
-    """The file with the axes of its datasets 2420 taken from rows or columns, as asked or found.
+    """Return the file with the axes of its datasets 2420 from rows or columns.
 
     A choice that changes something is noted.
     """
@@ -285,7 +291,7 @@ def _asymmetric(system: CoordinateSystem) -> bool:
 
 
 def _found(file: UniversalFile) -> tuple[Literal["rows", "columns"], str]:
-    """What the program's name and the drawing say; rows, and no reason, where neither does."""
+    """Return rows or columns by the program's name and the drawing, and the reason if any."""
     known = TEST_LAB.search(file.program)
     revision = int(known.group(1) or 0) if known else 0
     if known and not known.group(1) and SIMCENTER in file.program.lower():
@@ -303,7 +309,7 @@ def _found(file: UniversalFile) -> tuple[Literal["rows", "columns"], str]:
 
 
 def _along_lines(file: UniversalFile) -> tuple[float, float, int]:
-    """Shares of points with an axis along a line there, by rows and by columns, and their number.
+    """Return shares of points with an axis along a line, by rows and by columns, and a count.
 
     Of the points whose two readings differ and that a line reaches.
     """
