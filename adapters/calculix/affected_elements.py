@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.adapters.calculix.constants import constant_places
+from modetune.adapters.calculix.cards import ACROSS, CARDS, constant_places
 from modetune.adapters.calculix.constraints import read_constraints
 from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, read_number
 from modetune.adapters.calculix.mesh import EXPANDED, Incidence, roles_of
@@ -27,8 +27,6 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.core.updating.matrix_samples import with_tied
 
-#: Powers of a shell's thickness, and of a beam's dimension, besides the constant.
-THICKNESS = (-1, 1, 2, 3)
 #: Powers by which constants of an anisotropic material may follow a value: those of a translated
 #: shell have membrane, coupling and bending in them.
 CUBIC = (1, 2, 3)
@@ -37,18 +35,8 @@ CUBIC = (1, 2, 3)
 SAME_THICKNESS = 1e-10
 #: Cosine of an angle well above these 20 degrees, for elements that are not flat.
 NEAR_NORMALS = 0.7
-
-
 #: Cards whose lines are numbers alone: neither mesh nor ties are other with others of them.
-NUMBERS = {
-    "*ELASTIC",
-    "*DENSITY",
-    "*SPRING",
-    "*MASS",
-    "*SHELLSECTION",
-    "*BEAMSECTION",
-    "*SOLIDSECTION",
-}
+NUMBERS = {keyword for keyword, row in CARDS.items() if row.moves}
 #: A number of a deck: a line and the place in it.
 Place = tuple[int, int]
 
@@ -69,12 +57,12 @@ def affected_elements_of(
     cards = _cards(model, {line for line, _ in places})
     if model.preload() or not cards:
         return None
-    keywords = {card.keyword for card in cards}
-    across = bool(keywords & {"*SHELLSECTION", "*BEAMSECTION"})
-    if not across and not keywords <= {"*ELASTIC", "*DENSITY", "*SPRING", "*MASS"}:
+    rows = [CARDS[keyword] for keyword in {card.keyword for card in cards} & NUMBERS]
+    if len(rows) < len({card.keyword for card in cards}) or not all(row.powers for row in rows):
         return None
+    across = any(row.powers == ACROSS for row in rows)
     if across and not (
-        len(keywords) == 1
+        len(rows) == 1
         and all(_one_power(card, places) for card in cards)
         and _keeps_knots(model, incidence, geometry, cards)
     ):
@@ -85,10 +73,10 @@ def affected_elements_of(
     return AffectedElements(
         elements=elements,
         nodes=_with_tied(model, incidence.nodes(elements)),
-        stiffness=not keywords <= {"*DENSITY", "*MASS"},
-        mass=across or bool(keywords & {"*DENSITY", "*MASS"}),
-        powers=THICKNESS if across else powers,
-        proportional=keywords <= {"*ELASTIC", "*SPRING"}
+        stiffness=any("K" in row.moves for row in rows),
+        mass=any("M" in row.moves for row in rows),
+        powers=ACROSS if across else powers,
+        proportional=all(row.moves == "K" for row in rows)
         and not _layered(model, sets)
         and all(_moduli(model, card) <= set(places) for card in cards),
     )
@@ -107,7 +95,7 @@ def _moduli(model: CalculixModel, card: KeywordCard) -> set[Place]:
     if card.keyword != "*ELASTIC":
         return set()
     numbers = {(line, place) for _, line, place in constant_places(card, "youngs_modulus")}
-    return {(line, place) for line, place in numbers if model.number(line, place)}
+    return {(line, place) for line, place in numbers if model.deck.number(line, place)}
 
 
 def _with_tied(model: CalculixModel, nodes: frozenset[int]) -> frozenset[int]:
@@ -233,7 +221,7 @@ def _cards(model: CalculixModel, lines: Collection[int]) -> list[KeywordCard]:
 
 def _sets(model: CalculixModel, card: KeywordCard) -> list[str]:
     """Element sets that a card's numbers belong to."""
-    if card.keyword not in ("*ELASTIC", "*DENSITY"):
+    if CARDS[card.keyword].owner == "elset":
         return [card.option("ELSET")]
     materials = model.deck.named("*MATERIAL")
     above = [other for other in materials if other.lines.start < card.lines.start]
@@ -296,7 +284,7 @@ def _thicknesses(model: CalculixModel) -> dict[int, float]:
         if "NODALTHICKNESS" in card.options:
             raise ModelError(f"{model.deck.where(card)}: nodes have thicknesses of their own")
         layers = card.data if "COMPOSITE" in card.options else card.data[:1]
-        total = sum(model.number(line, 0) for line in layers)
+        total = sum(model.deck.number(line, 0) for line in layers)
         for number in model.mesh.element_sets.get(card.option("ELSET"), frozenset()):
             found[number] = total
     return found

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from modetune.adapters.calculix.cards import rows_with
 from modetune.adapters.calculix.model import CalculixModel
-from modetune.adapters.calculix.places import dashpot_field, find_numbers, loss_fields
+from modetune.adapters.calculix.places import fields_of, find_numbers, numbers_on
 from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
 from modetune.adapters.solver import Deck
 from modetune.core.errors import ModelError
@@ -21,7 +22,8 @@ def damped_materials(model: CalculixModel) -> tuple[Parameter, ...]:
     found = []
     for card in model.deck.named("*MATERIAL"):
         name = card.option("NAME")
-        if any(model.members(user) for user in model.users({name})) and loss_fields(model, name):
+        used = any(model.members(user) for user in model.users({name}))
+        if used and fields_of(model, "structural_damping", name, needed=False):
             found.append(group("material", name))
     return tuple(found)
 
@@ -30,22 +32,25 @@ def dampers(model: CalculixModel, deck: Deck, parameters: tuple[Parameter, ...])
     """All that damps the deck. Raises ModelError with file and line for what is not followed."""
     known = Coefficients(parameters, lambda item: find_numbers(model, item))
     mesh, links = deck.mesh(), []
-    rows = {node: row for row, node in enumerate(mesh.nodes.tolist())}
+    place_of = {node: place for place, node in enumerate(mesh.nodes.tolist())}
     ends = {
         number: nodes
         for cells in mesh.cells
         for number, nodes in zip(cells.elements.tolist(), cells.nodes.tolist(), strict=True)
     }
-    for card in model.deck.named("*DASHPOT"):
+    cards = [(row, c) for row in rows_with("viscous_damping") for c in model.deck.named(row.name)]
+    for row, card in cards:
         members, where = model.members(card), model.deck.where(card)
         kinds = {model.mesh.elements[number].kind for number in members}
         if kinds - {"DASHPOTA"}:
-            raise ModelError(f"{where}: *DASHPOT of {min(kinds)} is not DASHPOTA, as ccx takes it")
-        field = dashpot_field(model, card)
+            raise ModelError(
+                f"{where}: {row.name} of {min(kinds)} is not DASHPOTA, as ccx takes it"
+            )
+        (field,) = numbers_on(model, row, "viscous_damping", card, card.option("ELSET"))
         number = known.of((field.line, field.place), field.value, where)
         for element in sorted(members):
             first, second = ends[element]
-            span = mesh.coordinates[rows[second]] - mesh.coordinates[rows[first]]
+            span = mesh.coordinates[place_of[second]] - mesh.coordinates[place_of[first]]
             length = float(np.linalg.norm(span))
             if not length:
                 raise ModelError(f"{where}: the nodes of dashpot {element} coincide")
@@ -56,7 +61,7 @@ def dampers(model: CalculixModel, deck: Deck, parameters: tuple[Parameter, ...])
     groups = damped_materials(model)
     factors_of, places = [], []
     for item in groups:
-        (field,) = loss_fields(model, item.targets[0])
+        (field,) = fields_of(model, "structural_damping", item.targets[0])
         places.append(model.deck.lines[field.line].where)
         factors_of.append(known.of((field.line, field.place), field.value, places[-1]))
     return Dampers(tuple(links), losses_of(deck, parameters, groups, factors_of, places))

@@ -98,6 +98,17 @@ class KeywordDeck:
         """The comma-separated fields of one data line, stripped."""
         return [field.strip() for field in self.lines[position].text.split(",")]
 
+    def number(self, line: int, place: int) -> float:
+        """A number of a data line. Raises ModelError where there is none."""
+        fields = self.fields(line)
+        text = fields[place] if place < len(fields) else ""
+        check_width(self.lines[line], [text])
+        try:
+            return read_number(text)
+        except ValueError:
+            where = self.lines[line].where
+            raise ModelError(f"{where}: {text!r} is not a number") from None
+
 
 def read_deck(path: Path) -> KeywordDeck:
     """Read a deck and its includes. Raises ModelError naming file and line."""

@@ -80,16 +80,16 @@ def check_frequency_step(model: CalculixModel) -> list[str]:
                 )
         for line in card.data[:1]:
             given = [place for place, text in enumerate(model.deck.fields(line)) if text]
-            if 1 in given and model.number(line, 1) > 0.0:
+            if 1 in given and model.deck.number(line, 1) > 0.0:
                 raise ModelError(
                     f"{model.deck.lines[line].where}: *FREQUENCY asks for modes above "
-                    f"{model.number(line, 1):g} only, and a campaign for the lowest ones: leave "
-                    "the range out, and name the test's modes that are used by `test.use`"
+                    f"{model.deck.number(line, 1):g} only, and a campaign for the lowest ones: "
+                    "leave the range out, and name the test's modes that are used by `test.use`"
                 )
             if 2 in given:
                 notes.append(
                     f"{model.deck.lines[line].where}: the upper frequency "
-                    f"{model.number(line, 2):g} of *FREQUENCY is left out: as many modes are "
+                    f"{model.deck.number(line, 2):g} of *FREQUENCY is left out: as many modes are "
                     "computed as the campaign needs"
                 )
     return notes

@@ -20,11 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modetune.adapters.calculix.cards import CARDS, first_value
 from modetune.adapters.calculix.constraints import node_sets, read_constraints, set_members
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name
 from modetune.adapters.calculix.mesh import roles_of
 from modetune.adapters.calculix.model import CalculixModel
-from modetune.adapters.calculix.places import find_density, first_value
+from modetune.adapters.calculix.places import fields_of
 from modetune.core.element_geometry import FACES, OF_CELLS, SHAPES, Points, face_nodes, nodal_forces
 from modetune.core.errors import ModelError
 from modetune.core.mesh import CORNERS, Cells, Mesh
@@ -79,7 +80,7 @@ def load_case(model: CalculixModel, mesh: Mesh, number: int) -> LoadCase:
                     raise ModelError(f"{where}: *CLOAD needs a node or set, 1 to 6, and a force")
                 if members & turned:
                     raise ModelError(f"{where}: *CLOAD at a node of *TRANSFORM is not supported")
-                value = model.number(position, 2)
+                value = model.deck.number(position, 2)
                 for node in members:
                     dof = node, int(fields[1])
                     there = forces[dof][0] if dof in named else 0.0
@@ -106,7 +107,7 @@ def _spread(model: CalculixModel, line: int) -> SpreadLoad:
             f"{where}: *DLOAD needs an element or set of the deck, and a load; supported are "
             f"{SUPPORTED}"
         )
-    numbers = [model.number(line, 2 + place) for place in range(ON_MASS.get(label, 1))]
+    numbers = [model.deck.number(line, 2 + place) for place in range(ON_MASS.get(label, 1))]
     if label in ON_MASS and not math.hypot(*numbers[-3:]):
         raise ModelError(f"{where}: {label} has no direction: its last three numbers are zero")
     return SpreadLoad(elements, label, tuple(numbers), where)
@@ -167,8 +168,6 @@ ON_MASS = {"GRAV": 4, "CENTRIF": 7}
 SUPPORTED = "GRAV, CENTRIF on solids and masses, P on shells and P1 to P6 on solids"
 #: ccx has a circle of unit radius as a square whose sides are parabolas through its middle.
 ELLIPSE = 2.0 + 8.0 / 3.0 * (math.sqrt(2.0) - 1.0)
-#: Sections whose elements have no mass.
-MASSLESS = ("*SPRING", "*DASHPOT", "*GAP")
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,10 +279,10 @@ def _densities(model: CalculixModel, load: SpreadLoad) -> dict[int, float]:
 
 
 def _density(model: CalculixModel, card: KeywordCard, load: SpreadLoad) -> float:
-    if card.is_one_of(*MASSLESS):
+    if CARDS[card.keyword].massless:
         return 0.0
     if card.is_one_of("*MASS"):
-        return first_value(model, card, 0).value
+        return first_value(model.deck, card, 0).value
     where = f"{load.where}: {load.label}: {model.deck.where(card)}"
     kinds = {model.mesh.elements[number].kind for number in model.members(card)}
     roles = {role for kind in kinds for role in roles_of(kind)}
@@ -293,13 +292,13 @@ def _density(model: CalculixModel, card: KeywordCard, load: SpreadLoad) -> float
         raise ModelError(f"{where}: sections with OFFSET or NODAL THICKNESS are not supported")
     if "COMPOSITE" in card.options:
         layers = [(line, canonical_name(model.deck.fields(line)[2])) for line in card.data]
-        return sum(model.number(line, 0) * _of(model, name) for line, name in layers)
+        return sum(model.deck.number(line, 0) * _of(model, name) for line, name in layers)
     density = _of(model, card.option("MATERIAL"))
     if card.is_one_of("*SHELL SECTION"):
-        return density * first_value(model, card, 0).value
+        return density * first_value(model.deck, card, 0).value
     if not card.is_one_of("*BEAM SECTION"):
         return density
-    a, b = (model.number(card.data[0], place) for place in (0, 1))
+    a, b = (model.deck.number(card.data[0], place) for place in (0, 1))
     areas = {
         "RECT": a * b,
         "CIRC": ELLIPSE * a * b / 4.0,
@@ -312,4 +311,4 @@ def _density(model: CalculixModel, card: KeywordCard, load: SpreadLoad) -> float
 
 
 def _of(model: CalculixModel, material: str) -> float:
-    return find_density(model, material)[0].value
+    return fields_of(model, "density", material)[0].value

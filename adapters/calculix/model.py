@@ -6,19 +6,15 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from modetune.adapters.calculix.cards import SECTIONS
 from modetune.adapters.calculix.deck import (
     KeywordCard,
     KeywordDeck,
     canonical_name,
-    check_width,
-    read_number,
 )
 from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh, roles_of
 from modetune.adapters.solver import ModelSummary
-from modetune.core.errors import ModelError
 
-SECTIONS = ("*SOLID SECTION", "*SHELL SECTION", "*BEAM SECTION", "*MEMBRANE SECTION", "*SPRING",
-            "*MASS", "*DASHPOT", "*GAP", "*USER SECTION")  # fmt: skip
 #: Cards that tie nodes to others: their unknowns are not in the stored matrices.
 DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING")
 
@@ -114,22 +110,6 @@ class CalculixModel:
             return set()
         rows = (self.deck.fields(position) for position in card.data)
         return {canonical_name(row[2]) for row in rows if len(row) > 2}
-
-    def orientations(self, card: KeywordCard) -> set[str]:
-        """Orientations that a section and its layers name."""
-        rows = [self.deck.fields(line) for line in card.data if "COMPOSITE" in card.options]
-        return {card.option("ORIENTATION"), *(canonical_name(r[3]) for r in rows if len(r) > 3)}
-
-    def number(self, line: int, place: int) -> float:
-        """A number of the deck. Raises ModelError where there is none."""
-        fields = self.deck.fields(line)
-        text = fields[place] if place < len(fields) else ""
-        check_width(self.deck.lines[line], [text])
-        try:
-            return read_number(text)
-        except ValueError:
-            where = self.deck.lines[line].where
-            raise ModelError(f"{where}: {text!r} is not a number") from None
 
 
 def understand(deck: KeywordDeck) -> CalculixModel:

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
+from modetune.adapters.calculix.cards import ACROSS, powers_of
 from modetune.adapters.calculix.damping import damped_materials, dampers
 from modetune.adapters.calculix.deck import write_edited
 from modetune.adapters.calculix.loads import load_case
@@ -28,16 +29,12 @@ from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh, cell_sizes
 from modetune.core.modes import Floats, Integers
-from modetune.core.parameters import DAMPING, Parameter, Quantity, Values, assigned, driven_by
+from modetune.core.parameters import DAMPING, Parameter, Values, assigned, driven_by
 from modetune.core.updating.damping import DampingModel
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.results import MatrixResult
 from modetune.core.updating.static import LoadCase
 
-#: Stiffness and mass matrices are linear in these.
-LINEAR: frozenset[Quantity] = DAMPING | {
-    "youngs_modulus", "shear_modulus", "density", "spring_stiffness", "mass", "variable",
-}  # fmt: skip
 #: Items of Young's moduli of engineering constants.
 DIRECTIONS = (1, 2, 3)
 
@@ -104,7 +101,7 @@ class CalculixDeck(Deck):
     def is_linear(self, parameter: Parameter) -> bool:
         """Of engineering constants a single Young's modulus is coupled with the others."""
         return not self.preload() and all(
-            item.quantity in LINEAR
+            (item.quantity == "variable" or powers_of(item.quantity) == (1,))
             and (item.quantity != "youngs_modulus" or item.item not in DIRECTIONS)
             and degree(item.expression or "0") < 2
             for item in (parameter, *driven_by(parameter, self.parameters))
@@ -127,7 +124,7 @@ class CalculixDeck(Deck):
         if damps_only(parameter, self.parameters):
             return NOTHING
         driven = driven_by(parameter, self.parameters)
-        across = parameter.quantity in ("thickness", "dimension")
+        across = powers_of(parameter.quantity) == ACROSS
         plain = parameter.proportional and not driven
         if not (across and plain) and not self.is_linear(parameter):
             return None

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 
-from modetune.adapters.calculix.constants import constant_places
+from modetune.adapters.calculix.cards import Card, KeywordField, rows_with
 from modetune.adapters.calculix.deck import (
-    COMMENTS,
     KeywordCard,
     canonical_name,
     format_number,
-    read_number,
     replace_field,
 )
 from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel
@@ -22,29 +19,16 @@ from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
 
 
-@dataclass(frozen=True, slots=True)
-class KeywordField:
-    """One number of the deck that a parameter scales: a field of a data line.
-
-    item: by which a parameter picks it; 0 where there is no choice, -1 where it goes with all only.
-    """
-
-    line: int
-    place: int
-    value: float
-    item: int = 0
-
-
 def find_fields(model: CalculixModel, parameter: Parameter) -> list[KeywordField]:
     """Where the parameter stands. Raises ModelError with the first reason why it does not."""
-    if parameter.quantity not in _FINDERS or parameter.by in ("property", "part"):
+    if not rows_with(parameter.quantity) or parameter.by in ("property", "part"):
         raise ModelError(f"a CalculiX deck has no {parameter.quantity} by {parameter.by} to update")
     names = tuple(map(canonical_name, parameter.targets))
     if parameter.quantity in OF_MATERIALS:
         names = find_materials(model, parameter)
     found: list[KeywordField] = []
     for name in names:
-        fields = _picked(_FINDERS[parameter.quantity](model, name), name, parameter)
+        fields = _picked(fields_of(model, parameter.quantity, name), name, parameter)
         for first in fields[:1]:
             what = f"{model.deck.lines[first.line].where}: {parameter.quantity} of {name}"
             check_moved(parameter, what, (one.value for one in fields))
@@ -113,14 +97,15 @@ def energy_sets(model: CalculixModel, parameter: Parameter) -> tuple[str, ...]:
     """
     if parameter.item:
         return ()
-    if parameter.quantity == "youngs_modulus":
+    rows = [row for row in rows_with(parameter.quantity) if row.numbers[parameter.quantity].energy]
+    if any(row.owner == "material" for row in rows):
         users = model.users(set(find_materials(model, parameter)))
         if any("COMPOSITE" in card.options for card in users):
             return ()
         sets = sorted({card.option("ELSET") for card in users})
-    elif parameter.quantity == "spring_stiffness":
-        targets = map(canonical_name, parameter.targets)
-        cards = [card for name in targets for card in _section_cards(model, name, "*SPRING")]
+    elif rows:
+        names = map(canonical_name, parameter.targets)
+        cards = [card for name in names for _, card in _cards(model, parameter.quantity, name)]
         sets = sorted({card.option("ELSET") for card in cards})
     else:
         return ()
@@ -137,27 +122,80 @@ def energy_sets(model: CalculixModel, parameter: Parameter) -> tuple[str, ...]:
     return tuple(sets) if alone else ()
 
 
-def _material_cards(model: CalculixModel, material: str, keyword: str) -> list[KeywordCard]:
-    """The cards of one keyword, with data, that belong to a material. Raises ModelError."""
-    cards = material_cards(model, material, keyword)
-    if not any(card.data for card in cards):
-        raise ModelError(f"material {material} has no {keyword} card with data")
+def fields_of(
+    model: CalculixModel, quantity: Quantity, name: str, needed: bool = True
+) -> list[KeywordField]:
+    """The numbers of a quantity that a material or an element set has.
+
+    Raises ModelError where they are needed and there are none.
+    """
+    found, rows = list[KeywordField](), rows_with(quantity)
+    for row, card in _cards(model, quantity, name):
+        again = bool(found) and row.numbers[quantity].once
+        found += numbers_on(model, row, quantity, card, name)
+        if again:
+            raise ModelError(f"{model.deck.where(card)}: {row.owner} {name} has {row.name} twice")
+    for row in rows:
+        if needed and not found and row.numbers[quantity].absent:
+            raise ModelError(row.numbers[quantity].absent.format(name=name))
+    return found
+
+
+def numbers_on(
+    model: CalculixModel, row: Card, quantity: Quantity, card: KeywordCard, name: str
+) -> list[KeywordField]:
+    """The numbers of a quantity on one card of a material or an element set. Raises ModelError."""
+    elements = model.mesh.elements
+
+    def kinds() -> frozenset[str]:
+        return frozenset(elements[number].kind for number in model.members(card))
+
+    return row.numbers[quantity].find(model.deck, card, name, kinds)
+
+
+def _cards(model: CalculixModel, quantity: Quantity, name: str) -> list[tuple[Card, KeywordCard]]:
+    """The cards of a material or an element set that have a quantity. Raises ModelError."""
+    found, refusals = list[tuple[Card, KeywordCard]](), list[str]()
+    for row in rows_with(quantity):
+        cards = _owned(model, row, name)
+        found += [(row, card) for card in cards]
+        if row.owner == "elset" and not cards:
+            known = [card.option("ELSET") for card in model.deck.named(row.name)]
+            refusals.append(f"the deck has no {row.name} for {name}{suggestion(name, known)}")
+        elif not row.numbers[quantity].absent and not any(card.data for card in cards):
+            if row.owner == "material":
+                refusals.append(f"material {name} has no {row.name} card with data")
+    if refusals and not any(card.data for _, card in found):
+        raise ModelError(refusals[0])
+    return found
+
+
+def _owned(model: CalculixModel, row: Card, name: str) -> list[KeywordCard]:
+    """The cards of a row of a material, or of an element set or parts of it. Raises ModelError."""
+    if row.owner == "material":
+        return _of_material(model, row, name)
+    cards = [card for card in model.deck.named(row.name) if card.option("ELSET") == name]
+    if not cards:
+        members = model.mesh.named(name)
+        parts = [card for card in model.deck.named(row.name) if model.members(card)]
+        return [card for card in parts if model.members(card) <= members]
+    if not model.mesh.element_sets.get(name):
+        raise ModelError(f"{model.deck.where(cards[0])}: element set {name} has no elements")
     return cards
 
 
-def material_cards(model: CalculixModel, material: str, keyword: str) -> list[KeywordCard]:
-    """The cards of one keyword that belong to a material. Raises ModelError."""
+def _of_material(model: CalculixModel, row: Card, name: str) -> list[KeywordCard]:
     names = [card.option("NAME") for card in model.deck.named("*MATERIAL")]
-    if material not in names:
-        raise ModelError(f"the deck has no material {material}{suggestion(material, names)}")
-    users = model.users({material})
+    if name not in names:
+        raise ModelError(f"the deck has no material {name}{suggestion(name, names)}")
+    users = model.users({name})
     if not any(model.mesh.element_sets.get(card.option("ELSET")) for card in users):
-        raise ModelError(f"no element uses material {material}")
+        raise ModelError(f"no element uses material {name}")
     inside, cards = False, []
     for card in model.deck.cards:
         if card.keyword == "*MATERIAL":
-            inside = card.option("NAME") == material
-        elif inside and card.keyword == keyword:
+            inside = card.option("NAME") == name
+        elif inside and card.is_one_of(row.name):
             cards.append(card)
     return cards
 
@@ -175,204 +213,3 @@ def _picked(found: list[KeywordField], name: str, parameter: Parameter) -> list[
     check_one(parameter, name, [field.item for field in picked])
     whole = parameter.values != "relative"
     return [f for f in picked if f.value or (whole and f.item >= 0)] or picked
-
-
-def of_elastic(quantity: Quantity) -> Callable[[CalculixModel, str], list[KeywordField]]:
-    def fields(model: CalculixModel, material: str) -> list[KeywordField]:
-        found = []
-        for card in _material_cards(model, material, "*ELASTIC"):
-            places = constant_places(card, quantity)
-            if not places:
-                kind = f" of TYPE={card.option('TYPE')}" if card.option("TYPE") else ""
-                raise ModelError(
-                    f"{model.deck.where(card)}: an *ELASTIC card{kind} has no {quantity}"
-                )
-            found += [KeywordField(at, p, model.number(at, p), item) for item, at, p in places]
-        return found
-
-    return fields
-
-
-def find_density(model: CalculixModel, material: str) -> list[KeywordField]:
-    cards = _material_cards(model, material, "*DENSITY")
-    return [KeywordField(line, 0, model.number(line, 0)) for card in cards for line in card.data]
-
-
-def _section_cards(model: CalculixModel, elset: str, keyword: str) -> list[KeywordCard]:
-    """The cards of one keyword for an element set that has elements, or for parts of it.
-
-    Raises ModelError.
-    """
-    cards = [card for card in model.deck.named(keyword) if card.option("ELSET") == elset]
-    if not cards:
-        members = model.mesh.named(elset)
-        parts = [card for card in model.deck.named(keyword) if model.members(card)]
-        cards = [card for card in parts if model.members(card) <= members]
-        if cards:
-            return cards
-        known = [card.option("ELSET") for card in model.deck.named(keyword)]
-        raise ModelError(f"the deck has no {keyword} for {elset}{suggestion(elset, known)}")
-    if not model.mesh.element_sets.get(elset):
-        raise ModelError(f"{model.deck.where(cards[0])}: element set {elset} has no elements")
-    return cards
-
-
-def first_value(model: CalculixModel, card: KeywordCard, row: int) -> KeywordField:
-    """The first number of one of a card's data lines. Raises ModelError."""
-    if len(card.data) <= row:
-        raise ModelError(f"{model.deck.where(card)}: the card has no value")
-    return KeywordField(card.data[row], 0, model.number(card.data[row], 0))
-
-
-def _thickness(model: CalculixModel, elset: str) -> list[KeywordField]:
-    found = []
-    for card in _section_cards(model, elset, "*SHELL SECTION"):
-        if "NODALTHICKNESS" in card.options:
-            raise ModelError(
-                f"{model.deck.where(card)}: the section of {elset} is NODALTHICKNESS, so it has no "
-                "one thickness to update"
-            )
-        if "COMPOSITE" not in card.options:
-            found.append(first_value(model, card, 0))
-        for layer, line in enumerate(card.data if "COMPOSITE" in card.options else (), start=1):
-            found.append(KeywordField(line, 0, model.number(line, 0), layer))
-    return found
-
-
-def _ply_angle(model: CalculixModel, elset: str) -> list[KeywordField]:
-    """Angles of the orientations that a laminate's layers name, by which they are turned."""
-    found = []
-    for card in _section_cards(model, elset, "*SHELL SECTION"):
-        layered = "COMPOSITE" in card.options
-        rows = [(model.deck.fields(line), line) for line in card.data] if layered else []
-        names = [canonical_name(row[3]) if len(row) > 3 else "" for row, _ in rows]
-        for layer, name in enumerate(names or [card.option("ORIENTATION")], start=1):
-            for turned in model.deck.named("*ORIENTATION"):
-                if name and turned.option("NAME") == name and len(turned.data) > 1:
-                    line = turned.data[1]
-                    found.append(KeywordField(line, 1, model.number(line, 1), layer))
-        shared = {name for name in names if name and names.count(name) > 1}
-        others = [other for other in model.sections if other is not card]
-        shared |= {name for name in names for other in others if name in model.orientations(other)}
-        if shared:
-            raise ModelError(
-                f"{model.deck.where(card)}: orientation {min(shared)} is that of several layers or "
-                "sections, which turn together: give each its own *ORIENTATION"
-            )
-    if not found:
-        raise ModelError(
-            f"no layer of {elset} has an *ORIENTATION with an angle (its second line: axis, angle)"
-        )
-    return found
-
-
-def _dimension(model: CalculixModel, elset: str) -> list[KeywordField]:
-    """Dimensions of cross-sections, on the first line; the second one is their direction."""
-    return [
-        KeywordField(card.data[0], place, model.number(card.data[0], place), place + 1)
-        for card in _section_cards(model, elset, "*BEAM SECTION")
-        if card.data
-        for place, text in enumerate(model.deck.fields(card.data[0]))
-        if text
-    ]
-
-
-def _spring_stiffness(model: CalculixModel, elset: str) -> list[KeywordField]:
-    """Constants stand one a line (one a temperature), after the line of directions."""
-    found = []
-    for card in _section_cards(model, elset, "*SPRING"):
-        _check_linear(model, card)
-        kinds = {model.mesh.elements[number].kind for number in model.members(card)}
-        first = 0 if kinds == {"SPRINGA"} else 1
-        if first == 0:
-            _check_blank(model, card)
-        found += [
-            first_value(model, card, row) for row in range(first, max(len(card.data), first + 1))
-        ]
-    return found
-
-
-def dashpot_field(model: CalculixModel, card: KeywordCard) -> KeywordField:
-    """The constant of a *DASHPOT. Raises ModelError where it has several, by temperature."""
-    _check_linear(model, card)
-    _check_blank(model, card)
-    if len(card.data) > 1:
-        raise ModelError(f"{model.deck.where(card)}: a dashpot by temperature has no one constant")
-    return first_value(model, card, 0)
-
-
-def _check_linear(model: CalculixModel, card: KeywordCard) -> None:
-    if "NONLINEAR" in card.options:
-        what = "spring has no one stiffness" if card.keyword == "*SPRING" else "dashpot no constant"
-        raise ModelError(f"{model.deck.where(card)}: a nonlinear {what} to update")
-
-
-def _check_blank(model: CalculixModel, card: KeywordCard) -> None:
-    """SPRINGA and DASHPOTA have no directions, but ccx skips the line after the keyword."""
-    if card.data and not _blank_after(model, card):
-        kind = "SPRINGA" if card.keyword == "*SPRING" else "DASHPOTA"
-        raise ModelError(
-            f"{model.deck.where(card)}: ccx requires a blank line before the constant of a {kind}"
-        )
-
-
-def _blank_after(model: CalculixModel, card: KeywordCard) -> bool:
-    """Whether the first line after the keyword that is not a comment is blank."""
-    texts = (model.deck.lines[position].text.strip() for position in card.lines[1:])
-    return next((not text for text in texts if not text.startswith(COMMENTS)), True)
-
-
-def _dashpots(model: CalculixModel, elset: str) -> list[KeywordField]:
-    return [dashpot_field(model, card) for card in _section_cards(model, elset, "*DASHPOT")]
-
-
-def loss_fields(model: CalculixModel, material: str) -> list[KeywordField]:
-    """The loss factor of a material, none where it has no *DAMPING. Raises ModelError."""
-    found = []
-    for card in material_cards(model, material, "*DAMPING"):
-        where, line = model.deck.where(card), card.lines.start
-        others = sorted(card.options.keys() - {"STRUCTURAL"})
-        if others:
-            raise ModelError(
-                f"{where}: {others[0]} of *DAMPING is of explicit dynamics and damps no mode here: "
-                "give STRUCTURAL, the loss factor, or take the card out"
-            )
-        fields = [canonical_name(text) for text in model.deck.fields(line)]
-        (place,) = (k for k, text in enumerate(fields) if text.startswith("STRUCTURAL="))
-        try:
-            value = read_number(card.option("STRUCTURAL"))
-        except ValueError:
-            raise ModelError(f"{where}: STRUCTURAL of *DAMPING is not a number") from None
-        found.append(KeywordField(line, place, value))
-    if len(found) > 1:
-        raise ModelError(f"{model.deck.where(card)}: material {material} has *DAMPING twice")
-    return found
-
-
-def _losses(model: CalculixModel, material: str) -> list[KeywordField]:
-    found = loss_fields(model, material)
-    if not found:
-        raise ModelError(
-            f"material {material} has no loss factor: write *DAMPING, STRUCTURAL=value below its "
-            "*MATERIAL"
-        )
-    return found
-
-
-def _mass(model: CalculixModel, elset: str) -> list[KeywordField]:
-    return [first_value(model, card, 0) for card in _section_cards(model, elset, "*MASS")]
-
-
-_FINDERS: dict[Quantity, Callable[[CalculixModel, str], list[KeywordField]]] = {
-    "youngs_modulus": of_elastic("youngs_modulus"),
-    "shear_modulus": of_elastic("shear_modulus"),
-    "poissons_ratio": of_elastic("poissons_ratio"),
-    "density": find_density,
-    "thickness": _thickness,
-    "ply_angle": _ply_angle,
-    "dimension": _dimension,
-    "spring_stiffness": _spring_stiffness,
-    "mass": _mass,
-    "viscous_damping": _dashpots,
-    "structural_damping": _losses,
-}

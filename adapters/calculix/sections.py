@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 
+from modetune.adapters.calculix.cards import CARDS, first_value
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
 from modetune.adapters.calculix.model import CalculixModel
-from modetune.adapters.calculix.places import find_density, first_value, of_elastic
+from modetune.adapters.calculix.places import fields_of
 from modetune.adapters.solver import Target
 from modetune.core.errors import ModelError
 from modetune.core.parameters import TargetKind
@@ -21,7 +22,7 @@ def point_mass(model: CalculixModel, changed: dict[int, str]) -> float:
     """
     total = math.nan if model.deck.named("*USER SECTION") else 0.0
     for card in model.deck.named("*MASS"):
-        field = first_value(model, card, 0)
+        field = first_value(model.deck, card, 0)
         text = changed.get(field.line, model.deck.lines[field.line].text)
         elements = model.mesh.element_sets.get(card.option("ELSET"), frozenset())
         total += read_number(text.split(",")[0]) * len(elements)
@@ -48,16 +49,16 @@ def elastic_constants(model: CalculixModel) -> dict[str, tuple[float, float]]:
     for card in model.deck.named("*MATERIAL"):
         name, density = card.option("NAME"), 0.0
         with suppress(ModelError):  # a material without density has stiffness alone
-            density = find_density(model, name)[0].value
+            density = fields_of(model, "density", name)[0].value
         with suppress(ModelError):  # not used, or no such card
-            modulus = max(field.value for field in of_elastic("youngs_modulus")(model, name))
+            modulus = max(field.value for field in fields_of(model, "youngs_modulus", name))
             if modulus > 0.0:
                 found[name] = modulus, max(density, 0.0)
     return found
 
 
 #: Sections whose numbers parameters name by their element set.
-BY_SET = ("*SHELL SECTION", "*BEAM SECTION", "*SPRING", "*MASS", "*DASHPOT")
+BY_SET = tuple(row.name for row in CARDS.values() if row.owner == "elset" and row.numbers)
 
 
 def targets(model: CalculixModel) -> tuple[Target, ...]:
@@ -86,7 +87,7 @@ def material_masses(model: CalculixModel, sizes: Mapping[int, float]) -> dict[st
             layers = [(canonical_name(row[2]), _number(row[0])) for row in rows if len(row) > 2]
         for name, across in layers:
             with suppress(ModelError):  # a material that has no density
-                mass = find_density(model, name)[0].value * across * size
+                mass = fields_of(model, "density", name)[0].value * across * size
                 found[name] = found.get(name, 0.0) + mass
     return found
 

@@ -13,6 +13,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from modetune.adapters.calculix.cards import OF_MATERIAL
 from modetune.adapters.calculix.deck import (
     KeywordCard,
     KeywordDeck,
@@ -32,14 +33,6 @@ from modetune.adapters.splitting import (
 from modetune.core.near_names import listed
 from modetune.core.parameters import Parameter
 
-#: Keywords that go on with the *MATERIAL above them.
-OF_MATERIAL = (
-    "*ELASTIC", "*DENSITY", "*EXPANSION", "*CONDUCTIVITY", "*SPECIFIC HEAT", "*PLASTIC",
-    "*CYCLIC HARDENING", "*CREEP", "*HYPERELASTIC", "*HYPERFOAM", "*DAMPING", "*DEPVAR",
-    "*USER MATERIAL", "*FLUID CONSTANTS", "*SPECIFIC GAS CONSTANT", "*VISCO",
-    "*DEFORMATION PLASTICITY", "*MOHR COULOMB", "*MOHR COULOMB HARDENING",
-    "*ELECTRICAL CONDUCTIVITY", "*MAGNETIC PERMEABILITY",
-)  # fmt: skip
 #: Entries of a line of *ELSET, as many as ccx takes.
 ENTRIES = 16
 
