@@ -54,15 +54,15 @@ from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.site import SITE_VARIABLE, site_run
 from tests.adapters import fake_nastran
-from tests.adapters.test_calculix_model import DECK as CALCULIX_DECK
-from tests.adapters.test_calculix_results import ANALYSIS
+from tests.adapters.calculix.test_model import DECK as CALCULIX_DECK
+from tests.adapters.calculix.test_results import ANALYSIS
+from tests.adapters.nastran.test_f06 import small
+from tests.adapters.nastran.test_model import DECK as NASTRAN_DECK
+from tests.adapters.nastran.test_solver import PARAMETERS as CHAIN_PARAMETERS
+from tests.adapters.nastran.test_solver import deck as chain_deck
 from tests.adapters.test_files.measured_tests import Wanted, made
 from tests.adapters.test_files.test_universal_broken import WHOLE as UNIVERSAL_DATASETS
 from tests.adapters.test_files.universal_text import binary_58
-from tests.adapters.test_nastran_f06 import small
-from tests.adapters.test_nastran_model import DECK as NASTRAN_DECK
-from tests.adapters.test_nastran_solver import PARAMETERS as CHAIN_PARAMETERS
-from tests.adapters.test_nastran_solver import deck as chain_deck
 from tests.core.storage.test_record import record
 from tests.core.storage.test_store import KEY, modal
 from tests.one_matrix import read_matrix

@@ -16,7 +16,7 @@ from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import NoResult, SolverCrashed
 from modetune.core.parameters import Parameter
-from tests.adapters.test_nastran_f06 import small
+from tests.adapters.nastran.test_f06 import small
 
 DATA = Path(__file__).parent / "data"
 E = Parameter("E", "youngs_modulus", "material", ("AL",), 0.5, 2.0, 0.2)

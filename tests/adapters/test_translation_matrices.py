@@ -11,8 +11,8 @@ from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.parameters import Parameter, Quantity, TargetKind
 from modetune.core.updating.results import MatrixResult, ModalResult
+from tests.adapters.calculix.test_observation import solved
 from tests.adapters.solved import needs_ccx
-from tests.adapters.test_calculix_observation import solved
 from tests.adapters.test_solver_contract import run
 
 pytestmark = needs_ccx

@@ -11,7 +11,7 @@ import pytest
 from modetune.adapters.nastran.design import DesignResponse, read_dscm2
 from modetune.core.errors import SolverCrashed
 
-RODS = Path(__file__).parent / "data" / "nastran" / "rods.op2"
+RODS = Path(__file__).parents[1] / "data" / "nastran" / "rods.op2"
 
 
 def goland(shared_data: Path) -> Path:

@@ -16,10 +16,10 @@ from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, Quantity, ValueKind, counted_from
 from modetune.core.updating.results import ModalResult
+from tests.adapters.calculix.test_affected_elements import D_MATRIX, LAMINATE, ORTHOTROPIC
+from tests.adapters.calculix.test_model import model_of, parameter
 from tests.adapters.ccx_decks import MATERIAL, attached, beams
 from tests.adapters.solved import needs_ccx
-from tests.adapters.test_calculix_affected_elements import D_MATRIX, LAMINATE, ORTHOTROPIC
-from tests.adapters.test_calculix_model import model_of, parameter
 from tests.adapters.test_solver_contract import run
 
 FRAME = beams("B31", "301, 301, 302\n302, 302, 303") + MATERIAL + attached(301, 303)

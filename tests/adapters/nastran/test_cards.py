@@ -20,7 +20,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, ParameterSet, frequency_reach
 from modetune.core.updating.results import ModalResult
-from tests.adapters.test_nastran_model import parameter
+from tests.adapters.nastran.test_model import parameter
 from tests.adapters.test_solver_contract import run
 
 #: A card of every kind that has these numbers, in small, large and free field, with blanks that

@@ -21,7 +21,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.rigid_modes import count_rigid_modes
 from modetune.core.errors import SolverCrashed
 
-DATA = Path(__file__).with_name("data")
+DATA = Path(__file__).parents[1] / "data"
 ANALYSIS = ModalAnalysis(8, (1, 6, 12), (("E_bar", ("BAR",)),))
 TEXT = (DATA / "bar.dat").read_text()
 

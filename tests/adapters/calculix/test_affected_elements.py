@@ -14,6 +14,7 @@ from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import AffectedElements, MatrixAnalysis
 from modetune.core.parameters import Quantity
 from modetune.core.updating.results import MatrixResult
+from tests.adapters.calculix.test_model import parameter
 from tests.adapters.ccx_decks import (
     MATERIAL,
     attached,
@@ -26,7 +27,6 @@ from tests.adapters.ccx_decks import (
     wall,
 )
 from tests.adapters.solved import needs_ccx
-from tests.adapters.test_calculix_model import parameter
 from tests.adapters.test_solver_contract import run
 
 OTHER = MATERIAL.replace("NAME=A", "NAME=Z")

@@ -14,7 +14,7 @@ from modetune.adapters.calculix.matrices import read_matrices, read_triangle
 from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats
 
-DATA = Path(__file__).with_name("data")
+DATA = Path(__file__).parents[1] / "data"
 UNREADABLE = "the stored matrices cannot be read"
 
 

@@ -16,7 +16,7 @@ from modetune.core.errors import SolverCrashed
 from modetune.core.modes import Floats
 
 #: Twenty rods in a row, twelve modes, solved by MYSTRAN 17.
-RODS = Path(__file__).parent / "data" / "nastran" / "rods.op2"
+RODS = Path(__file__).parents[1] / "data" / "nastran" / "rods.op2"
 SOLVED = (
     "pn_beam_modes",
     "pn_goland_sol200_dscm2",

@@ -182,7 +182,7 @@ class Site:
 def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
     program = tmp_path / "bin" / "nastran"
     program.parent.mkdir()
-    source = Path(__file__).with_name("fake_nastran.py").read_text()
+    source = (Path(__file__).parents[1] / "fake_nastran.py").read_text()
     program.write_text(f"#!{sys.executable}\n{source}")
     program.chmod(0o755)
     monkeypatch.setenv(MSC.variable, str(program))

@@ -16,8 +16,8 @@ from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.updating.results import ModalResult
+from tests.adapters.calculix.test_model import model_of, parameter
 from tests.adapters.solved import needs_ccx
-from tests.adapters.test_calculix_model import model_of, parameter
 from tests.adapters.test_solver_contract import run
 
 SECTORS = 6

@@ -13,8 +13,8 @@ from modetune.adapters.calculix.model import understand
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.updating.results import ModalResult
+from tests.adapters.calculix.test_model import parameter
 from tests.adapters.solved import needs_ccx
-from tests.adapters.test_calculix_model import parameter
 from tests.adapters.test_rigid_modes import STEEL, plate, solved
 from tests.adapters.test_solver_contract import run
 
