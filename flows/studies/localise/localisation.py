@@ -59,16 +59,10 @@ class Localisation:
         return model_form_sentence(self.form, self.labels, self.parameters, self.updated)
 
 
-@dataclass(frozen=True, slots=True)
-class LocalisedModel:
-    """What is looked at: a campaign of one model, at parameter values; None at its start."""
-
-    campaign: Campaign
-    theta: Floats | None
-
-
-def place_of(campaign: Campaign, record: Path | None, configuration: str | None) -> LocalisedModel:
-    """The one model that is meant, at its start or where updating left it.
+def one_model(
+    campaign: Campaign, record: Path | None, configuration: str | None
+) -> tuple[Campaign, Floats | None]:
+    """Return a campaign of one model and the values of its parameters, None at its start.
 
     record: run folder or campaign.h5; configuration: name of one, where there are several.
     Raises CampaignError where these are not of the campaign; StoreError.
@@ -76,7 +70,7 @@ def place_of(campaign: Campaign, record: Path | None, configuration: str | None)
     theta = None if record is None else _updated_values(campaign, record)
     names = [item.name for item in campaign.cases if item.name]
     if configuration is None and not names:
-        return LocalisedModel(campaign, theta)
+        return campaign, theta
     if configuration not in names:
         there = f"there is {', '.join(names)}" if names else "the campaign has none"
         said = "none is named" if configuration is None else repr(configuration)
@@ -86,7 +80,7 @@ def place_of(campaign: Campaign, record: Path | None, configuration: str | None)
         )
     case = campaign.cases[names.index(configuration)]
     columns = slice(None) if case.columns is None else list(case.columns)
-    return LocalisedModel(campaign.alone(case), None if theta is None else theta[columns])
+    return campaign.alone(case), None if theta is None else theta[columns]
 
 
 def _updated_values(campaign: Campaign, path: Path) -> Floats:

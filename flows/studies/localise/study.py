@@ -54,19 +54,19 @@ def localise(
     Looks at the start of the campaign, or with --record at the model that updating left.
     """
     from modetune.flows.studies.localise.localisation import localise as find
-    from modetune.flows.studies.localise.localisation import place_of
+    from modetune.flows.studies.localise.localisation import one_model
 
-    place = place_of(on.campaign, record, configuration)
+    campaign, theta = one_model(on.campaign, record, configuration)
     on.working("modes and sensitivities")
-    found = find(place.campaign, place.theta)
+    found = find(campaign, theta)
     charts: Mapping[str, Chart | Figure] = {}
     if on.charted:
         from modetune.flows.studies.localise.figures import localisation_figures
 
         model = "updated" if record else "initial"
         title = f"{on.campaign.name}: where the {model} model is wrong"
-        case = place.campaign.case
-        charts = localisation_figures(title, found, case.solver.deck.mesh(), case.surface)
+        mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
+        charts = localisation_figures(title, found, mesh, surface)
     return StudyResult(
         found, found.sentence, summary(found), tables(found), _lines(found), charts=charts
     )

@@ -1,11 +1,11 @@
-"""Running a sampling: the Python API behind `modetune sample`."""
+"""The posterior of a campaign: points over the range, a surrogate, samples and their checks."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,14 +14,14 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.storage.files import check_writable
-from modetune.core.storage.record import CampaignRecord, RunCounts
+from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
-from modetune.flows.studies.sample.chains import LONGER, LONGEST, Chains, check_walkers, sample
+from modetune.flows.studies.sample.chains import LONGER, LONGEST, check_walkers, sample
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.refinement import Checks, Learned, check, learn
+from modetune.flows.studies.sample.refinement import Learned, check, learn
 from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.matrices import one_thread
@@ -67,15 +67,59 @@ def sample_campaign(
             )
         working("sets of the posterior")
         checks = check(solver, learned, chains, request.checks, known.at_checks)
-        runs, use = solver.evaluator.runs, solver.evaluator.range_use
-    record = _record(known.campaign, request, learned, chains, checks)
-    return replace(
-        record,
+    campaign = known.campaign
+    parameters, posterior, flat = campaign.parameters, learned.posterior, chains.flat
+    samples, log_densities = chains.thinned()
+    interval = np.quantile(flat, [0.025, 0.975], axis=0)
+    which = learned.peaks.nearest(flat)
+    n = len(parameters)
+    return PosteriorRecord(
+        name=campaign.name,
+        seed=request.seed,
+        walkers=chains.samples.shape[1],
+        steps=chains.steps,
+        burned=chains.burned,
+        acceptance=chains.acceptance,
+        enough=chains.are_enough,
+        solver=campaign.solver_name,
         solver_version=known.version,
-        failures=tuple(solver.failures),
-        runs=runs,
-        reduced_model=use,
+        modetune_version=__version__,
+        units=campaign.case.units,
         wall_s=time.monotonic() - started,
+        campaign_text=campaign.text,
+        names=parameters.names,
+        lower=posterior.lower,
+        upper=posterior.upper,
+        bound_lower=parameters.lower,
+        bound_upper=parameters.upper,
+        prior_mean=posterior.prior_mean,
+        prior_deviation=posterior.prior_deviation,
+        mean=flat.mean(axis=0),
+        deviation=flat.std(axis=0),
+        interval_lower=interval[0],
+        interval_upper=interval[1],
+        most_likely=learned.peaks.points[0],
+        linear_deviation=np.sqrt(np.diag(learned.peaks.covariances[0])),
+        correlation=np.corrcoef(flat, rowvar=False).reshape(n, n),
+        autocorrelation_times=chains.autocorrelation_times,
+        effective_sizes=chains.effective_sizes,
+        r_hat=chains.r_hat,
+        samples=samples,
+        log_densities=log_densities,
+        peaks=learned.peaks.points,
+        shares=np.bincount(which, minlength=learned.peaks.n_peaks) / which.size,
+        training=learned.training,
+        training_keys=learned.keys,
+        near=learned.near,
+        begun=learned.begun,
+        left_out=learned.errors,
+        density_error=learned.density_error,
+        check_points=checks.points,
+        check_keys=checks.keys,
+        check_errors=checks.errors,
+        failures=tuple(solver.failures),
+        runs=solver.evaluator.runs,
+        reduced_model=solver.evaluator.range_use,
     )
 
 
@@ -166,63 +210,4 @@ def learning_range(campaign: Campaign, centre: Floats | None) -> tuple[Floats, F
     return (
         np.maximum(parameters.lower, centre - reach),
         np.minimum(parameters.upper, centre + reach),
-    )
-
-
-def _record(
-    campaign: Campaign, request: SamplingRequest, learned: Learned, chains: Chains, checks: Checks
-) -> PosteriorRecord:
-    """What the samples tell; runs and times are still to be filled in."""
-    parameters, posterior, flat = campaign.parameters, learned.posterior, chains.flat
-    samples, log_densities = chains.thinned()
-    interval = np.quantile(flat, [0.025, 0.975], axis=0)
-    which = learned.peaks.nearest(flat)
-    n = len(parameters)
-    return PosteriorRecord(
-        name=campaign.name,
-        seed=request.seed,
-        walkers=chains.samples.shape[1],
-        steps=chains.steps,
-        burned=chains.burned,
-        acceptance=chains.acceptance,
-        enough=chains.are_enough,
-        solver=campaign.solver_name,
-        solver_version="",
-        modetune_version=__version__,
-        units=campaign.case.units,
-        wall_s=0.0,
-        campaign_text=campaign.text,
-        names=parameters.names,
-        lower=posterior.lower,
-        upper=posterior.upper,
-        bound_lower=parameters.lower,
-        bound_upper=parameters.upper,
-        prior_mean=posterior.prior_mean,
-        prior_deviation=posterior.prior_deviation,
-        mean=flat.mean(axis=0),
-        deviation=flat.std(axis=0),
-        interval_lower=interval[0],
-        interval_upper=interval[1],
-        most_likely=learned.peaks.points[0],
-        linear_deviation=np.sqrt(np.diag(learned.peaks.covariances[0])),
-        correlation=np.corrcoef(flat, rowvar=False).reshape(n, n),
-        autocorrelation_times=chains.autocorrelation_times,
-        effective_sizes=chains.effective_sizes,
-        r_hat=chains.r_hat,
-        samples=samples,
-        log_densities=log_densities,
-        peaks=learned.peaks.points,
-        shares=np.bincount(which, minlength=learned.peaks.n_peaks) / which.size,
-        training=learned.training,
-        training_keys=learned.keys,
-        near=learned.near,
-        begun=learned.begun,
-        left_out=learned.errors,
-        density_error=learned.density_error,
-        check_points=checks.points,
-        check_keys=checks.keys,
-        check_errors=checks.errors,
-        failures=(),
-        runs=RunCounts(),
-        reduced_model=None,
     )

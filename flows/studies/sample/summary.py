@@ -216,15 +216,6 @@ class PosteriorRow:
     r_hat: float
 
 
-@dataclass(frozen=True, slots=True)
-class ResponseError:
-    """What the surrogate misses of a response, in standard deviations of the test."""
-
-    response: str
-    left_out: float
-    checked: float
-
-
 def posterior_rows(record: PosteriorRecord) -> list[PosteriorRow]:
     """Every parameter, in the campaign's order."""
     columns = zip(
@@ -278,7 +269,10 @@ def summary(record: PosteriorRecord) -> dict[str, Json]:
         findings=said,
         parameters=posterior_rows(record),
         peaks=[{"share": share, "point": point} for share, point in peaks],
-        surrogate=[ResponseError(*values) for values in errors],
+        surrogate=[
+            {"response": name, "left_out": left_out, "checked": checked}
+            for name, left_out, checked in errors
+        ],
         density_error=record.density_error,
         points_by=record.points_by,
         reduced_model=record.reduced_model,

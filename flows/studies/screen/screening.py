@@ -1,8 +1,8 @@
-"""Running a screening: the Python API behind `modetune screen`.
+"""The screening of a campaign: sensitivities, the points of a design, indices and the choice.
 
-The points of the design are ordinary modal jobs of the campaign: they go through the same engine,
-under the same limits, retries and licences, and their results stay in the store. So a screening
-that was stopped goes on where it was, and the same one again starts no solver.
+The points are modal jobs of the campaign, with the same engine, limits, retries and licences, and
+the store has their results. So a screening that was stopped continues, and the same screening
+again starts no solver.
 """
 
 from __future__ import annotations
@@ -15,24 +15,21 @@ import numpy as np
 from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.storage.files import check_writable
-from modetune.core.storage.record import RunCounts
-from modetune.core.updating.reduced_range import RangeUse
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.studies.screen.choice import CandidateParameters, choose_parameters
-from modetune.flows.studies.screen.design import Design, make_design
-from modetune.flows.studies.screen.indices import Indices, design_indices
+from modetune.flows.studies.screen.design import make_design
+from modetune.flows.studies.screen.indices import design_indices
 from modetune.flows.studies.screen.record import Responses, Screening, mode_names
 from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.sensitivity import (
-    LocalSensitivity,
     importance,
     local_sensitivity,
     loudest,
     other_rows,
 )
-from modetune.flows.updating.evaluation import Evaluation, Matrix
+from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.mode_source import Demand
 from modetune.flows.updating.poses import settled
@@ -77,62 +74,24 @@ def screen_campaign(
         working(POINTS)
         points = evaluator.points(POINTS, design.points, [nominal])
         responses = _responses(campaign, nominal, points, len(design.points))
-        runs, use = evaluator.runs, evaluator.range_use
     local = local_sensitivity(campaign, nominal, matrix)
     found = None
     if request.method != "local":
         found = design_indices(design, _relative(responses, nominal), at_indices)
-    return _screening(
-        campaign,
-        request,
-        design,
-        nominal,
-        matrix,
-        responses,
-        local,
-        found,
-        runs,
-        version,
-        time.monotonic() - started,
-        use,
-    )
-
-
-def _screening(
-    campaign: Campaign,
-    request: ScreeningRequest,
-    design: Design,
-    nominal: Evaluation,
-    matrix: Matrix,
-    responses: Responses,
-    local: LocalSensitivity,
-    found: Indices | None,
-    runs: RunCounts,
-    version: str,
-    wall_s: float,
-    use: RangeUse | None,
-) -> Screening:
     paired = nominal.pairing.measured.tolist()
     numbers = tuple(campaign.test.numbers[place] for place in paired)
     names = campaign.configurations
     configurations = tuple(names[place] for place in paired) if names else ()
     values = importance(campaign, design, local, found)
-    parameters, start = campaign.parameters, nominal.theta
     allowed = [
-        (bound - start) / parameters.standard_deviations
+        (bound - nominal.theta) / parameters.standard_deviations
         for bound in (parameters.lower, parameters.upper)
     ]
+    modes = mode_names(numbers, configurations)
     candidates = CandidateParameters(
-        campaign.parameters.names,
+        parameters.names,
         values,
-        loudest(
-            campaign,
-            mode_names(numbers, configurations),
-            responses.other_names,
-            design,
-            local,
-            found,
-        ),
+        loudest(campaign, modes, responses.other_names, design, local, found),
         local.missing,
         local.weighted,
         local.weighted_residual,
@@ -146,8 +105,8 @@ def _screening(
         solver_version=version,
         units=", ".join(dict.fromkeys(case.units for case in campaign.used)),
         campaign_text=campaign.text,
-        names=campaign.parameters.names,
-        deviations=campaign.parameters.standard_deviations,
+        names=parameters.names,
+        deviations=parameters.standard_deviations,
         numbers=numbers,
         test_hz=campaign.test.modes.frequencies_hz[pairing.measured],
         nominal_hz=nominal.seen.frequencies_hz[pairing.computed],
@@ -158,10 +117,10 @@ def _screening(
         indices=found,
         importance=values,
         choice=choose_parameters(candidates, request.choose),
-        runs=runs,
-        wall_s=wall_s,
+        runs=evaluator.runs,
+        wall_s=time.monotonic() - started,
         wanted=request.choose or 0,
-        reduced_model=use,
+        reduced_model=evaluator.range_use,
         configurations=configurations,
     )
 

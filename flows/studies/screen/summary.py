@@ -28,6 +28,7 @@ CANDIDATES = "Candidates; importance in standard deviations of the test"
 def summary(screening: Screening) -> dict[str, Json]:
     """Return the JSON object of a screening."""
     design, choice, runs = screening.design, screening.choice, screening.runs
+    columns = ("mode", "test_hz", "nominal_hz", "nominal_mac")
     modes = zip(
         screening.numbers,
         screening.test_hz,
@@ -49,7 +50,7 @@ def summary(screening: Screening) -> dict[str, Json]:
         solver_runs=runs,
         core_minutes=round(runs.core_s / 60.0, 4),
         wall_s=round(screening.wall_s, 3),
-        modes=[NominalMode(*values) for values in modes],
+        modes=[dict(zip(columns, values, strict=True)) for values in modes],
         parameters=[_parameter(screening, place) for place in range(len(screening.names))],
         interactions=_interactions(screening),
         collinear=[[screening.names[place] for place in group] for group in choice.groups],
@@ -57,16 +58,6 @@ def summary(screening: Screening) -> dict[str, Json]:
         residual_left=choice.misfits,
         notes=notes(screening),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class NominalMode:
-    """A measured mode and its partner at the deck's values."""
-
-    mode: int
-    test_hz: float
-    nominal_hz: float
-    nominal_mac: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from modetune.flows.report.matplotlib_charts import save, save_all
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.localise.error_maps import OTHER_MASS, OTHER_STIFFNESS
 from modetune.flows.studies.localise.figures import localisation_figures, on_surface, surface_figure
-from modetune.flows.studies.localise.localisation import Localisation, localise, place_of
+from modetune.flows.studies.localise.localisation import Localisation, localise, one_model
 from modetune.flows.updating.mode_source import campaign_analysis
 from modetune.flows.updating.update import update_campaign
 
@@ -132,16 +132,16 @@ def test_the_updated_model_of_a_record_is_looked_at_where_it_is_named(
 ) -> None:
     campaign = bench.campaign({"k1": 1.2, "k4": 0.8}, shapes=True)
     record = update_campaign(campaign, tmp_path / "run", watcher).record
-    place = place_of(campaign, tmp_path / "run", None)
-    assert place.theta == pytest.approx(record.updated)
+    _, theta = one_model(campaign, tmp_path / "run", None)
+    assert theta == pytest.approx(record.updated)
     other = bench.campaign({"k2": 1.2}, shapes=True)
     with pytest.raises(CampaignError, match="has the parameters k1, k4"):
-        place_of(other, tmp_path / "run" / "campaign.h5", None)
+        one_model(other, tmp_path / "run" / "campaign.h5", None)
 
 
 def test_a_configuration_that_is_not_there_is_refused(bench: Any) -> None:
     with pytest.raises(CampaignError, match="the campaign has none"):
-        place_of(bench.campaign({"k1": 1.2}), None, "full tanks")
+        one_model(bench.campaign({"k1": 1.2}), None, "full tanks")
 
 
 def test_a_solver_that_refuses_its_input_ends_the_command(bench: Any) -> None:
